@@ -1,0 +1,9 @@
+"""The floor under the six rooms: errors that a person can act on, commands, progress, whole files.
+
+It imports nothing of ours, and every room may import it.
+"""
+
+from common.errors import Skipped, UserError
+from common.files import whole_file
+
+__all__ = ["Skipped", "UserError", "whole_file"]

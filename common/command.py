@@ -1,0 +1,58 @@
+"""How every `bc-` command runs: flags from a dataclass, one line for an error, the same exit codes.
+
+Exit codes: 0 done, 1 failed, 2 bad usage, 3 done but something was skipped or lost, 130 stopped by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from typing import TypeVar
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+
+from common.errors import Skipped, UserError
+
+DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
+
+Config = TypeVar("Config")
+
+
+def stderr() -> Console:
+    """Progress and warnings go here; results go to stdout."""
+    return Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+def warn_skipped(skipped: Skipped) -> int:
+    """Print what was left out; the exit code that says so."""
+    console = stderr()
+    for line in skipped.lines():
+        console.print(f"[yellow]skipped[/] {escape(line)}")
+    return DONE_BUT_SKIPPED if len(skipped) else DONE
+
+
+def run_command(prog: str, config: type[Config], action: Callable[[Config], int]) -> None:
+    """Parse the command line into `config`, call `action`, and exit with what it returns."""
+    parsed = tyro.cli(config, prog=prog, description=config.__doc__, config=(tyro.conf.FlagCreatePairsOff,))
+    try:
+        code = action(parsed)
+        sys.stdout.flush()
+    except UserError as error:
+        stderr().print(f"[red]{prog}:[/] {escape(str(error))}")
+        code = FAILED
+    except KeyboardInterrupt:
+        stderr().print(f"{prog}: stopped; nothing unfinished was left under its final name")
+        code = INTERRUPTED
+    except BrokenPipeError:  # `bc-... | head`: the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = DONE
+    except OSError as error:
+        if error.strerror is None:
+            raise
+        where = f"{error.filename}: " if error.filename is not None else ""
+        stderr().print(f"[red]{prog}:[/] {escape(where + error.strerror)}")
+        code = FAILED
+    sys.exit(code)

@@ -1,0 +1,23 @@
+"""The topics of a log, and the cameras."""
+
+from __future__ import annotations
+
+from typing import Final, Literal, get_args
+
+Camera = Literal["center", "left", "right"]
+CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
+
+PROFILE: Final = "bc"
+SESSION_METADATA: Final = "bc.session"
+
+VEHICLE: Final = "/vehicle"
+PILOT_INPUT: Final = "/pilot/input"
+PILOT_COMMAND: Final = "/pilot/command"
+EVENTS: Final = "/events"
+POSE: Final = "/pose"
+
+MAX_STEERING_DEG: Final = 25.0  # steering 1.0, as in the simulator (its CarController's maximum steer angle)
+
+
+def camera_topic(camera: Camera) -> str:
+    return f"/camera/{camera}"
