@@ -1,0 +1,20 @@
+"""From logs to what training reads: preprocessing, the index, steering bins and balance, and the loader."""
+
+from dataset.config import IndexConfig
+from dataset.errors import DatasetError
+from dataset.index import Indexed, build_index, find_logs
+from dataset.loader import Batch, Loader, Samples
+from dataset.preprocess import decode, preprocess
+
+__all__ = [
+    "Batch",
+    "DatasetError",
+    "IndexConfig",
+    "Indexed",
+    "Loader",
+    "Samples",
+    "build_index",
+    "decode",
+    "find_logs",
+    "preprocess",
+]

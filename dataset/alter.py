@@ -1,0 +1,55 @@
+"""Alterations: what a filling copy's picture gets, so that the network never sees the same one twice.
+
+Each is a pure function of (picture, random generator) on (height, width, 3) BGR uint8, and returns a new picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+
+from dataset.preprocess import Image
+
+Alteration = Literal["blur", "brightness", "shadow"]
+
+
+def blur(picture: Image, random: np.random.Generator) -> Image:
+    """Gaussian blur with an odd kernel of 3 to 9 pixels."""
+    kernel = 2 * int(random.integers(1, 5)) + 1
+    return cv2.GaussianBlur(picture, (kernel, kernel), 0).astype(np.uint8, copy=False)
+
+
+def brightness(picture: Image, random: np.random.Generator) -> Image:
+    """The value channel of HSV times 0.4 to 1.6, so that pictures become darker as often as brighter."""
+    hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
+    hsv[:, :, 2] = cv2.convertScaleAbs(hsv[:, :, 2], alpha=random.uniform(0.4, 1.6))
+    return cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR).astype(np.uint8, copy=False)
+
+
+def shadow(picture: Image, random: np.random.Generator) -> Image:
+    """One to five polygons of three to six corners, in which the picture keeps 0.45 to 0.74 of its light."""
+    height, width = picture.shape[:2]
+    mask = np.zeros((height, width), dtype=np.uint8)
+    for _ in range(int(random.integers(1, 6))):
+        corners = random.integers((0, 0), (width, height), size=(int(random.integers(3, 7)), 2))
+        cv2.fillPoly(mask, [corners.astype(np.int32)], 255)
+    darker = cv2.convertScaleAbs(picture, alpha=random.uniform(0.45, 0.74))
+    return np.where(mask[:, :, None] > 0, darker, picture).astype(np.uint8, copy=False)
+
+
+ALTERATIONS: Final[dict[Alteration, Callable[[Image, np.random.Generator], Image]]] = {
+    "blur": blur,
+    "brightness": brightness,
+    "shadow": shadow,
+}
+
+
+def alter(picture: Image, names: str, seed: int) -> Image:
+    """Apply the alterations called `names` ("blur+shadow"; "" for none), drawing from `seed`."""
+    random = np.random.default_rng(seed)
+    for name in filter(None, names.split("+")):
+        picture = ALTERATIONS[name](picture, random)  # type: ignore[index]
+    return picture

@@ -1,0 +1,90 @@
+"""Building the index: `index/frames/*.parquet` and `index/samples.parquet`, from logs.
+
+Only what changed is read again: a frames file says which log, which content (fingerprint) and which
+settings it was made from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from common.progress import track
+from dataset.config import IndexConfig
+from dataset.errors import DatasetError
+from dataset.frames import frames_metadata, frames_table, read_metadata, session_name, write_table
+from dataset.samples import Balance, samples_table
+from recorder import Log
+
+SAMPLES_NAME = "samples.parquet"
+FRAMES_FOLDER = "frames"
+
+
+@dataclass(frozen=True)
+class Indexed:
+    """What an index holds."""
+
+    path: Path
+    sessions: list[str]
+    read: list[str]  # those that were read again
+    frames: pa.Table
+    samples: pa.Table
+    balance: Balance
+
+
+def find_logs(sessions: Sequence[str], folder: Path) -> list[Path]:
+    """Logs by session name (in `folder`) or by path; without any, all of `folder`.
+
+    Raises DatasetError for one that does not exist, or for two of one name.
+    """
+    if sessions:
+        logs = [Path(given) if given.endswith(".mcap") else folder / f"{given}.mcap" for given in sessions]
+    else:
+        logs = sorted(folder.glob("*.mcap"))
+        if not logs:
+            raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME --from FOLDER`")
+    by_name: dict[str, Path] = {}
+    for log in logs:
+        if not log.is_file():
+            raise DatasetError(f"{log}: no such log; the sessions are named by the files in {folder}")
+        other = by_name.setdefault(session_name(log), log)
+        if other.resolve() != log.resolve():
+            raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
+    return list(by_name.values())
+
+
+def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = None) -> Indexed:
+    """Bring `index` up to date: it then holds the sessions of `logs`, and only those."""
+    config = config or IndexConfig()
+    frames_folder = index / FRAMES_FOLDER
+    frames_folder.mkdir(parents=True, exist_ok=True)
+    tables: list[pa.Table] = []
+    read: list[str] = []
+    sources: dict[str, dict[str, str]] = {}
+    for path in track(logs, "indexing", len(logs)):
+        name = session_name(path)
+        with Log(path) as log:
+            metadata = frames_metadata(log, index, config)
+            sources[name] = {key: metadata[key] for key in ("log", "fingerprint")}
+            file = frames_folder / f"{name}.parquet"
+            if read_metadata(file) != metadata:
+                write_table(file, frames_table(log, name, config), metadata)
+                read.append(name)
+        tables.append(pq.read_table(file))
+    for stale in frames_folder.glob("*.parquet"):
+        if stale.stem not in sources and read_metadata(stale) is not None:
+            stale.unlink()  # ours, and made anew whenever its session is indexed again
+    frames = pa.concat_tables(tables)
+    if not len(frames):
+        raise DatasetError(f"{', '.join(map(str, logs))}: no frame with a vehicle state in it; nothing to index")
+    samples, balance = samples_table(frames, config)
+    if not len(samples):
+        raise DatasetError(
+            f"no frame can be used: no picture of {', '.join(config.cameras)} with steering in -1..1"
+        )
+    write_table(index / SAMPLES_NAME, samples, {"format": 1, "settings": config.as_dict(), "logs": sources})
+    return Indexed(index, list(sources), read, frames, samples, balance)

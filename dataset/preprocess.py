@@ -1,0 +1,47 @@
+"""From the simulator's picture to what the network sees: one function for training, driving and viewing."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+SIZE_PX: Final = 128
+# Of a picture 160 rows high, 50 are cut off the top (sky, trees) and 20 off the bottom (the bonnet).
+TOP_SHARE: Final = 50 / 160
+BOTTOM_SHARE: Final = 20 / 160
+
+DESCRIPTION: Final = {
+    "channels": "BGR",
+    "crop_top": "50/160",
+    "crop_bottom": "20/160",
+    "height_px": str(SIZE_PX),
+    "width_px": str(SIZE_PX),
+    "resize": "bilinear",
+}
+"""The preprocessing in words, stored with every run and every drive."""
+
+
+def decode(encoded: bytes) -> Image:
+    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is not a picture."""
+    if not encoded:
+        raise ValueError("empty picture")
+    picture = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise ValueError(f"{len(encoded)} bytes that are not a picture")
+    return picture.astype(np.uint8, copy=False)
+
+
+def preprocess(picture: Image) -> Image:
+    """A camera picture (height, width, 3) BGR uint8 as the network's input, (128, 128, 3) BGR uint8.
+
+    The crop is a share of the height, so that pictures of another size show the same part of the world.
+    """
+    height = picture.shape[0]
+    cropped = picture[round(height * TOP_SHARE) : height - round(height * BOTTOM_SHARE)]
+    resized = cv2.resize(cropped, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_LINEAR)
+    return resized.astype(np.uint8, copy=False)

@@ -1,0 +1,48 @@
+"""Drives, blocks of time, and which block is for training and which for validation.
+
+Neighbouring frames are nearly the same picture. Split at random, validation would ask what training has
+seen; split by blocks of time, it asks about stretches of road that training has not seen.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+NEW_DRIVE_GAP_S = 1.0  # the simulator writes at least five rows a second (measured: at most 0.22 s apart)
+
+
+def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers the drives of a session from 0: a new one begins after a gap, or where time goes backwards."""
+    step_ns = np.diff(time_ns)
+    return np.concatenate([[0], np.cumsum((step_ns > NEW_DRIVE_GAP_S * 1e9) | (step_ns < 0))])[: len(time_ns)]
+
+
+def block_numbers(time_ns: NDArray[np.int64], drive: NDArray[np.int64], block_s: float) -> NDArray[np.int64]:
+    """Numbers the blocks of a session from 0: stretches of `block_s` seconds within one drive."""
+    if not len(time_ns):
+        return np.zeros(0, np.int64)
+    first = np.flatnonzero(np.concatenate([[True], np.diff(drive) != 0]))
+    start_ns = np.repeat(time_ns[first], np.diff(np.append(first, len(time_ns))))
+    within = ((time_ns - start_ns) // int(block_s * 1e9)).astype(np.int64)
+    changes = (np.diff(drive) != 0) | (np.diff(within) != 0)
+    return np.concatenate([[0], np.cumsum(changes)])
+
+
+def validation_blocks(block: NDArray[np.int64], share: float, seed: int, session: str) -> NDArray[np.int64]:
+    """The blocks of a session that are for validation: about `share` of its frames, chosen at random.
+
+    Depends on the session's name and frames alone, so that adding a session moves no other's split.
+    A session of a single block is all training.
+    """
+    numbers, frames = np.unique(block, return_counts=True)
+    if len(numbers) < 2 or share <= 0:
+        return numbers[:0]
+    digest = hashlib.sha256(f"{seed}/{session}".encode()).digest()
+    order = np.random.default_rng(int.from_bytes(digest[:8], "little")).permutation(len(numbers))
+    taken = np.cumsum(frames[order])
+    # the number of blocks that comes closest to the share; at least one, and never all
+    count = int(np.argmin(np.abs(taken[:-1] - share * len(block)))) + 1
+    return np.sort(numbers[order[:count]])
