@@ -5,8 +5,10 @@ from dataset.errors import DatasetError
 from dataset.index import Indexed, build_index, find_logs
 from dataset.loader import Batch, Loader, Samples
 from dataset.preprocess import decode, preprocess
+from recorder.topics import MAX_STEERING_DEG
 
 __all__ = [
+    "MAX_STEERING_DEG",
     "Batch",
     "DatasetError",
     "IndexConfig",

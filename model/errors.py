@@ -1,0 +1,9 @@
+"""What can be wrong with a run."""
+
+from __future__ import annotations
+
+from common import UserError
+
+
+class RunError(UserError):
+    """A run that is missing, incomplete, damaged, of another version, or that cannot go on."""

@@ -1,0 +1,53 @@
+"""The network: 5,022,327 parameters from a picture to a steering angle.
+
+After Bojarski et al. 2016, "End to End Learning for Self-Driving Cars" (arXiv 1604.07316), with max pooling in
+place of strides, a larger input, and dropout.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+PARAMETERS: Final = 5_022_327
+
+
+class SteeringNetwork(nn.Module):
+    """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,), -1 (left) .. 1 (right), unclamped."""
+
+    def __init__(self, dropout: float = 0.5) -> None:
+        super().__init__()
+
+        def convolution(inputs: int, outputs: int, kernel: int, *, pool: bool) -> list[nn.Module]:
+            # Pooling comes before ReLU: the maximum of ReLUs is the ReLU of the maximum, at a quarter of the work.
+            pooling: list[nn.Module] = [nn.MaxPool2d(2)] if pool else []
+            return [nn.Conv2d(inputs, outputs, kernel), *pooling, nn.ReLU()]
+
+        self.features = nn.Sequential(
+            *convolution(3, 24, 5, pool=True),  # 128 -> 124 -> 62
+            *convolution(24, 36, 5, pool=True),  # 62 -> 58 -> 29
+            *convolution(36, 48, 5, pool=True),  # 29 -> 25 -> 12
+            *convolution(48, 64, 3, pool=False),  # 12 -> 10
+            *convolution(64, 64, 3, pool=False),  # 10 -> 8
+        )
+        self.head = nn.Sequential(
+            nn.Flatten(),  # 64 x 8 x 8 = 4096
+            nn.Dropout(dropout),
+            nn.Linear(4096, 1164),
+            nn.ReLU(),
+            nn.Dropout(dropout),
+            nn.Linear(1164, 100),
+            nn.ReLU(),
+            nn.Linear(100, 50),
+            nn.ReLU(),
+            nn.Linear(50, 10),
+            nn.ReLU(),
+            nn.Linear(10, 1),
+        )
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        scaled = pictures.to(torch.float32) / 127.5 - 1.0
+        steering: Tensor = self.head(self.features(scaled)).squeeze(1)
+        return steering
