@@ -51,7 +51,8 @@ class LogWriter:
     ``live=True`` closes a chunk at least once a second, so that a killed process loses at most that; an
     import leaves it off, and its bytes then depend on its input alone.
 
-    As a context manager it closes the log, or discards it if anything was raised.
+    As a context manager it closes the log, or discards it if anything was raised; what was recorded live is
+    kept even then, because nobody can record it again.
     """
 
     def __init__(
@@ -127,7 +128,7 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
+        if kind is None or (self._live and self._channels):
             self.close()
         else:
             self.discard()

@@ -1,0 +1,50 @@
+"""Serving clients of Socket.IO 2, which is what the real simulator is, beside modern ones on the same port.
+
+Such a client never announces that it connects, so that python-socketio 5 drops its every event in silence; and it
+sends the heartbeats that a modern server sends itself. Both are put right per connection; nothing is patched.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import socketio
+from engineio import packet
+
+CONNECT, EVENT = "0", "2"  # Socket.IO packet types, the first character of an Engine.IO message
+
+
+def accept_old_clients(server: socketio.Server) -> None:
+    """Make `server` understand them. Call it before the server runs, after its own handlers are set up."""
+    engine = server.eio
+    connected, received, left = (engine.handlers[name] for name in ("connect", "message", "disconnect"))
+    unannounced: set[str] = set()
+
+    def on_connect(sid: str, environ: dict[str, Any]) -> Any:
+        unannounced.add(sid)
+        connection = engine.sockets[sid]
+        receive = connection.receive
+
+        def receive_with_pings(received_packet: packet.Packet) -> None:
+            if received_packet.packet_type == packet.PING:  # a modern client never sends one
+                connection.send(packet.Packet(packet.PONG, data=received_packet.data))
+            else:
+                receive(received_packet)
+
+        connection.receive = receive_with_pings
+        return connected(sid, environ)
+
+    def on_message(sid: str, data: str | bytes) -> None:
+        if sid in unannounced:
+            unannounced.discard(sid)
+            if isinstance(data, str) and data.startswith(EVENT):
+                received(sid, CONNECT)  # a modern client's first message is this one
+        received(sid, data)
+
+    def on_disconnect(sid: str, reason: str) -> None:
+        unannounced.discard(sid)
+        left(sid, reason)
+
+    engine.on("connect", on_connect)
+    engine.on("message", on_message)
+    engine.on("disconnect", on_disconnect)

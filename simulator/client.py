@@ -1,0 +1,196 @@
+"""Speaks the real simulator's side of the wire, byte for byte as the Unity program does.
+
+Observed on the real client's code: it connects by websocket, announces no Socket.IO connection (no `40`), takes
+the server's `0{...}` as a second "open", sends every message in websocket frames of at most 1016 bytes with
+Nagle's algorithm on, formats numbers as strings with four decimals, and answers each `steer` or `manual` with
+exactly one telemetry. A command it cannot read costs that telemetry.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import websocket
+from websocket import ABNF
+
+FRAME_BYTES: Final = 1016  # payload of one websocket frame (websocket-sharp's FragmentLength)
+PING_S: Final = 25.0
+RETRY_S: Final = 0.05  # the real one retries without any delay, about 10,000 times a second
+MAX_STEERING_DEG: Final = 25.0
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """What the simulator tells of one moment."""
+
+    steering: float  # -1 (left) .. 1 (right)
+    throttle: float  # 0..1
+    speed_mph: float
+    jpeg: bytes  # the centre camera
+
+
+@dataclass(frozen=True)
+class Steer:
+    """A command from the server."""
+
+    steering: float  # -1..1, as sent: not clamped
+    throttle: float  # > 0 accelerates, < 0 brakes
+
+
+Answer = Steer | Literal["manual"] | None
+"""What a telemetry is asked for after: a command, `manual`, or None where the connection has just opened."""
+
+Told = Telemetry | Literal["manual", "nothing"] | None
+"""What the simulator tells: a telemetry; "manual" while a human holds a key; "nothing", to go on listening only;
+None to quit."""
+
+
+class WaitTimeoutError(Exception):
+    """No server within the time that was given."""
+
+
+class SimulatorClient:
+    """Runs the simulator's loop against a server; a reconnection happens by itself, as in the real one."""
+
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = 4567, *, wait_s: float = 60.0, decimal_comma: bool = False
+    ) -> None:
+        """``wait_s`` limits the wait for a server that is not there. ``decimal_comma`` writes (and reads) numbers
+        as a machine with such a locale does."""
+        self.url = f"ws://{host}:{port}/socket.io/?EIO=4&transport=websocket"
+        self.wait_s = wait_s
+        self.decimal_comma = decimal_comma
+        self.telemetries = 0  # sent
+        self.steers = 0  # received and understood
+        self.manuals = 0  # received
+        self.bad_steers = 0  # received and not understood: each has cost a telemetry
+        self.connections = 0
+
+    def run(self, next_telemetry: Callable[[Answer], Told]) -> None:
+        """Connect and drive until `next_telemetry` returns None.
+
+        It is called twice when a connection opens, and then once for each command.
+
+        Raises WaitTimeoutError where no server answers for `wait_s`.
+        """
+        while self._one_connection(self._connect(), next_telemetry):
+            pass
+
+    def _connect(self) -> websocket.WebSocket:
+        deadline_s = time.monotonic() + self.wait_s
+        while True:
+            try:
+                connection = websocket.create_connection(
+                    self.url,
+                    timeout=10,
+                    suppress_origin=True,
+                    sockopt=((socket.IPPROTO_TCP, socket.TCP_NODELAY, 0),),
+                )
+            except (OSError, websocket.WebSocketException):
+                if time.monotonic() > deadline_s:
+                    raise WaitTimeoutError(f"no server at {self.url} within {self.wait_s:g} s") from None
+                time.sleep(RETRY_S)
+            else:
+                self.connections += 1
+                return connection
+
+    def _one_connection(self, connection: websocket.WebSocket, next_telemetry: Callable[[Answer], Told]) -> bool:
+        """Drive until the server goes (True: connect again) or there is nothing more to tell (False)."""
+        answers: list[Answer] = [None]  # the socket is open: the first of the two "open" events
+        next_ping_s = time.monotonic()
+        try:
+            while True:
+                for answer in answers:
+                    telemetry = next_telemetry(answer)
+                    if telemetry is None:
+                        self._send(connection, "41")
+                        self._send(connection, "1")
+                        return False
+                    if telemetry != "nothing":
+                        self._send(connection, self._event(telemetry))
+                        self.telemetries += 1
+                if time.monotonic() >= next_ping_s:
+                    self._send(connection, "2")
+                    next_ping_s = time.monotonic() + PING_S
+                answers = self._receive(connection, next_ping_s)
+        except (OSError, websocket.WebSocketException):
+            return True
+        finally:
+            connection.close()
+
+    def _receive(self, connection: websocket.WebSocket, until_s: float) -> list[Answer]:
+        connection.settimeout(max(0.01, until_s - time.monotonic()))
+        try:
+            message = connection.recv()
+        except websocket.WebSocketTimeoutException:
+            return []
+        if isinstance(message, bytes):
+            message = message.decode("utf-8", "replace")
+        if message.startswith("0"):
+            return [None]  # the second "open"
+        if message == "2":
+            self._send(connection, "3")
+        elif not message or message.startswith("1"):
+            raise ConnectionResetError("the server has closed the connection")
+        elif message.startswith("42"):
+            return self._command(message[2:])
+        return []  # "3", "40", "43": nothing to do
+
+    def _command(self, payload: str) -> list[Answer]:
+        try:
+            name, *arguments = json.loads(payload)
+        except (ValueError, TypeError):
+            return []
+        if name == "manual":
+            self.manuals += 1
+            return ["manual"]
+        if name != "steer":
+            return []
+        try:
+            steer = Steer(self._number(arguments[0]["steering_angle"]), self._number(arguments[0]["throttle"]))
+        except (ValueError, TypeError, KeyError, IndexError):
+            self.bad_steers += 1  # the real client throws, swallows it, and this telemetry is lost
+            return []
+        self.steers += 1
+        return [steer]
+
+    def _number(self, text: object) -> float:
+        """As .NET's float.Parse in the machine's culture: strings only; thousands separators are dropped."""
+        if not isinstance(text, str):
+            raise TypeError("the real client wants strings")
+        decimal, thousands = (",", ".") if self.decimal_comma else (".", ",")
+        value = float(text.replace(thousands, "").replace(decimal, "."))
+        if not math.isfinite(value):
+            raise ValueError(text)
+        return value
+
+    def _event(self, telemetry: Telemetry | Literal["manual"]) -> str:
+        if telemetry == "manual":
+            return '42["telemetry",null]'
+        fields = {
+            "steering_angle": self._n4(telemetry.steering * MAX_STEERING_DEG),
+            "throttle": self._n4(telemetry.throttle),
+            "speed": self._n4(telemetry.speed_mph),
+            "image": base64.b64encode(telemetry.jpeg).decode("ascii"),
+        }
+        return f'42["telemetry",{json.dumps(fields, separators=(",", ":"))}]'
+
+    def _n4(self, value: float) -> str:
+        """C#'s "N4": thousands separators and four decimals, in the machine's culture."""
+        text = f"{value:,.4f}"
+        return text.translate(str.maketrans(",.", ".,")) if self.decimal_comma else text
+
+    @staticmethod
+    def _send(connection: websocket.WebSocket, message: str) -> None:
+        data = message.encode("utf-8")
+        for start in range(0, len(data), FRAME_BYTES):
+            opcode = ABNF.OPCODE_CONT if start else ABNF.OPCODE_TEXT
+            is_last = int(start + FRAME_BYTES >= len(data))
+            connection.send_frame(ABNF.create_frame(data[start : start + FRAME_BYTES], opcode, is_last))

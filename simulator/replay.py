@@ -1,0 +1,34 @@
+"""Recorded pictures told to a server as telemetry, as if the simulator drove past them once more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told
+
+
+def replay(client: SimulatorClient, jpegs: Iterable[bytes], speed_mph: float = 9.0) -> list[Steer]:
+    """Tell every picture once, with the steering and throttle that the server last commanded.
+
+    Returns the commands in the order in which they came: one for each picture, if the server answered each.
+    """
+    pictures = iter(jpegs)
+    commands: list[Steer] = []
+    waiting = 0  # telemetries in flight
+
+    def next_telemetry(answer: Answer) -> Told:
+        nonlocal waiting
+        if isinstance(answer, Steer):
+            commands.append(answer)
+            waiting -= 1
+        jpeg = next(pictures, None)
+        if jpeg is None:
+            # the last picture was told; go on reading until everything in flight is answered
+            return None if waiting <= 0 else "nothing"
+        waiting += 1
+        last = commands[-1] if commands else Steer(0.0, 0.0)
+        throttle = min(max(last.throttle, 0.0), 1.0)
+        return Telemetry(min(max(last.steering, -1.0), 1.0), throttle, speed_mph, jpeg)
+
+    client.run(next_telemetry)
+    return commands
