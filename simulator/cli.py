@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,53 +12,106 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, FAILED, run_command
-from common.progress import track
+from common.command import BAD_USAGE, DONE, FAILED, run_command, stderr
+from common.progress import progress_bar, track
 from simulator.client import SimulatorClient, WaitTimeoutError
-from simulator.replay import replay
 
 
 @dataclass(frozen=True)
 class Sim:
-    """Connect to bc-drive as the Udacity simulator does, and tell it recorded pictures as telemetry."""
+    """Connect to bc-drive as the Udacity simulator does.
 
-    folder: Annotated[Path, tyro.conf.arg(name="replay", metavar="FOLDER")]
+    Drives the built-in track --track; or, with --replay, tells recorded pictures as telemetry.
+    """
+
+    track: str = "lake"
+    """The track: lake, mountain, or random:SEED."""
+    laps: float = 1.0
+    """How far to drive."""
+    rate: float = 25.0
+    """Telemetries a second of simulated time; it must divide 50."""
+    real_time: bool = False
+    """Let simulated time pass no faster than the clock. Otherwise it waits for each answer, and hurries."""
+    replay: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """A recording of the Udacity simulator: the pictures of its centre camera are told in their order."""
     count: int | None = None
-    """How many pictures to tell; all of them by default."""
+    """How many pictures of --replay to tell; all of them by default."""
     host: str = "127.0.0.1"
     """Where bc-drive listens."""
     port: int = 4567
     """Where bc-drive listens."""
     wait: float = 60.0
     """Seconds to wait for bc-drive before giving up."""
+    json: bool = False
+    """Print the result as one line of JSON."""
 
 
 def sim(config: Sim) -> int:
-    images = config.folder / "IMG" if (config.folder / "IMG").is_dir() else config.folder
+    client = SimulatorClient(config.host, config.port, wait_s=config.wait)
+    stderr().print(f"bc-sim: connecting to {client.url}")
+    try:
+        return _replay(config, client) if config.replay is not None else _drive(config, client)
+    except WaitTimeoutError as error:
+        raise UserError(f"{error}; start `bc-drive` first, or wait longer with --wait") from None
+
+
+def _drive(config: Sim, client: SimulatorClient) -> int:
+    from simulator.autonomous import drive_autonomously
+    from simulator.simulation import Simulation
+
+    try:
+        simulation = Simulation(config.track)
+    except ValueError as error:
+        stderr().print(f"bc-sim: --track: {error}")
+        return BAD_USAGE
+    with progress_bar() as bar:
+        task = bar.add_task(f"driving {config.track}", total=round(config.laps * 1000), note="")
+        driven = drive_autonomously(
+            simulation,
+            client,
+            laps=config.laps,
+            rate_hz=config.rate,
+            real_time=config.real_time,
+            progress=lambda laps: bar.update(task, completed=round(laps * 1000)),
+        )
+    if config.json:
+        print(json.dumps(driven.as_dict()))
+    else:
+        measures = driven.measures
+        print(
+            f"{driven.track}: {measures.laps:.2f} laps in {measures.elapsed_s:.0f} s of simulated time,"
+            f" {measures.interventions} interventions, autonomy {measures.autonomy_percent:.1f} %,"
+            f" distance from the centre line {measures.mean_offset:.2f} (largest {measures.max_offset:.2f})"
+            f" of the half width, {measures.mean_speed_mph:.1f} mph"
+        )
+    return DONE
+
+
+def _replay(config: Sim, client: SimulatorClient) -> int:
+    from simulator.replay import replay
+
+    assert config.replay is not None  # noqa: S101
+    images = config.replay / "IMG" if (config.replay / "IMG").is_dir() else config.replay
     pictures = sorted(images.glob("center_*.jpg"))[: config.count]
     if not pictures:
         raise UserError(f"{images}: no center_*.jpg in it; give a folder that the simulator recorded into")
-    client = SimulatorClient(config.host, config.port, wait_s=config.wait)
     start_s = 0.0
 
     def jpegs() -> Iterator[bytes]:
         nonlocal start_s
         start_s = time.perf_counter()  # now that somebody listens
-        for path in track(pictures, "driving", len(pictures)):
+        for path in track(pictures, "telling", len(pictures)):
             yield path.read_bytes()
 
-    try:
-        commands = replay(client, jpegs())
-    except WaitTimeoutError as error:
-        raise UserError(f"{error}; start `bc-drive` first, or wait longer with --wait") from None
+    replay(client, jpegs())
     seconds = time.perf_counter() - start_s
-    steps = [abs(b.steering - a.steering) for a, b in itertools.pairwise(commands)]
-    roughness = sum(steps) / len(steps) if steps else 0.0
-    print(
-        f"{client.telemetries:,} telemetries, {client.steers:,} answers, {client.bad_steers:,} unreadable;"
-        f" {client.steers / seconds:,.0f} answers/s; mean change of steering {roughness:.3f}"
-    )
+    result = {
+        "telemetries": client.telemetries,
+        "answers": client.steers,
+        "unreadable": client.bad_steers,
+        "answers_per_s": round(client.steers / seconds),
+    }
+    print(json.dumps(result) if config.json else ", ".join(f"{value:,} {name}" for name, value in result.items()))
     return DONE if client.steers == client.telemetries else FAILED
 
 

@@ -1,0 +1,119 @@
+"""Recording the built-in simulator's expert driver into a log, faster than real time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+
+from common import Skipped, UserError
+from common.progress import progress_bar
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.record import Imported
+from recorder.topics import CAMERAS
+from recorder.writer import LogWriter, timestamp
+from simulator.expert import Expert
+from simulator.pose import Pose
+from simulator.recovery import drive_for_recording
+from simulator.simulation import Simulation
+from simulator.udacity_folder import UdacityFolder
+
+# Simulated time has no date. This one makes the same drive the same log, byte for byte.
+CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
+
+
+@dataclass(frozen=True)
+class SimulatedDrive:
+    """How the expert drives."""
+
+    track: str = "lake"
+    """The track of the built-in simulator: lake, mountain, or random:SEED."""
+    laps: float = 1.0
+    """How far to drive; 0.5 records the first half of the track and nothing of the second."""
+    speed: float = 10.0
+    """Set speed in mph; the expert slows for bends."""
+    rate: float = 10.0
+    """Recorded rows a second; it must divide 50."""
+    recovery: float = 0.35
+    """Share of the rows in which the car, pushed off its line, comes back; the push itself is not recorded."""
+    noise: float = 0.03
+    """How unsteady the expert's hand is; 0 is a machine's, 0.03 a calm person's."""
+    seed: int = 0
+    """Pushes and noise are drawn from it: same seed, same log."""
+
+
+def record_simulated(
+    drive: SimulatedDrive, log: Path, *, udacity: Path | None = None, overwrite: bool = False
+) -> Imported:
+    """Record the expert's drive to `log`, and as the real simulator would to the folder `udacity`, if given.
+
+    Raises RecordingError for a drive that cannot be, UserError if `log` exists and `overwrite` is off.
+    """
+    try:
+        simulation = Simulation(drive.track)
+        expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)
+        steps = drive_for_recording(simulation.course, expert, drive.laps, drive.rate, drive.recovery, drive.seed)
+        folder = UdacityFolder(udacity) if udacity is not None else None
+    except (ValueError, FileExistsError) as error:
+        raise RecordingError(str(error)) from None
+    metadata = {
+        "source": "simulator",
+        "simulator": "built-in",
+        "track": simulation.track.name,
+        "track_fingerprint": simulation.track.fingerprint(),
+        "driver": "expert",
+        **{
+            f"drive.{name}": f"{getattr(drive, name):g}" for name in ("laps", "speed", "rate", "recovery", "noise")
+        },
+        "drive.seed": str(drive.seed),
+    }
+    length_m = drive.laps * simulation.track.line.length_m
+    rows = 0
+    with LogWriter(log, metadata, overwrite=overwrite) as writer, progress_bar() as bar:
+        task = bar.add_task(f"recording {drive.track}", total=math.ceil(length_m), note="metres")
+        for step in steps:
+            time_ns = CLOCK_START_NS + round(step.time_s * 1e9)
+            jpegs = {camera: simulation.jpeg(camera, step.pose) for camera in CAMERAS}
+            for camera, jpeg in jpegs.items():
+                writer.picture(camera, time_ns, rows, jpeg)
+            state = VehicleState(
+                steering=step.steering, throttle=step.throttle, brake=step.brake, speed_mph=step.speed_mph
+            )
+            writer.vehicle(time_ns, rows, state)
+            writer.pose(time_ns, rows, _pose_message(step.pose, time_ns))
+            if folder is not None:
+                folder.row(
+                    time_ns,
+                    jpegs,
+                    steering=step.steering,
+                    throttle=step.throttle,
+                    brake=step.brake,
+                    speed_mph=step.speed_mph,
+                )
+            rows += 1
+            bar.update(task, completed=step.progress_m)
+        if not rows:
+            raise UserError(f"{drive.laps:g} laps: too short to record a single row")
+        if folder is not None:
+            folder.close()
+    return Imported(log, rows, rows * len(CAMERAS), Skipped())
+
+
+def _pose_message(pose: Pose, time_ns: int) -> PoseInFrame:
+    """As Foxglove wants it: metres, x east, y north, z up; attitude a quaternion (yaw, pitch, roll)."""
+    message = PoseInFrame(timestamp=timestamp(time_ns), frame_id="world")
+    message.pose.position.x, message.pose.position.y, message.pose.position.z = pose.x_m, pose.y_m, pose.z_m
+    # nose up is a negative turn about the y axis, which points to the left
+    (cy, sy), (cp, sp), (cr, sr) = (
+        (math.cos(angle / 2), math.sin(angle / 2)) for angle in (pose.heading_rad, -pose.pitch_rad, pose.roll_rad)
+    )
+    q = message.pose.orientation
+    q.w = cr * cp * cy + sr * sp * sy
+    q.x = sr * cp * cy - cr * sp * sy
+    q.y = cr * sp * cy + sr * cp * sy
+    q.z = cr * cp * sy - sr * sp * cy
+    return message
