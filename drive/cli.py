@@ -26,6 +26,10 @@ class Drive:
     """The run that drives, by name or folder; the newest one by default."""
     log: Path | None = None
     """Where the drive is logged; by default drives/DATE.mcap."""
+    simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
+    """Start the built-in simulator on a track (lake, mountain, random:SEED), and end when it has driven."""
+    laps: float = 1.0
+    """How far the built-in simulator drives."""
     speed: float = 10.0
     """Set speed in mph."""
     host: str = "127.0.0.1"
@@ -46,6 +50,7 @@ def drive(config: Drive) -> int:
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
 
+    from drive.closed_loop import Course, drive_built_in
     from drive.server import DriveServer, open_log
     from model import find_run, load_pilot
 
@@ -63,8 +68,11 @@ def drive(config: Drive) -> int:
         )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: server.stop())
-        console.print(f"bc-drive: {pilot.run} is waiting for a simulator on {config.host}:{server.port}")
-        server.run()
+        if config.simulator is None:
+            console.print(f"bc-drive: {pilot.run} is waiting for a simulator on {config.host}:{server.port}")
+            server.run()
+        else:
+            drive_built_in(server, Course(config.simulator, config.laps, config.speed))
     extra = f", {server.malformed:,} malformed telemetries" if server.malformed else ""
     print(f"{path}: {server.frames:,} frames{extra}; look at it with `bc-play {path}`")
     return DONE

@@ -58,13 +58,13 @@ class DriveServer:
         """Telemetries that were driven on and logged."""
         return self._log.frames
 
-    def run(self) -> None:
-        """Serve until `stop()` is called, from a signal handler or another green thread."""
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Serve until `stop()` is called (from a signal handler or another green thread), or `until()` is true."""
         web: GreenThread = eventlet.spawn(
             eventlet.wsgi.server, self._listener, socketio.WSGIApp(self._server), log_output=False
         )
         try:
-            while not self._stopped:
+            while not (self._stopped or until()):
                 # a tick, because a signal does not wake eventlet, and a flush is due also while nothing arrives
                 eventlet.sleep(TICK_S)
                 self._log.flush_if_due()

@@ -117,3 +117,7 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
 
 def main() -> None:
     run_command("bc-sim", Sim, sim)
+
+
+if __name__ == "__main__":  # how bc-drive and bc-eval start it
+    main()

@@ -1,0 +1,89 @@
+"""Driving the built-in simulator: it runs as a process of its own and connects over the real wire."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drive.errors import DriveError
+from drive.server import DriveServer, open_log
+from model import Pilot
+
+
+@dataclass(frozen=True)
+class Course:
+    """What to drive: a track (lake, mountain, random:SEED), how far, and how fast."""
+
+    track: str
+    laps: float = 1.0
+    set_speed_mph: float = 10.0
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a drive went: the simulator's own book (see `simulator.autonomous.Driven`), and its log."""
+
+    course: Course
+    log: Path
+    book: dict[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"set_speed_mph": self.course.set_speed_mph, "log": str(self.log), **self.book}
+
+
+def evaluate(
+    pilot: Pilot,
+    courses: Sequence[Course],
+    logs: Path,
+    *,
+    overwrite: bool = False,
+    said: Callable[[str], None] = lambda text: None,
+) -> Iterator[Result]:
+    """Drive every course in lock-step, log each, and give the results as they come.
+
+    Raises DriveError where the simulator fails, UserError where a log exists and may not be overwritten.
+    """
+    for course in courses:
+        track = course.track.replace(":", "-")
+        path = logs / f"{pilot.run}-{track}-{course.set_speed_mph:g}mph.mcap"
+        said(f"{pilot.run} on {course.track} at {course.set_speed_mph:g} mph, {course.laps:g} laps")
+        with open_log(path, pilot, course.set_speed_mph, overwrite=overwrite) as log:
+            server = DriveServer(pilot, log, port=0, set_speed_mph=course.set_speed_mph)
+            book = drive_built_in(server, course)
+            log.add_metadata("bc.drive", {name: str(value) for name, value in book.items()})
+        yield Result(course, path, book)
+
+
+def drive_built_in(server: DriveServer, course: Course, *, real_time: bool = False) -> dict[str, Any]:
+    """Serve until the built-in simulator has driven its course or `server` is stopped; the simulator's book, empty
+    if it was stopped. Raises DriveError if the simulator fails."""
+    with _simulator(course, server.port, real_time) as process:
+        server.run(until=lambda: process.poll() is not None)
+        if process.poll() is None:
+            return {}
+        output, _ = process.communicate()
+        if process.returncode != 0:
+            raise DriveError(f"the simulator on {course.track} ended with exit code {process.returncode}")
+        book: dict[str, Any] = json.loads(output)
+        return book
+
+
+@contextmanager
+def _simulator(course: Course, port: int, real_time: bool) -> Iterator[subprocess.Popen[bytes]]:
+    command = [
+        *(sys.executable, "-m", "simulator.cli", "--json", "--port", str(port)),
+        *("--track", course.track, "--laps", str(course.laps)),
+        *(["--real-time"] if real_time else []),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
