@@ -1,7 +1,7 @@
 """How far predictions are off, beside predictors that know nothing.
 
 Half to four fifths of recorded labels are near zero, so that a small mean error alone says nothing: every
-measure stands beside that of always predicting zero, and the training split's mean.
+measure stands beside those of always predicting zero, and the mean.
 """
 
 from __future__ import annotations

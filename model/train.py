@@ -43,7 +43,7 @@ class Epoch:
     training_loss: float  # mean squared error over the epoch's samples, while they were learnt
     validation: Errors  # of the driving view: centre camera, unmirrored, unaltered
     zero: Errors  # of always predicting 0 on the same pictures
-    mean: Errors  # of always predicting the mean steering of the training split
+    mean: Errors  # of always predicting those pictures' own mean: no constant does better
     seconds: float
     samples_per_s: float
 
@@ -79,7 +79,7 @@ def _train(
     if not len(training):
         raise RunError(f"{samples.path}: no training samples in it; record more, or use a smaller --validation")
     recorded = seen["label"].to_numpy()
-    mean = float(np.mean(samples.driving_view("train")["label"].to_numpy()))
+    mean = float(np.mean(recorded)) if len(recorded) else float("nan")
 
     network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     assert sum(p.numel() for p in network.parameters()) == PARAMETERS  # noqa: S101

@@ -1,0 +1,37 @@
+# Needs Python 3.11 or newer and make; everything else is installed into .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := common recorder dataset model drive viz simulator tests benchmarks docs
+
+.PHONY: install demo test check pictures proto clean
+
+install: $(VENV)/installed
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	touch $@
+
+demo: install
+	$(BIN)/bc-demo
+
+test: install
+	$(BIN)/python -m pytest
+
+check: install
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/mypy
+
+pictures: install
+	$(BIN)/python docs/make_pictures.py
+
+# bc_pb2.py for every protobuf from 5.29 on: written by the protoc of that time
+proto:
+	$(PYTHON) -m venv build/protoc
+	build/protoc/bin/pip install --quiet "grpcio-tools==1.71.2"
+	build/protoc/bin/python -m grpc_tools.protoc -I. --python_out=. --pyi_out=. recorder/bc.proto
+
+clean:
+	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info
