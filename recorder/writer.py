@@ -75,13 +75,11 @@ class LogWriter:
 
     def picture(self, camera: Camera, time_ns: int, sequence: int, jpeg: bytes) -> None:
         """A camera's JPEG, byte for byte."""
-        image = CompressedImage(timestamp=timestamp(time_ns), data=jpeg, format="jpeg")
-        self._write(camera_topic(camera), image, time_ns, sequence)
+        self._image(camera_topic(camera), time_ns, sequence, jpeg, "jpeg")
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
         """The picture that the network saw, as PNG (lossless)."""
-        image = CompressedImage(timestamp=timestamp(time_ns), data=png, format="png")
-        self._write(topics.PILOT_INPUT, image, time_ns, sequence)
+        self._image(topics.PILOT_INPUT, time_ns, sequence, png, "png")
 
     def vehicle(self, time_ns: int, sequence: int, state: VehicleState) -> None:
         self._write(topics.VEHICLE, state, time_ns, sequence)
@@ -132,6 +130,12 @@ class LogWriter:
             self.close()
         else:
             self.discard()
+
+    def _image(self, topic: str, time_ns: int, sequence: int, data: bytes, kind: str) -> None:
+        # Rerun gives every entity a frame of this name; with none, or another, its views warn of a missing one.
+        frame_id = f"tf#{topic}"
+        image = CompressedImage(timestamp=timestamp(time_ns), frame_id=frame_id, data=data, format=kind)
+        self._write(topic, image, time_ns, sequence)
 
     def _write(self, topic: str, message: Message, time_ns: int, sequence: int) -> None:
         channel = self._channels.get(topic) or self._register(topic, type(message))
