@@ -6,9 +6,11 @@ Exit codes: 0 done, 1 failed, 2 bad usage, 3 done but something was skipped or l
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable
-from typing import TypeVar
+from types import FrameType
+from typing import NoReturn, TypeVar
 
 import tyro
 from rich.console import Console
@@ -34,8 +36,14 @@ def warn_skipped(skipped: Skipped) -> int:
     return DONE_BUT_SKIPPED if len(skipped) else DONE
 
 
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    """`kill` cleans up as Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
 def run_command(prog: str, config: type[Config], action: Callable[[Config], int]) -> None:
     """Parse the command line into `config`, call `action`, and exit with what it returns."""
+    signal.signal(signal.SIGTERM, _interrupt)
     parsed = tyro.cli(config, prog=prog, description=config.__doc__, config=(tyro.conf.FlagCreatePairsOff,))
     try:
         code = action(parsed)
@@ -44,7 +52,7 @@ def run_command(prog: str, config: type[Config], action: Callable[[Config], int]
         stderr().print(f"[red]{prog}:[/] {escape(str(error))}")
         code = FAILED
     except KeyboardInterrupt:
-        stderr().print(f"{prog}: stopped; nothing unfinished was left under its final name")
+        stderr().print(f"{prog}: stopped")
         code = INTERRUPTED
     except BrokenPipeError:  # `bc-... | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -17,7 +17,7 @@ from dataset.balance import bin_of
 from dataset.config import IndexConfig
 from dataset.split import block_numbers, drive_numbers, validation_blocks
 from recorder import Log
-from recorder.topics import CAMERAS, camera_topic
+from recorder.topics import CAMERAS, VEHICLE, camera_topic
 
 FORMAT: Final = 1
 METADATA_KEY: Final = b"bc.index"
@@ -79,7 +79,7 @@ def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
 
 def frames_table(log: Log, session: str, config: IndexConfig) -> pa.Table:
     """One row for each camera picture that has a vehicle state, in the order of the log."""
-    messages, states = zip(*log.vehicle_states(), strict=True) if log.counts.get("/vehicle") else ((), ())
+    messages, states = zip(*log.vehicle_states(), strict=True) if log.counts.get(VEHICLE) else ((), ())
     row = np.array([m.sequence for m in messages], np.int64)
     time_ns = np.array([m.log_time_ns for m in messages], np.int64)
     values = {
@@ -114,7 +114,7 @@ def frames_table(log: Log, session: str, config: IndexConfig) -> pa.Table:
             }
         )
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    order = np.lexsort((columns["offset"],))
+    order = np.argsort(columns["offset"])
     columns = {name: column[order] for name, column in columns.items()}
     columns["session"] = np.full(len(order), session, dtype=object)
     columns["flags"] = [["out_of_range"] if bad else [] for bad in columns.pop("out_of_range")]

@@ -3,13 +3,15 @@
     make pictures                                          the tracks
     python docs/make_pictures.py --log drives/run.mcap     the tracks, and the viewer showing that drive
 
-The second needs a screen, or Debian's packages xvfb and mesa-vulkan-drivers and `xvfb-run -a` in front.
+The second needs a graphics driver; on a bare server, Debian's package mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,12 +19,15 @@ import cv2
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from rerun.experimental import ViewerClient
 
+from recorder import Log
 from simulator.camera import Renderer
 from simulator.course import Course
 from simulator.track import Track, load_track
 from simulator.world import build_world
 from viz import save_rrd
+from viz.playback import TIMELINE
 from viz.viewer import viewer_program
 
 Picture = NDArray[np.uint8]
@@ -130,12 +135,43 @@ def with_lines(picture: Picture) -> Picture:
 
 
 def screenshot(log: Path, path: Path) -> None:
-    """The real viewer, showing `log`."""
+    """The real viewer, showing `log` where it steers most."""
+    with Log(log) as opened:
+        message, _ = max(opened.commands(), key=lambda pair: abs(pair[1].steering))
     with tempfile.TemporaryDirectory() as folder:
         rrd = Path(folder) / "drive.rrd"
         save_rrd(log, rrd)
-        command = [str(viewer_program()), str(rrd), "--screenshot-to", str(path), "--window-size", "1400x800"]
-        subprocess.run([*command, "--bind", "127.0.0.1", "--port", "auto"], check=True)
+        port = free_port()
+        command = [str(viewer_program()), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
+        with subprocess.Popen([*command, "--hide-welcome-screen"]) as viewer:
+            try:
+                client = connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                client.open(str(rrd))
+                client.set_time(TIMELINE, timestamp=message.log_time_ns * 1e-9, play_state="paused")
+                time.sleep(3)  # the views decode on their own threads, and nothing tells when they are done
+                client.save_screenshot(str(path))
+            finally:
+                viewer.terminate()
+
+
+def connect(url: str) -> ViewerClient:
+    """The viewer at `url`, which may still be starting."""
+    for _ in range(50):
+        try:
+            client = ViewerClient.connect(url)
+            client.get_state()
+        except Exception:  # what it raises is not documented; the last try shows it
+            time.sleep(0.2)
+        else:
+            return client
+    return ViewerClient.connect(url)
+
+
+def free_port() -> int:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+        return port
 
 
 if __name__ == "__main__":
