@@ -15,7 +15,7 @@ PARAMETERS: Final = 5_022_327
 
 
 class SteeringNetwork(nn.Module):
-    """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,), -1 (left) .. 1 (right), unclamped."""
+    """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped."""
 
     def __init__(self, dropout: float = 0.5) -> None:
         super().__init__()
