@@ -13,14 +13,16 @@ Item = TypeVar("Item")
 
 
 def progress_bar() -> Progress:
+    console = stderr()
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
-        console=stderr(),
+        console=console,
         transient=True,
+        disable=not console.is_interactive,  # it would leave an empty line in a file of messages
     )
 
 

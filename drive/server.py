@@ -16,7 +16,7 @@ from dataset.preprocess import DESCRIPTION
 from drive.driver import DriveLog, Driver
 from drive.listener import listen
 from drive.old_clients import accept_old_clients
-from drive.telemetry import format_command
+from drive.telemetry import MAX_IMAGE_BYTES, format_command
 from model import Pilot
 from recorder import LogWriter
 
@@ -47,7 +47,13 @@ class DriveServer:
         self.manual = 0
         self._listener = listen(host, port)
         self.port: int = self._listener.getsockname()[1]
-        self._server = socketio.Server(async_mode="eventlet", async_handlers=False, cors_allowed_origins=[])
+        self._server = socketio.Server(
+            async_mode="eventlet",
+            async_handlers=False,
+            cors_allowed_origins=[],
+            # above it the connection is cut; a picture that is too large is answered first
+            max_http_buffer_size=4 * MAX_IMAGE_BYTES,
+        )
         self._server.on("connect", self._on_connect)
         self._server.on("disconnect", self._on_disconnect)
         self._server.on("telemetry", self._on_telemetry)

@@ -36,7 +36,11 @@ _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log
 _MESSAGE_INDEX = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of (log time, offset) pairs
 _CHUNK = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed size, CRC
 _CHUNK_FIXED_BYTES = _CHUNK.size + 4 + 8  # then an empty compression name and the size of the records
+_LAST_TIME_NS = 2**63 - 1  # MCAP's times are unsigned, but those of files, tables and NumPy are not
 _OP_MESSAGE, _OP_CHUNK, _OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
+
+# What mcap's reader raises on damaged bytes, a seek to before the file or far behind it among them.
+_UNREADABLE = (McapError, ValueError, EOFError, KeyError, OverflowError, MemoryError, OSError, struct.error)
 
 Decoded = TypeVar("Decoded", VehicleState, PilotCommand)
 
@@ -92,7 +96,7 @@ class Log:
         self._stream.seek(0)
         try:
             summary = make_reader(self._stream).get_summary()
-        except (McapError, ValueError, EOFError, struct.error, UnicodeDecodeError, KeyError, OverflowError):
+        except _UNREADABLE:
             summary = None
         if summary is None or summary.statistics is None:
             raise LogError(
@@ -126,7 +130,7 @@ class Log:
         self._stream.seek(0)
         try:
             records = list(make_reader(self._stream).iter_metadata())
-        except (McapError, ValueError, struct.error, EOFError) as error:
+        except _UNREADABLE as error:
             raise self._damaged("its metadata cannot be read") from error
         found = [record.metadata for record in records if record.name == name]
         return dict(found[-1]) if found else {}
@@ -202,6 +206,8 @@ class Log:
         length = size - (_MESSAGE.size - _RECORD_HEADER.size)
         if opcode != _OP_MESSAGE or channel not in channels or length < 0 or at + _MESSAGE.size + length > end:
             raise self._damaged("a message is not where its index says")
+        if log_time_ns > _LAST_TIME_NS:
+            raise self._damaged(f"a message of the time {log_time_ns} ns")
         return Message(sequence, log_time_ns, at + _MESSAGE.size, length)
 
     def _image_range(self, topic: str, message: Message) -> tuple[int, int]:

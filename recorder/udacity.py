@@ -26,7 +26,7 @@ _PATHS = re.compile(r'^\s*"?(.*?\.jpe?g)"?\s*,\s*"?(.*?\.jpe?g)"?\s*,\s*"?(.*?\.
 _TIME_IN_NAME = re.compile(r"_(\d{4})_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d{3})\.jpe?g$", re.IGNORECASE)
 _HEADER = re.compile(r'^\s*"?center"?\s*,', re.IGNORECASE)
 _WHOLE = re.compile(r"-?(0|[1-9]\d*)$")
-_FRACTION = re.compile(r"\d+([eE][+-]?\d+)?$")
+_FRACTION = re.compile(r"\d*[1-9]([eE][+-]?\d+)?$")  # the simulator prints no trailing zeros
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -112,6 +112,9 @@ def _values(text: str, speed_before_mph: float) -> tuple[float, float, float, fl
     cells = [cell.strip().strip('"') for cell in text.split(",")]
     while cells and not cells[-1]:
         cells.pop()
+    spaced = text.split(", ")
+    if len(spaced) == 4 and "." not in text:  # a comma without a space is then a decimal comma
+        cells = [cell.strip().strip('"').replace(",", ".") for cell in spaced]
     if len(cells) < 4:
         raise ValueError("fewer than four values, or cut off")
     if len(cells) == 4 or any("." in cell for cell in cells):
@@ -139,8 +142,8 @@ def _decimal_comma_readings(cells: list[str]) -> Iterator[tuple[float, float, fl
             continue
         numbers, rest = [], iter(cells)
         for split in is_split:
-            whole, fraction = next(rest), next(rest) if split else "0"
-            if not _WHOLE.match(whole) or not _FRACTION.match(fraction):
+            whole, fraction = next(rest), next(rest) if split else ""
+            if not _WHOLE.match(whole) or (split and not _FRACTION.match(fraction)):
                 break
             numbers.append(float(f"{whole}.{fraction}"))
         else:

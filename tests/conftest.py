@@ -1,0 +1,27 @@
+"""What all tests share: where real recordings are, and how skipped tests and properties behave."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
+settings.register_profile("tests", deadline=None, derandomize=True, database=None)
+settings.load_profile("tests")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.option.reportchars += "s"  # what was not run is said at the end, with the reason
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of real recordings: ../shared/recordings, or BC_RECORDINGS."""
+    beside = Path(__file__).parent.parent.parent / "shared" / "recordings"
+    folder = Path(os.environ.get("BC_RECORDINGS", beside))
+    if not folder.is_dir():
+        pytest.skip(f"real recordings were not tried: there is no {folder}; BC_RECORDINGS names another folder")
+    return folder

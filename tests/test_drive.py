@@ -1,0 +1,416 @@
+"""One `bc-drive` serves old and modern clients: every telemetry is answered, and the log holds what happened."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+import socketio
+import websocket
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
+
+from dataset import decode
+from drive.telemetry import MAX_IMAGE_BYTES
+from driving import PATIENCE_S, DriveProcess, one_line_of, road_jpeg, run, untrained_run
+from model import load_pilot
+from recorder import Log, LogError
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told
+from simulator.replay import replay
+
+REPLAYED, MODERN, TOGETHER, COMMA, MANUAL = 60, 12, 15, 10, 3
+TOPICS = ("/camera/center", "/vehicle", "/pilot/input", "/pilot/command")
+
+
+def fields(number: int, **changed: Any) -> dict[str, Any]:
+    """A telemetry as JSON, for clients that are not ours."""
+    image = base64.b64encode(road_jpeg(number)).decode()
+    good = {"steering_angle": "0.0000", "throttle": "0.1000", "speed": "9.0000", "image": image}
+    return {name: value for name, value in {**good, **changed}.items() if value is not ...}
+
+
+MALFORMED: dict[str, Any] = {
+    "a list": [1, 2],
+    "a string": "telemetry",
+    "a number": 7,
+    "a truth": True,
+    "empty": {},
+    "no image": fields(0, image=...),
+    "an image that is a number": fields(0, image=1),
+    "an image that is not base64": fields(0, image="%%%%"),
+    "an image that is not a picture": fields(0, image="AAAA"),
+    "half a picture's header": fields(0, image="/9j/"),
+    "too large an image": fields(0, image="A" * (MAX_IMAGE_BYTES + 4)),
+    "no speed": fields(0, speed=...),
+    "a speed of nan": fields(0, speed="nan"),
+    "a speed in words": fields(0, speed="fast"),
+    "an infinite angle": fields(0, steering_angle="1e999"),
+    "an angle that is an object": fields(0, steering_angle={"deg": 1}),
+    "a throttle that is null": fields(0, throttle=None),
+}
+
+
+class ModernClient:
+    """python-socketio's own client, over a websocket; it takes the answers as they come."""
+
+    def __init__(self, port: int) -> None:
+        self.answers: list[dict[str, Any]] = []
+        self._came = threading.Condition()
+        self._client = socketio.Client(reconnection=False)
+        self._client.on("steer", self._on_steer)
+        self._client.connect(f"http://127.0.0.1:{port}", transports=["websocket"], wait_timeout=PATIENCE_S)
+
+    def tell(self, data: object) -> dict[str, Any]:
+        """Send one telemetry and wait for its answer."""
+        with self._came:
+            expected = len(self.answers) + 1
+            self._client.emit("telemetry", data)
+            assert self._came.wait_for(lambda: len(self.answers) >= expected, PATIENCE_S), "not answered"
+            return self.answers[-1]
+
+    def close(self) -> None:
+        self._client.disconnect()
+
+    def _on_steer(self, data: dict[str, Any]) -> None:
+        with self._came:
+            self.answers.append(data)
+            self._came.notify_all()
+
+
+class OldClient:
+    """The bare wire of the real simulator, for telemetries that a client of ours would never send."""
+
+    def __init__(self, port: int) -> None:
+        url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
+        self._socket = websocket.create_connection(url, timeout=PATIENCE_S)
+
+    def tell(self, data: object) -> tuple[str, Any]:
+        """Send one telemetry; the event that answers it, and what it holds."""
+        return self.send("42" + json.dumps(["telemetry", data]))
+
+    def send(self, message: str) -> tuple[str, Any]:
+        self._socket.send(message)
+        while not (answer := self._socket.recv()).startswith("42"):
+            assert answer, "the server has hung up"
+        name, data = json.loads(answer[2:])
+        return name, data
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@dataclass
+class Drive:
+    """What happened in one server's life, and the log that it left."""
+
+    run: Path
+    told: list[bytes]
+    client: SimulatorClient
+    commands: list[Steer]
+    modern: list[dict[str, Any]] = field(default_factory=list)
+    together: tuple[list[Steer], list[dict[str, Any]]] = field(default_factory=lambda: ([], []))
+    malformed: dict[str, tuple[str, Any]] = field(default_factory=dict)
+    between: list[tuple[str, Any]] = field(default_factory=list)
+    broken_json: list[tuple[str, Any]] = field(default_factory=list)
+    manual: list[Answer] = field(default_factory=list)
+    comma_client: SimulatorClient | None = None
+    comma: list[Steer] = field(default_factory=list)
+    comma_wire: tuple[str, Any] = ("", None)
+    second: str = ""
+    exit_code: int = -1
+    stdout: str = ""
+    log: Path = Path()
+
+    @property
+    def frames(self) -> int:
+        """Those that were driven on, of all scenarios."""
+        return REPLAYED + MODERN + 2 * TOGETHER + len(self.between) + MANUAL + COMMA + 1
+
+
+def drive_manually(port: int) -> list[Answer]:
+    """Tells "manual", a telemetry, "manual", ... and keeps the answers."""
+    answers: list[Answer] = []
+    told: Iterator[Told] = iter(
+        what for i in range(MANUAL) for what in ("manual", Telemetry(0.0, 0.0, 5.0, road_jpeg(i)))
+    )
+
+    def next_telemetry(answer: Answer) -> Told:
+        if answer is not None:
+            answers.append(answer)
+        return next(told, None if len(answers) == 2 * MANUAL else "nothing")
+
+    SimulatorClient(port=port).run(next_telemetry)
+    return answers
+
+
+@pytest.fixture(scope="module")
+def pilot_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return untrained_run(tmp_path_factory.mktemp("runs") / "untrained", seed=3)
+
+
+@pytest.fixture(scope="module")
+def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    folder = tmp_path_factory.mktemp("drive")
+    log = folder / "run.mcap"
+    with DriveProcess(pilot_run, log) as server:
+        port = server.wait_until_it_listens()
+
+        client = SimulatorClient(port=port, wait_s=PATIENCE_S)
+        told = [road_jpeg(i) for i in range(REPLAYED)]
+        done = Drive(pilot_run, told, client, replay(client, told))
+
+        modern = ModernClient(port)
+        done.modern = [modern.tell(fields(i)) for i in range(MODERN)]
+
+        old_commands: list[Steer] = []
+        old = threading.Thread(
+            target=lambda: old_commands.extend(
+                replay(SimulatorClient(port=port), [road_jpeg(i) for i in range(TOGETHER)])
+            )
+        )
+        old.start()
+        modern_answers = [modern.tell(fields(i)) for i in range(TOGETHER)]
+        old.join(PATIENCE_S)
+        done.together = (old_commands, modern_answers)
+        modern.close()
+
+        bare = OldClient(port)
+        for name, data in MALFORMED.items():
+            done.between.append(bare.tell(fields(len(done.between))))
+            done.malformed[name] = bare.tell(data)
+        bare.close()
+
+        done.manual = drive_manually(port)
+
+        done.comma_client = SimulatorClient(port=port, decimal_comma=True)
+        done.comma = replay(done.comma_client, [road_jpeg(i) for i in range(COMMA)], speed_mph=1234.5)
+        bare = OldClient(port)
+        done.comma_wire = bare.tell(fields(0, throttle="0,1000", speed="9,0000", steering_angle="0,0000"))
+        bare.close()
+
+        refused = run("bc-drive", pilot_run, "--log", folder / "second.mcap", "--port", port)
+        assert refused.returncode == 1
+        done.second = one_line_of(refused)
+
+        assert not log.exists()
+        done.exit_code = server.end(signal.SIGINT)
+        done.stdout = server.stdout
+    done.log = log
+    return done
+
+
+def messages(path: Path, topic: str) -> list[tuple[int, int, bytes]]:
+    """Sequence, log time and data of a topic's messages: by mcap's own reader, not by ours."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = [message for _, _, message in reader.iter_messages(topics=[topic], log_time_order=False)]
+    return [(message.sequence, message.log_time, message.data) for message in found]
+
+
+def images(path: Path, topic: str) -> list[bytes]:
+    return [CompressedImage.FromString(data).data for _, _, data in messages(path, topic)]
+
+
+def test_every_picture_is_answered_and_none_is_lost(drive: Drive) -> None:
+    assert drive.client.telemetries == drive.client.steers == len(drive.commands) == REPLAYED
+    assert (drive.client.bad_steers, drive.client.connections) == (0, 1)
+    assert len({command.steering for command in drive.commands}) > REPLAYED // 2  # the network really looked
+
+
+def test_the_log_holds_a_frame_a_crop_a_command_and_a_state_for_each_telemetry(drive: Drive) -> None:
+    stamps = [[(sequence, time_ns) for sequence, time_ns, _ in messages(drive.log, topic)] for topic in TOPICS]
+    assert stamps[0] == stamps[1] == stamps[2] == stamps[3]
+    assert [sequence for sequence, _ in stamps[0]] == list(range(drive.frames))
+    times_ns = [time_ns for _, time_ns in stamps[0]]
+    assert times_ns == sorted(set(times_ns))
+
+
+def test_the_logged_pictures_are_those_that_were_told_byte_for_byte(drive: Drive) -> None:
+    assert images(drive.log, "/camera/center")[:REPLAYED] == drive.told
+
+
+def test_the_logged_prediction_is_that_of_the_logged_frame_and_of_the_logged_crop(drive: Drive) -> None:
+    pilot = load_pilot(drive.run)
+    logged = [PilotCommand.FromString(data) for _, _, data in messages(drive.log, "/pilot/command")]
+    frames, crops = images(drive.log, "/camera/center"), images(drive.log, "/pilot/input")
+    for frame, crop, command in zip(frames[:REPLAYED], crops[:REPLAYED], logged[:REPLAYED], strict=True):
+        assert pilot.predict(pilot.crop(decode(frame))) == command.predicted_steering
+        assert crop.startswith(b"\x89PNG")
+        assert pilot.predict(decode(crop)) == command.predicted_steering
+
+
+def test_the_logged_command_is_the_one_that_the_simulator_got(drive: Drive) -> None:
+    logged = [PilotCommand.FromString(data) for _, _, data in messages(drive.log, "/pilot/command")[:REPLAYED]]
+    for sent, got in zip(logged, drive.commands, strict=True):
+        assert got.steering == pytest.approx(sent.steering, abs=1e-6)
+        assert got.throttle == pytest.approx(sent.throttle, abs=1e-6)
+        assert sent.steering == min(max(sent.predicted_steering, -1.0), 1.0)
+        assert (sent.driver, sent.set_speed_mph) == (PilotCommand.PILOT, 10.0)
+        assert 0 < sent.decode_ms + sent.network_ms <= sent.total_ms
+
+
+def test_the_logged_state_is_what_the_simulator_told(drive: Drive) -> None:
+    logged = [VehicleState.FromString(data) for _, _, data in messages(drive.log, "/vehicle")[:REPLAYED]]
+    assert {state.speed_mph for state in logged} == {9.0}
+    # The first two telemetries leave before any answer; from then on each tells the command last got.
+    told = [(0.0, 0.0)] * 2 + [(command.steering, command.throttle) for command in drive.commands]
+    for state, (steering, throttle) in zip(logged, told[:REPLAYED], strict=True):
+        assert state.steering == pytest.approx(min(max(steering, -1.0), 1.0), abs=1e-4 / 25)
+        assert state.throttle == pytest.approx(max(throttle, 0.0), abs=1e-4)
+
+
+def test_the_throttle_holds_the_set_speed(drive: Drive) -> None:
+    """1 mph too slow in every telemetry: 0.1, and 0.002 more each time."""
+    expected = [0.1 + 0.002 * (i + 1) for i in range(REPLAYED)]
+    assert [command.throttle for command in drive.commands] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_modern_client_gets_the_same_commands(drive: Drive) -> None:
+    assert [float(answer["steering_angle"]) for answer in drive.modern] == pytest.approx(
+        [command.steering for command in drive.commands[:MODERN]], abs=1e-6
+    )
+    for answer in drive.modern:
+        assert set(answer) == {"steering_angle", "throttle"}
+        assert all(isinstance(value, str) for value in answer.values())
+
+
+def test_old_and_modern_clients_are_served_at_once(drive: Drive) -> None:
+    old, modern = drive.together
+    alone = [command.steering for command in drive.commands[:TOGETHER]]
+    assert [command.steering for command in old] == alone
+    assert [float(answer["steering_angle"]) for answer in modern] == pytest.approx(alone, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_a_malformed_telemetry_is_answered_by_the_last_steering_and_no_throttle(drive: Drive, name: str) -> None:
+    event, answer = drive.malformed[name]
+    assert event == "steer"
+    driven = drive.between[list(MALFORMED).index(name)][1]
+    assert answer == {"steering_angle": driven["steering_angle"], "throttle": "0.000000"}
+
+
+def test_good_telemetries_between_malformed_ones_are_driven(drive: Drive) -> None:
+    steering = [float(answer["steering_angle"]) for _, answer in drive.between]
+    alone = [command.steering for command in drive.commands[: len(steering)]]
+    assert steering == pytest.approx(alone, abs=1e-6)
+    assert [event for event, _ in drive.between] == ["steer"] * len(MALFORMED)
+
+
+def test_each_malformed_telemetry_is_an_event_and_is_counted(drive: Drive) -> None:
+    events = [LogMessage.FromString(data) for _, _, data in messages(drive.log, "/events")]
+    bad = [event for event in events if event.message.startswith("bad telemetry: ")]
+    assert len(bad) == len(MALFORMED)
+    assert {event.level for event in bad} == {LogMessage.WARNING}
+    assert f"{len(MALFORMED)} malformed telemetries" in drive.stdout
+    reasons = dict(zip(MALFORMED, (event.message for event in bad), strict=True))
+    assert "image is larger" in reasons["too large an image"]
+    assert "speed is not finite" not in reasons["a speed in words"]
+    assert "not a picture" in reasons["an image that is not a picture"]
+
+
+def test_manual_is_answered_by_manual(drive: Drive) -> None:
+    assert drive.manual.count("manual") == MANUAL
+    assert sum(isinstance(answer, Steer) for answer in drive.manual) == MANUAL
+    events = [LogMessage.FromString(data).message for _, _, data in messages(drive.log, "/events")]
+    assert events.count("manual: a human drives") == 1
+
+
+def test_a_client_with_decimal_commas_is_understood_and_answered_in_kind(drive: Drive) -> None:
+    assert drive.comma_client is not None
+    assert (drive.comma_client.steers, drive.comma_client.bad_steers) == (COMMA, 0)
+    alone = [command.steering for command in drive.commands[:COMMA]]
+    assert [command.steering for command in drive.comma] == alone
+    event, answer = drive.comma_wire
+    assert event == "steer"
+    assert all("," in value and "." not in value for value in answer.values())
+    start = drive.frames - 1 - COMMA
+    states = [VehicleState.FromString(data) for _, _, data in messages(drive.log, "/vehicle")[start:-1]]
+    # the first telemetry's throttle "0,0000" has told the culture
+    assert [state.speed_mph for state in states] == [1234.5] * COMMA
+
+
+def test_ctrl_c_finishes_the_log_under_its_name(drive: Drive) -> None:
+    assert drive.exit_code == 0
+    assert list(drive.log.parent.iterdir()) == [drive.log]
+    assert drive.stdout.startswith(f"{drive.log}: {drive.frames:,} frames")
+    with Log(drive.log) as log:
+        assert log.counts["/camera/center"] == drive.frames
+        metadata = log.metadata
+    assert metadata["weights_sha256"] == load_pilot(drive.run).weights_sha256
+    assert (metadata["run"], metadata["source"], metadata["set_speed_mph"]) == ("untrained", "drive", "10")
+
+
+def test_a_port_in_use_is_one_line_and_writes_nothing(drive: Drive) -> None:
+    assert "cannot listen on 127.0.0.1:" in drive.second
+    assert "--port" in drive.second
+    assert not (drive.log.parent / "second.mcap").exists()
+
+
+def test_a_killed_drive_leaves_a_part_that_can_be_read(pilot_run: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    told = [road_jpeg(i) for i in range(20)]
+    with DriveProcess(pilot_run, log) as server:
+        port = server.wait_until_it_listens()
+        client = OldClient(port)
+        client.tell(fields(0))
+        for i in range(1, len(told)):
+            client.tell(fields(i))
+        (part,) = tmp_path.glob("run.mcap.*.part")
+        deadline_s = time.monotonic() + PATIENCE_S
+        while part.stat().st_size < sum(map(len, told)) and time.monotonic() < deadline_s:
+            time.sleep(0.05)  # a flush is due once a second
+        assert server.end(signal.SIGKILL) == -signal.SIGKILL
+        client.close()
+    assert not log.exists()
+    pictures = []
+    with part.open("rb") as stream:
+        reader = NonSeekingReader(stream, validate_crcs=True)
+        try:
+            for _, channel, message in reader.iter_messages(log_time_order=False):
+                if channel.topic == "/camera/center":
+                    pictures.append(CompressedImage.FromString(message.data).data)
+        except (McapError, EOFError):
+            pass  # the cut
+    assert pictures == told
+    shutil.copy(part, log)
+    with pytest.raises(LogError, match="no readable end"):
+        Log(log)
+
+
+def test_an_existing_log_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    log.write_bytes(b"precious")
+    done = run("bc-drive", "no such run", "--log", log, "--port", 0)
+    assert done.returncode == 1
+    line = one_line_of(done)
+    assert str(log) in line
+    assert "--force" in line
+    assert (log.read_bytes(), list(tmp_path.iterdir())) == (b"precious", [log])
+
+
+@pytest.mark.parametrize("speed", [0, -1, "nan", 101])
+def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) -> None:
+    done = run("bc-drive", "--speed", speed, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "--speed" in one_line_of(done)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_run_is_one_line(tmp_path: Path) -> None:
+    done = run("bc-drive", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "bc-train" in one_line_of(done)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,108 @@
+"""The rooms of the code: who may import whom, what stays unloaded, and that nothing is ever unpickled."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from driving import environment
+
+ROOT = Path(__file__).parent.parent
+
+# docs and design: each room imports from those under it only; `common` is the floor under all of them.
+MAY_IMPORT = {
+    "common": set[str](),
+    "simulator": {"common"},
+    "recorder": {"common", "simulator"},
+    "dataset": {"common", "recorder"},
+    "model": {"common", "dataset"},
+    "viz": {"common", "dataset", "model", "recorder"},
+    "drive": {"common", "viz", "model", "dataset", "recorder", "simulator"},
+}
+SOURCES = sorted(path for room in MAY_IMPORT for path in (ROOT / room).rglob("*.py"))
+
+
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def imported(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and full name of every import in a file, also of those within functions."""
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: imports are written in full"
+            yield node.lineno, node.module or ""
+
+
+def test_every_folder_with_code_is_a_room() -> None:
+    folders = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    assert folders == set(MAY_IMPORT)
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_imports_go_downwards_only(room: str) -> None:
+    allowed = MAY_IMPORT[room] | {room}
+    upwards = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for path in SOURCES
+        if path.parent.name == room
+        for line, name in imported(path)
+        if name.split(".")[0] in MAY_IMPORT.keys() - allowed
+    ]
+    assert upwards == []
+
+
+def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
+    helpers = {path.stem for path in (ROOT / "tests").glob("*.py")} | {"tests", "benchmarks"}
+    assert [path for path in SOURCES for _, name in imported(path) if name.split(".")[0] in helpers] == []
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_a_room_says_what_it_is_for(room: str) -> None:
+    docstring = ast.get_docstring(parsed(ROOT / room / "__init__.py"))
+    assert docstring is not None
+    assert len(docstring) > 30
+
+
+def test_every_module_begins_by_saying_what_it_is() -> None:
+    generated = {"bc_pb2.py"}
+    silent = [path for path in SOURCES if not ast.get_docstring(parsed(path)) and path.name not in generated]
+    assert silent == []
+
+
+@pytest.mark.parametrize(
+    ("rooms", "unloaded"),
+    [
+        ("dataset, model, model.train", ["rerun", "socketio", "engineio", "eventlet", "websocket", "viz", "drive"]),
+        ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch"]),
+        ("viz, viz.cli", ["socketio", "eventlet", "torch", "websocket"]),
+    ],
+)
+def test_a_room_loads_only_what_it_needs(rooms: str, unloaded: list[str]) -> None:
+    code = f"import sys, {rooms}; print(*(name for name in {unloaded} if name in sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
+
+
+def test_nothing_is_ever_unpickled() -> None:
+    """A run or a log from somebody else must not be able to run code here."""
+    modules = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+    for path in SOURCES:
+        assert [name for _, name in imported(path) if name.split(".")[0] in modules] == [], path
+        for node in ast.walk(parsed(path)):
+            if not isinstance(node, ast.Call):
+                continue
+            called = ast.unparse(node.func)
+            assert called not in {"torch.load", "torch.jit.load", "eval", "exec", "__import__"}, f"{path}: {called}"
+            flags = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+            assert flags.get("allow_pickle", "False") == "False", f"{path}:{node.lineno}"
+            assert flags.get("shell", "False") == "False", f"{path}:{node.lineno}"
