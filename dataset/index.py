@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -71,10 +72,12 @@ def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = 
             metadata = frames_metadata(log, index, config)
             sources[name] = {key: metadata[key] for key in ("log", "fingerprint")}
             file = frames_folder / f"{name}.parquet"
-            if read_metadata(file) != metadata:
-                write_table(file, frames_table(log, name, config), metadata)
+            table = _stored_frames(file, metadata)
+            if table is None:
+                table = frames_table(log, name, config)
+                write_table(file, table, metadata)
                 read.append(name)
-        tables.append(pq.read_table(file))
+        tables.append(table)
     for stale in frames_folder.glob("*.parquet"):
         if stale.stem not in sources and read_metadata(stale) is not None:
             stale.unlink()  # ours, and made anew whenever its session is indexed again
@@ -88,3 +91,13 @@ def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = 
         )
     write_table(index / SAMPLES_NAME, samples, {"format": 1, "settings": config.as_dict(), "logs": sources})
     return Indexed(index, list(sources), read, frames, samples, balance)
+
+
+def _stored_frames(file: Path, metadata: dict[str, Any]) -> pa.Table | None:
+    """The frames in `file`; None if they are of another log or other settings, missing or damaged."""
+    if read_metadata(file) != metadata:
+        return None
+    try:
+        return pq.read_table(file)
+    except (OSError, pa.ArrowException):
+        return None

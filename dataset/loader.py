@@ -56,11 +56,14 @@ class Samples:
         except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
             raise DatasetError(f"{self.path}: damaged ({error}); build it again with `bc-index`") from None
         self.logs: dict[str, Log] = {}
-        for session, source in sources.items():
-            log = Log(index / source["log"])
-            if log.fingerprint != source["fingerprint"]:
-                raise DatasetError(f"{log.path}: has changed since it was indexed; run `bc-index` again")
-            self.logs[session] = log
+        try:
+            for session, source in sources.items():
+                log = self.logs[session] = Log(index / source["log"])
+                if log.fingerprint != source["fingerprint"]:
+                    raise DatasetError(f"{log.path}: has changed since it was indexed; run `bc-index` again")
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         for log in self.logs.values():

@@ -56,7 +56,7 @@ def drive(config: Drive) -> int:
 
     console = stderr()
     pilot = load_pilot(find_run(config.run, config.runs))
-    pilot.warm_up()
+    pilot.get_ready()
     with open_log(path, pilot, config.speed, overwrite=config.force) as log:
         server = DriveServer(
             pilot,

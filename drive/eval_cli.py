@@ -48,7 +48,7 @@ def evaluate(config: Eval) -> int:
     from model import find_run, load_pilot
 
     pilot = load_pilot(find_run(config.run, config.runs))
-    pilot.warm_up()
+    pilot.get_ready()
     courses = [Course(track, config.laps, speed) for speed in config.speed for track in config.simulator]
     console = stderr()
     results = []

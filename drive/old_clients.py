@@ -39,7 +39,12 @@ def accept_old_clients(server: socketio.Server) -> None:
             unannounced.discard(sid)
             if isinstance(data, str) and data.startswith(EVENT):
                 received(sid, CONNECT)  # a modern client's first message is this one
-        received(sid, data)
+        try:
+            received(sid, data)
+        except (ValueError, RecursionError):  # not JSON, or too deep: a telemetry is answered even then
+            if not (isinstance(data, str) and data.startswith('2["telemetry"')):
+                raise
+            received(sid, '2["telemetry","not JSON"]')
 
     def on_disconnect(sid: str, reason: str) -> None:
         unannounced.discard(sid)

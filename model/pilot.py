@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
@@ -30,8 +31,14 @@ class Pilot:
         """Steering for a crop (128, 128, 3) BGR uint8: -1 (left) .. 1 (right), not clamped."""
         return float(self._network(as_input(np.ascontiguousarray(crop)[None])).item())
 
-    def warm_up(self) -> None:
-        """Predict a few times: the first predictions are slow, and should not fall into a drive."""
+    def get_ready(self) -> None:
+        """Prepare this process for driving: the first predictions are slow, and should not fall into a drive.
+
+        From here on it computes on one thread. On more, one picture is hardly faster, a busy machine makes
+        every layer wait for the slowest thread, and the number of cores would show in the last bits of a steering.
+        """
+        torch.set_num_threads(1)
+        cv2.setNumThreads(1)
         for _ in range(5):
             self.predict(np.zeros((128, 128, 3), np.uint8))
 

@@ -56,9 +56,12 @@ def sim(config: Sim) -> int:
 
 
 def _drive(config: Sim, client: SimulatorClient) -> int:
+    import cv2
+
     from simulator.autonomous import drive_autonomously
     from simulator.simulation import Simulation
 
+    cv2.setNumThreads(1)  # the network that drives needs the other cores more
     try:
         simulation = Simulation(config.track)
     except ValueError as error:

@@ -6,7 +6,6 @@ import base64
 import json
 import shutil
 import signal
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from typing import Any
 
 import pytest
 import socketio
+import torch
 import websocket
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
@@ -61,6 +61,8 @@ MALFORMED: dict[str, Any] = {
     "an angle that is an object": fields(0, steering_angle={"deg": 1}),
     "a throttle that is null": fields(0, throttle=None),
 }
+BROKEN_JSON = ('42["telemetry",{"speed":', '42["telemetry",' + "[" * 100_000)
+MALFORMED_NAMES = [*MALFORMED, *(text[-9:] for text in BROKEN_JSON)]
 
 
 class ModernClient:
@@ -124,7 +126,6 @@ class Drive:
     together: tuple[list[Steer], list[dict[str, Any]]] = field(default_factory=lambda: ([], []))
     malformed: dict[str, tuple[str, Any]] = field(default_factory=dict)
     between: list[tuple[str, Any]] = field(default_factory=list)
-    broken_json: list[tuple[str, Any]] = field(default_factory=list)
     manual: list[Answer] = field(default_factory=list)
     comma_client: SimulatorClient | None = None
     comma: list[Steer] = field(default_factory=list)
@@ -191,6 +192,9 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         for name, data in MALFORMED.items():
             done.between.append(bare.tell(fields(len(done.between))))
             done.malformed[name] = bare.tell(data)
+        for text in BROKEN_JSON:
+            done.between.append(bare.tell(fields(len(done.between))))
+            done.malformed[text[-9:]] = bare.send(text)
         bare.close()
 
         done.manual = drive_manually(port)
@@ -243,6 +247,7 @@ def test_the_logged_pictures_are_those_that_were_told_byte_for_byte(drive: Drive
 
 
 def test_the_logged_prediction_is_that_of_the_logged_frame_and_of_the_logged_crop(drive: Drive) -> None:
+    torch.set_num_threads(1)  # as in the server
     pilot = load_pilot(drive.run)
     logged = [PilotCommand.FromString(data) for _, _, data in messages(drive.log, "/pilot/command")]
     frames, crops = images(drive.log, "/camera/center"), images(drive.log, "/pilot/input")
@@ -294,11 +299,11 @@ def test_old_and_modern_clients_are_served_at_once(drive: Drive) -> None:
     assert [float(answer["steering_angle"]) for answer in modern] == pytest.approx(alone, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", MALFORMED)
+@pytest.mark.parametrize("name", MALFORMED_NAMES)
 def test_a_malformed_telemetry_is_answered_by_the_last_steering_and_no_throttle(drive: Drive, name: str) -> None:
     event, answer = drive.malformed[name]
     assert event == "steer"
-    driven = drive.between[list(MALFORMED).index(name)][1]
+    driven = drive.between[MALFORMED_NAMES.index(name)][1]
     assert answer == {"steering_angle": driven["steering_angle"], "throttle": "0.000000"}
 
 
@@ -306,16 +311,16 @@ def test_good_telemetries_between_malformed_ones_are_driven(drive: Drive) -> Non
     steering = [float(answer["steering_angle"]) for _, answer in drive.between]
     alone = [command.steering for command in drive.commands[: len(steering)]]
     assert steering == pytest.approx(alone, abs=1e-6)
-    assert [event for event, _ in drive.between] == ["steer"] * len(MALFORMED)
+    assert [event for event, _ in drive.between] == ["steer"] * len(MALFORMED_NAMES)
 
 
 def test_each_malformed_telemetry_is_an_event_and_is_counted(drive: Drive) -> None:
     events = [LogMessage.FromString(data) for _, _, data in messages(drive.log, "/events")]
     bad = [event for event in events if event.message.startswith("bad telemetry: ")]
-    assert len(bad) == len(MALFORMED)
+    assert len(bad) == len(MALFORMED_NAMES)
     assert {event.level for event in bad} == {LogMessage.WARNING}
-    assert f"{len(MALFORMED)} malformed telemetries" in drive.stdout
-    reasons = dict(zip(MALFORMED, (event.message for event in bad), strict=True))
+    assert f"{len(MALFORMED_NAMES)} malformed telemetries" in drive.stdout
+    reasons = dict(zip(MALFORMED_NAMES, (event.message for event in bad), strict=True))
     assert "image is larger" in reasons["too large an image"]
     assert "speed is not finite" not in reasons["a speed in words"]
     assert "not a picture" in reasons["an image that is not a picture"]
@@ -401,7 +406,7 @@ def test_an_existing_log_is_refused_before_anything_starts(tmp_path: Path) -> No
     assert (log.read_bytes(), list(tmp_path.iterdir())) == (b"precious", [log])
 
 
-@pytest.mark.parametrize("speed", [0, -1, "nan", 101])
+@pytest.mark.parametrize("speed", [-1, "nan"])
 def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) -> None:
     done = run("bc-drive", "--speed", speed, cwd=tmp_path)
     assert done.returncode == 1

@@ -160,7 +160,12 @@ def test_decimal_commas_of_a_drive_that_stops_at_a_whole_speed(tmp_path: Path) -
 
 def test_missing_pictures_are_named_and_everything_else_is_kept(tmp_path: Path) -> None:
     pictures = make_recording(tmp_path, three_rows())
-    missing = [picture_name("left", 1), picture_name("center", 2), picture_name("left", 2), picture_name("right", 2)]
+    missing = [
+        picture_name("left", 1),
+        picture_name("center", 2),
+        picture_name("left", 2),
+        picture_name("right", 2),
+    ]
     for name in missing:
         (tmp_path / "IMG" / name).unlink()
     done = imported(tmp_path)

@@ -275,6 +275,11 @@ def test_only_what_changed_is_read_again(tmp_path: Path) -> None:
     assert read_again() == ["a"]
     (index / "frames" / "a.parquet").write_bytes(b"garbage")
     assert read_again() == ["a"]
+    with (index / "frames" / "b.parquet").open("rb+") as stream:  # its data damaged, its metadata whole
+        stream.seek(10)
+        stream.write(bytes(300))
+    assert read_again() == ["b"]
+    assert digest(index / "frames" / "a.parquet") == before[0]
     assert read_again(IndexConfig(block_s=3.0)) == ["a", "b"]
     assert read_again(IndexConfig(block_s=3.0, max_uses=2)) == []
 

@@ -38,7 +38,8 @@ def test_a_bright_row_is_where_the_crop_and_the_resize_put_it(row: int) -> None:
     picture = black()
     picture[row] = 255
     crop = preprocess(picture)
-    assert (crop.shape, crop.dtype) == ((128, 128, 3), np.uint8)
+    assert crop.shape == (128, 128, 3)
+    assert crop.dtype == np.uint8
     expected = 255 * np.array(bilinear(row - 50, source_px=90))
     assert expected.max() > 100
     np.testing.assert_allclose(crop[:, 64, 0], expected, atol=1)
@@ -102,7 +103,8 @@ def test_an_alteration_is_pure(change: Callable[[Image, np.random.Generator], Im
     one, two = (change(picture, np.random.default_rng(3)) for _ in range(2))
     assert (one == two).all()
     assert (picture == before).all()
-    assert (one.shape, one.dtype) == (picture.shape, np.uint8)
+    assert one.shape == picture.shape
+    assert one.dtype == np.uint8
     results = {change(picture, np.random.default_rng(seed)).tobytes() for seed in SEEDS}
     assert len(results) > 2
     assert before.tobytes() not in results
@@ -203,7 +205,10 @@ def pairs(batches: Iterator[Batch]) -> list[tuple[int, float]]:
 def expected_pairs(samples: Samples) -> list[tuple[int, float]]:
     shift = {"center": 0.0, "left": 0.2, "right": -0.2}
     return [
-        (level(row["camera"], row["row"]), round((STEERING[row["row"]] + shift[row["camera"]]) * (1 - 2 * flip), 4))
+        (
+            level(row["camera"], row["row"]),
+            round((STEERING[row["row"]] + shift[row["camera"]]) * (1 - 2 * flip), 4),
+        )
         for row in samples.table.to_pylist()
         for flip in [row["flip"]]
     ]
@@ -232,7 +237,8 @@ def test_batches_are_full_but_the_last(samples: Samples) -> None:
 
 def test_the_order_is_a_function_of_seed_and_epoch(samples: Samples) -> None:
     def order(seed: int, epoch: int) -> list[int]:
-        return Loader(samples, samples.table, batch=7, seed=seed).order(epoch).tolist()
+        found: list[int] = Loader(samples, samples.table, batch=7, seed=seed).order(epoch).tolist()
+        return found
 
     used = Loader(samples, samples.table, batch=7, seed=5)
     list(used.epoch(0))
@@ -284,7 +290,9 @@ def test_a_copy_is_altered_as_the_index_says(tmp_path: Path) -> None:
         rows = samples.table.to_pylist()
         assert sum(row["alteration"] != "" for row in rows) > 3
         crop = preprocess(decode(half_bright("center", 0)))
-        pictures = [picture for batch in Loader(samples, samples.table, batch=8).in_order() for picture in batch.pictures]
+        pictures = [
+            picture for batch in Loader(samples, samples.table, batch=8).in_order() for picture in batch.pictures
+        ]
         for row, picture in zip(rows, pictures, strict=True):
             seen = np.ascontiguousarray(crop[:, ::-1]) if row["flip"] else crop
             assert (picture == alter(seen, row["alteration"], row["seed"])).all()

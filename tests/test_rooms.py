@@ -80,7 +80,10 @@ def test_every_module_begins_by_saying_what_it_is() -> None:
 @pytest.mark.parametrize(
     ("rooms", "unloaded"),
     [
-        ("dataset, model, model.train", ["rerun", "socketio", "engineio", "eventlet", "websocket", "viz", "drive"]),
+        (
+            "dataset, model, model.train",
+            ["rerun", "socketio", "engineio", "eventlet", "websocket", "viz", "drive"],
+        ),
         ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch"]),
         ("viz, viz.cli", ["socketio", "eventlet", "torch", "websocket"]),
     ],
@@ -102,7 +105,9 @@ def test_nothing_is_ever_unpickled() -> None:
             if not isinstance(node, ast.Call):
                 continue
             called = ast.unparse(node.func)
-            assert called not in {"torch.load", "torch.jit.load", "eval", "exec", "__import__"}, f"{path}: {called}"
+            assert called not in {"torch.load", "torch.jit.load", "eval", "exec", "__import__"}, (
+                f"{path}: {called}"
+            )
             flags = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
             assert flags.get("allow_pickle", "False") == "False", f"{path}:{node.lineno}"
             assert flags.get("shell", "False") == "False", f"{path}:{node.lineno}"

@@ -67,7 +67,21 @@ def test_steering_and_throttle_stay_within_their_bounds() -> None:
     assert parse_telemetry(telemetry(throttle="-0.5")).throttle == 0.0
 
 
-NOT_NUMBERS = (..., None, "", " ", "nan", "NaN", "inf", "-Infinity", math.nan, math.inf, -math.inf, 10**400, "1e999")
+NOT_NUMBERS = (
+    ...,
+    None,
+    "",
+    " ",
+    "nan",
+    "NaN",
+    "inf",
+    "-Infinity",
+    math.nan,
+    math.inf,
+    -math.inf,
+    10**400,
+    "1e999",
+)
 NOT_NUMBERS += ("fast", "0x1F", "1_000", "1.2.3", "--1", "9" * 64, [9.0], {"value": 9.0}, True, "9\x00")
 
 
@@ -108,8 +122,12 @@ def test_what_is_not_an_object_with_the_fields_is_refused(data: object) -> None:
         parse_telemetry(data)
 
 
-SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.text("0123456789.,-eE '", max_size=12)
-JSON = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3))
+SCALARS = (
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.text("0123456789.,-eE '", max_size=12)
+)
+JSON = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3)
+)
 TOLD = st.fixed_dictionaries(
     {}, optional={name: JSON | st.just(value) for name, value in telemetry().items()}
 )  # fmt: skip
@@ -128,7 +146,9 @@ def test_anything_is_either_a_telemetry_or_a_telemetry_error(data: object) -> No
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.booleans())
-def test_a_command_is_two_strings_that_the_clients_culture_reads(steering: float, throttle: float, comma: bool) -> None:
+def test_a_command_is_two_strings_that_the_clients_culture_reads(
+    steering: float, throttle: float, comma: bool
+) -> None:
     answer = format_command(steering, throttle, comma)
     assert set(answer) == {"steering_angle", "throttle"}
     for text, value in ((answer["steering_angle"], steering), (answer["throttle"], throttle)):

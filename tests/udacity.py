@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from recorder.topics import CAMERAS, Camera
 
@@ -53,10 +54,9 @@ def call(main: Callable[[], None], *arguments: object) -> int:
     before = sys.argv
     sys.argv = ["command", *map(str, arguments)]
     try:
-        main()
-    except SystemExit as end:
-        assert isinstance(end.code, int)
-        return end.code
+        with pytest.raises(SystemExit) as end:
+            main()
     finally:
         sys.argv = before
-    raise AssertionError("a command ends with an exit code")
+    assert isinstance(end.value.code, int)
+    return end.value.code

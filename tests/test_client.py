@@ -1,0 +1,349 @@
+"""The client does on the wire what the real simulator was seen to do: checked by a bare websocket server."""
+
+from __future__ import annotations
+
+import base64
+import gc
+import hashlib
+import json
+import socket
+import struct
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+import pytest
+
+from driving import PATIENCE_S, road_jpeg
+from simulator.client import FRAME_BYTES, Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
+from simulator.replay import replay
+
+OPEN = '0{"sid":"x","upgrades":[],"pingInterval":25000,"pingTimeout":60000}'
+GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455
+
+
+@dataclass
+class Frame:
+    is_last: bool
+    opcode: int
+    payload: bytes
+
+
+class Hangup(Exception):  # noqa: N818
+    """The client has closed the connection."""
+
+
+@dataclass
+class Wire:
+    """The server's end of one connection, frame by frame (RFC 6455)."""
+
+    stream: socket.socket
+    request: str = ""
+    frames: list[Frame] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
+
+    def shake_hands(self) -> None:
+        while "\r\n\r\n" not in self.request:
+            self.request += self._exactly(1).decode("ascii")
+        key = next(
+            line.split(": ")[1] for line in self.request.splitlines() if line.startswith("Sec-WebSocket-Key")
+        )
+        accept = base64.b64encode(hashlib.sha1((key + GUID).encode()).digest()).decode()
+        head = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        self.stream.sendall(f"{head}Sec-WebSocket-Accept: {accept}\r\n\r\n".encode())
+
+    def say(self, message: str) -> None:
+        data = message.encode()
+        size = bytes([len(data)]) if len(data) < 126 else struct.pack(">BH", 126, len(data))
+        self.stream.sendall(b"\x81" + size + data)
+
+    def hear(self) -> str:
+        """The next message, from however many frames; Hangup if there is none."""
+        text = b""
+        while True:
+            frame = self._frame()
+            if frame.opcode == 8:
+                raise Hangup
+            self.frames.append(frame)
+            text += frame.payload
+            if frame.is_last:
+                self.messages.append(text.decode())
+                return self.messages[-1]
+
+    def hear_telemetry(self) -> str:
+        """The next message that is a telemetry; heartbeats are answered on the way."""
+        while not (message := self.hear()).startswith("42"):
+            if message == "2":
+                self.say("3")
+        return message
+
+    def _frame(self) -> Frame:
+        first, second = self._exactly(2)
+        size = second & 0x7F
+        if size == 126:
+            (size,) = struct.unpack(">H", self._exactly(2))
+        elif size == 127:
+            (size,) = struct.unpack(">Q", self._exactly(8))
+        mask = self._exactly(4) if second & 0x80 else bytes(4)
+        payload = bytes(byte ^ mask[i % 4] for i, byte in enumerate(self._exactly(size)))
+        return Frame(bool(first & 0x80), first & 0x0F, payload)
+
+    def _exactly(self, count: int) -> bytes:
+        data = b""
+        while len(data) < count:
+            part = self.stream.recv(count - len(data))
+            if not part:
+                raise Hangup
+            data += part
+        return data
+
+
+class BareServer:
+    """Calls one function for each connection, one after the other; the connection closes when it returns."""
+
+    def __init__(self, *serve: Callable[[Wire], None]) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.settimeout(PATIENCE_S)
+        self.port: int = self._listener.getsockname()[1]
+        self.wires: list[Wire] = []
+        self._thread = threading.Thread(target=self._run, args=(serve,))
+        self._thread.start()
+
+    def _run(self, serve: tuple[Callable[[Wire], None], ...]) -> None:
+        for function in serve:
+            stream, _ = self._listener.accept()
+            stream.settimeout(PATIENCE_S)
+            wire = Wire(stream)
+            self.wires.append(wire)
+            with stream:
+                try:
+                    wire.shake_hands()
+                    function(wire)
+                except (Hangup, OSError):
+                    pass
+        self._listener.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._thread.join(PATIENCE_S)
+        self._listener.close()
+
+
+def steer(steering: object = "0.1000", throttle: object = "0.2000") -> str:
+    return "42" + json.dumps(["steer", {"steering_angle": steering, "throttle": throttle}])
+
+
+def serve_for_ever(wire: Wire) -> None:
+    """Two telemetries come unasked, and then one for each steer."""
+    wire.say(OPEN)
+    wire.hear_telemetry()
+    wire.hear_telemetry()
+    while True:
+        wire.say(steer())
+        wire.hear_telemetry()
+
+
+def telling(told: list[Told], answers: list[Answer]) -> Callable[[Answer], Told]:
+    rest = iter(told)
+
+    def next_telemetry(answer: Answer) -> Told:
+        answers.append(answer)
+        return next(rest, None)
+
+    return next_telemetry
+
+
+def test_it_announces_no_connection_and_tells_two_telemetries_before_any_answer() -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(steer())
+        wire.hear_telemetry()
+        wire.say(steer("-0.5000", "-1.0000"))
+        wire.hear()
+        wire.hear()
+
+    answers: list[Answer] = []
+    told: list[Told] = [Telemetry(0.0, 0.0, 9.0, road_jpeg(i)) for i in range(3)]
+    with BareServer(serve) as server:
+        SimulatorClient(port=server.port).run(telling(told, answers))
+    (wire,) = server.wires
+    assert wire.request.startswith("GET /socket.io/?EIO=4&transport=websocket HTTP/1.1\r\n")
+    assert not any(message.startswith("40") for message in wire.messages)
+    assert [message[:14] for message in wire.messages if message != "2"] == ['42["telemetry"'] * 3 + ["41", "1"]
+    assert wire.messages.count("2") == 1  # its heartbeat begins at once
+    assert answers == [None, None, Steer(0.1, 0.2), Steer(-0.5, -1.0)]
+
+
+def test_a_telemetry_is_strings_with_four_decimals_in_frames_of_at_most_1016_bytes() -> None:
+    jpeg = road_jpeg(0)
+    with BareServer(serve_for_ever) as server:
+        SimulatorClient(port=server.port).run(telling([Telemetry(-0.5, 0.25, 1234.56789, jpeg)] * 3, []))
+    (wire,) = server.wires
+    name, fields = json.loads(wire.messages[0][2:])
+    assert name == "telemetry"
+    assert base64.b64decode(fields.pop("image")) == jpeg
+    assert fields == {"steering_angle": "-12.5000", "throttle": "0.2500", "speed": "1,234.5679"}
+    end = next(i for i, frame in enumerate(wire.frames) if frame.is_last)
+    message = wire.frames[: end + 1]
+    assert len(message) > 3
+    assert [frame.opcode for frame in message] == [1] + [0] * end
+    assert [len(frame.payload) for frame in message[:-1]] == [1016] * end == [FRAME_BYTES] * end
+    assert 0 < len(message[-1].payload) <= 1016
+
+
+def test_a_machine_with_decimal_commas_writes_and_reads_them() -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.say(steer("0,2500", "-1,0000"))
+        while True:
+            wire.hear()
+
+    answers: list[Answer] = []
+    with BareServer(serve) as server:
+        client = SimulatorClient(port=server.port, decimal_comma=True)
+        client.run(telling([Telemetry(-0.5, 0.25, 1234.5, b"\xff\xd8")] * 2, answers))
+    _, fields = json.loads(server.wires[0].messages[0][2:])
+    assert (fields["steering_angle"], fields["throttle"], fields["speed"]) == ("-12,5000", "0,2500", "1.234,5000")
+    assert answers[2] == Steer(0.25, -1.0)
+
+
+def test_nagles_algorithm_is_on_as_in_the_real_one() -> None:
+    options: list[int] = []
+
+    def next_telemetry(answer: Answer) -> Told:
+        for found in gc.get_objects():
+            if isinstance(found, socket.socket) and found.fileno() >= 0 and found.family == socket.AF_INET:
+                try:
+                    port = found.getpeername()[1]
+                except OSError:  # not connected
+                    continue
+                if port == server.port:
+                    options.append(found.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+        return None
+
+    with BareServer(serve_for_ever) as server:
+        SimulatorClient(port=server.port).run(next_telemetry)
+    assert options == [0]
+
+
+def test_a_servers_ping_is_answered() -> None:
+    heard: list[str] = []
+
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say("2")
+        heard.append(next(message for message in iter(wire.hear, "") if message != "2"))
+        wire.say(steer())
+        wire.hear()
+
+    with BareServer(serve) as server:
+        SimulatorClient(port=server.port).run(telling([Telemetry(0, 0, 0, b"\xff")] * 2, []))
+    assert heard == ["3"]
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    [
+        steer(0.1, 0.2),
+        steer("", "0.2"),
+        steer("nan", "0.2"),
+        steer("0.1", "inf"),
+        steer("left", "0.2"),
+        steer(None, "0.2"),
+        '42["steer",{"throttle":"0.2"}]',
+        '42["steer",{}]',
+        '42["steer",null]',
+        '42["steer"]',
+    ],
+)
+def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted(nonsense: str) -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(nonsense)  # nothing comes of it
+        wire.say(steer("0.5", "0.5"))
+        while True:
+            wire.hear()
+
+    answers: list[Answer] = []
+    with BareServer(serve) as server:
+        client = SimulatorClient(port=server.port)
+        client.run(telling([Telemetry(0, 0, 0, b"\xff")] * 2, answers))
+    assert answers == [None, None, Steer(0.5, 0.5)]
+    assert (client.steers, client.bad_steers, client.telemetries) == (1, 1, 2)
+
+
+@pytest.mark.parametrize("ignored", ["40", '40{"sid":"x"}', "43[]", "6", '42["other",{}]', "42[]", "42{", "42"])
+def test_what_is_no_command_is_ignored(ignored: str) -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(ignored)
+        wire.say("42" + json.dumps(["manual", {}]))
+        while True:
+            wire.hear()
+
+    answers: list[Answer] = []
+    with BareServer(serve) as server:
+        client = SimulatorClient(port=server.port)
+        client.run(telling([Telemetry(0, 0, 0, b"\xff"), "manual"], answers))
+    assert answers == [None, None, "manual"]
+    assert [m for m in server.wires[0].messages if m.startswith("42")][1] == '42["telemetry",null]'
+    assert (client.steers, client.manuals, client.bad_steers) == (0, 1, 0)
+
+
+def test_it_connects_again_when_the_server_dies_in_the_middle() -> None:
+    def die_after_three(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(steer())
+        wire.hear_telemetry()
+
+    answers: list[Answer] = []
+    told: list[Told] = [Telemetry(0, 0, 0, b"\xff")] * 8
+    with BareServer(die_after_three, serve_for_ever) as server:
+        client = SimulatorClient(port=server.port)
+        client.run(telling(told, answers))
+    assert client.connections == 2
+    assert client.telemetries == 8
+    assert answers[:5] == [None, None, Steer(0.1, 0.2), None, None]
+
+
+def test_a_replay_tells_every_picture_once_and_waits_for_the_last_answer() -> None:
+    def answer_each(wire: Wire) -> None:
+        wire.say(OPEN)
+        while True:
+            wire.hear_telemetry()
+            wire.say(steer())
+
+    pictures = [road_jpeg(i) for i in range(5)]
+    with BareServer(answer_each) as server:
+        commands = replay(SimulatorClient(port=server.port), pictures)
+    assert commands == [Steer(0.1, 0.2)] * 5
+    told = [json.loads(message[2:])[1] for message in server.wires[0].messages if message.startswith("42")]
+    assert [base64.b64decode(fields["image"]) for fields in told] == pictures
+    assert {fields["steering_angle"] for fields in told[2:]} <= {"0.0000", "2.5000"}
+    assert told[-1]["steering_angle"] == "2.5000"
+
+
+def test_it_gives_up_when_there_is_no_server() -> None:
+    with socket.socket() as nobody:
+        nobody.bind(("127.0.0.1", 0))  # taken, and not listening
+        client = SimulatorClient(port=nobody.getsockname()[1], wait_s=0.2)
+        with pytest.raises(WaitTimeoutError, match=r"within 0\.2 s"):
+            client.run(lambda answer: None)
+    assert client.connections == 0

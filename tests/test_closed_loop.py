@@ -1,0 +1,216 @@
+"""The built-in simulator: what it records is a log like any other, and what it drives can be repeated."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.reader import make_reader
+
+from common import UserError
+from drive.closed_loop import Course, evaluate
+from driving import Process as Child
+from driving import command, one_line_of, run, untrained_run
+from model import load_pilot
+from recorder import Imported, Log, RecordingError, import_udacity
+from recorder.bc_pb2 import VehicleState
+from recorder.simulated import SimulatedDrive, record_simulated
+from simulator.track import load_track
+
+DRIVE = SimulatedDrive(track="lake", laps=0.02, seed=5)
+CAMERAS = ("/camera/center", "/camera/left", "/camera/right")
+
+
+def messages(path: Path, topic: str) -> list[tuple[int, int, bytes]]:
+    """Sequence, log time and data of a topic's messages, by mcap's own reader."""
+    with path.open("rb") as stream:
+        found = make_reader(stream, validate_crcs=True).iter_messages(topics=[topic], log_time_order=False)
+        return [(message.sequence, message.log_time, message.data) for _, _, message in found]
+
+
+def pictures(path: Path, camera: str) -> list[bytes]:
+    with Log(path) as log:
+        where = log.pictures(camera)
+        return [log.read(int(o), int(n)) for o, n in zip(where.offset, where.length, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recorded")
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path) -> Imported:
+    return record_simulated(DRIVE, folder / "lake.mcap", udacity=folder / "beta_simulator")
+
+
+def test_a_recording_has_three_cameras_the_vehicle_and_the_pose_at_equal_times(recorded: Imported) -> None:
+    stamps = [
+        [(sequence, time_ns) for sequence, time_ns, _ in messages(recorded.path, topic)]
+        for topic in (*CAMERAS, "/vehicle", "/pose")
+    ]
+    assert len(stamps[0]) == recorded.rows == recorded.pictures // 3 > 20
+    assert all(stamp == stamps[0] for stamp in stamps)
+    assert [sequence for sequence, _ in stamps[0]] == list(range(recorded.rows))
+    gaps_ns = {after - before for (_, before), (_, after) in zip(stamps[0], stamps[0][1:], strict=False)}
+    assert min(gaps_ns) == 100_000_000  # 10 rows a second
+    assert all(gap_ns == 100_000_000 or gap_ns >= 1_000_000_000 for gap_ns in gaps_ns)  # pushes are gaps
+
+
+def test_the_three_cameras_see_different_pictures_and_all_are_jpegs(recorded: Imported) -> None:
+    center, left, right = (pictures(recorded.path, camera) for camera in CAMERAS)
+    assert all(jpeg.startswith(b"\xff\xd8\xff") and jpeg.endswith(b"\xff\xd9") for jpeg in center + left + right)
+    assert len({*center, *left, *right}) > 2 * recorded.rows
+
+
+def test_nothing_is_recorded_past_the_share_of_the_lap(recorded: Imported) -> None:
+    """The nearest point of the centre line to every pose lies within the first 0.02 of its length."""
+    line = load_track("lake").line
+    points_m = line.points_m[:, :2]
+    end_m = DRIVE.laps * line.length_m
+    arcs_m = []
+    for _, _, data in messages(recorded.path, "/pose"):
+        position = PoseInFrame.FromString(data).pose.position
+        distance_m = ((points_m - (position.x, position.y)) ** 2).sum(axis=1) ** 0.5
+        assert distance_m.min() < 6.0
+        arcs_m.append(int(distance_m.argmin()) * line.length_m / len(points_m))
+    # the pose is that of the rear axle: at the start it stands behind the line
+    arcs_m = [arc_m - line.length_m if arc_m > line.length_m / 2 else arc_m for arc_m in arcs_m]
+    assert min(arcs_m) > -3.0
+    assert 0.5 * end_m < max(arcs_m) <= end_m + 0.5
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(recorded: Imported, tmp_path: Path) -> None:
+    again = record_simulated(DRIVE, tmp_path / "again.mcap")
+    assert again.path.read_bytes() == recorded.path.read_bytes()
+    other = record_simulated(SimulatedDrive(track="lake", laps=0.005, seed=6), tmp_path / "other.mcap")
+    assert messages(other.path, "/vehicle") != messages(recorded.path, "/vehicle")[: other.rows]
+
+
+def test_the_folder_it_writes_imports_to_the_same_session(
+    folder: Path, recorded: Imported, tmp_path: Path
+) -> None:
+    imported = import_udacity(folder / "beta_simulator", tmp_path / "imported.mcap")
+    assert (imported.rows, imported.pictures, len(imported.skipped)) == (recorded.rows, recorded.pictures, 0)
+    for camera in CAMERAS:
+        assert pictures(imported.path, camera) == pictures(recorded.path, camera)
+    ours, theirs = messages(recorded.path, "/vehicle"), messages(imported.path, "/vehicle")
+    assert [time_ns for _, time_ns, _ in ours] == [time_ns for _, time_ns, _ in theirs]
+    for (_, _, a), (_, _, b) in zip(ours, theirs, strict=True):
+        mine, read = VehicleState.FromString(a), VehicleState.FromString(b)
+        for name in ("steering", "throttle", "brake", "speed_mph"):
+            assert getattr(read, name) == pytest.approx(getattr(mine, name), rel=5e-7, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        SimulatedDrive(track="nowhere"),
+        SimulatedDrive(laps=0),
+        SimulatedDrive(laps=float("nan")),
+        SimulatedDrive(laps=float("inf")),
+        SimulatedDrive(rate=7),
+        SimulatedDrive(rate=0),
+        SimulatedDrive(recovery=1),
+        SimulatedDrive(seed=-1),
+        SimulatedDrive(speed=0),
+        SimulatedDrive(speed=float("nan")),
+    ],
+    ids=str,
+)
+def test_a_drive_that_cannot_be_is_an_error_and_writes_nothing(drive: SimulatedDrive, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError):
+        record_simulated(drive, tmp_path / "x.mcap", udacity=tmp_path / "x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_log_is_refused_and_no_folder_is_begun(tmp_path: Path) -> None:
+    log = tmp_path / "x.mcap"
+    log.write_bytes(b"precious")
+    with pytest.raises(UserError, match="--force"):
+        record_simulated(DRIVE, log, udacity=tmp_path / "x")
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_an_unknown_track_names_the_choices(tmp_path: Path) -> None:
+    done = run("bc-record", "x", "--track", "nowhere", cwd=tmp_path)
+    assert done.returncode == 1
+    assert all(choice in one_line_of(done) for choice in ("nowhere", "lake", "mountain", "random:SEED"))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("flags", [("--track", "nowhere"), ("--rate", "7"), ("--rate", "0"), ("--laps", "nan")])
+def test_a_drive_of_bc_sim_that_cannot_be_is_bad_usage(flags: tuple[str, ...]) -> None:
+    done = run("bc-sim", *flags, "--port", 1, "--wait", 0)
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr
+    assert flags[0] in done.stderr
+
+
+def test_no_server_is_said_and_given_up_on() -> None:
+    done = run("bc-sim", "--replay", Path(__file__).parent, "--port", 1, "--wait", 0)
+    assert done.returncode == 1
+    assert "center_*.jpg" in done.stderr
+    done = run("bc-sim", "--laps", 0.01, "--port", 1, "--wait", 0)
+    assert done.returncode == 1
+    assert "--wait" in done.stderr.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def pilot_run(folder: Path) -> Path:
+    return untrained_run(folder / "runs" / "untrained", seed=1)
+
+
+def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp_path: Path) -> None:
+    """One here, one as a user calls it."""
+    course = Course("lake", 0.01)
+    with Child(
+        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.01, "--logs", tmp_path / "b", "--json")
+    ) as child:
+        (here,) = evaluate(load_pilot(pilot_run), [course], tmp_path / "a")
+        assert child.join() == 0, child.stderr
+    (line,) = child.stdout.splitlines()
+    there = json.loads(line)
+    assert here.as_dict() == {**there, "log": str(here.log)}
+    assert len(there["trajectory_sha256"]) == 64
+    assert 0.01 <= there["laps"] < 0.012
+    assert {"track", "set_speed_mph", "interventions", "autonomy_percent", "mean_offset", "max_offset"} <= set(
+        there
+    )
+    assert {"mean_speed_mph", "steering_per_s", "elapsed_s", "whole_laps", "unreadable"} <= set(there)
+    expected = max(0.0, 100 * (1 - 6 * there["interventions"] / there["elapsed_s"]))
+    assert there["autonomy_percent"] == pytest.approx(expected)
+    assert Path(there["log"]).name == here.log.name
+    ours, theirs = (messages(path, "/camera/center") for path in (here.log, Path(there["log"])))
+    # 25 telemetries a second; two are in flight when the drive is over
+    assert len(ours) == pytest.approx(here.book["elapsed_s"] * 25, abs=2)
+    assert [data.split(b"\xff\xd8", 1)[1] for _, _, data in ours] == [
+        data.split(b"\xff\xd8", 1)[1] for _, _, data in theirs
+    ]
+    with Log(here.log) as log:
+        assert log.read_metadata("bc.drive")["trajectory_sha256"] == there["trajectory_sha256"]
+
+
+def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_run: Path, tmp_path: Path) -> None:
+    done = run("bc-eval", pilot_run, "--simulator", "nowhere", "--logs", tmp_path / "logs")
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert all(choice in done.stderr for choice in ("lake", "mountain", "random:SEED"))
+    assert list(tmp_path.rglob("*.*")) == []
+
+
+def test_an_evaluation_of_nothing_is_one_line(pilot_run: Path, tmp_path: Path) -> None:
+    done = run("bc-eval", pilot_run, "--simulator", "--logs", tmp_path / "logs")
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr
+
+
+def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    done = run("bc-drive", pilot_run, "--log", log, "--port", 0, "--simulator", "lake", "--laps", 0.005)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"{log}: ")
+    with Log(log) as written:
+        assert written.counts["/camera/center"] == written.counts["/pilot/command"] > 10
