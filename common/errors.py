@@ -8,7 +8,7 @@ one line and ends with exit code 1. Anything else that escapes is a bug and keep
     ├── RecordingError   (recorder)   a recording that cannot be imported
     ├── DatasetError     (dataset)    an index that is missing, empty or older than its logs
     ├── RunError         (model)      a run folder that is missing, incomplete or of another version
-    └── DriveError       (drive)      a server that cannot start
+    └── DriveError       (drive)      a drive that cannot start
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from typing import Annotated
 
 import tyro
 
-from common import UserError
 from common.command import DONE, run_command, stderr
 from common.files import refuse_existing
+from drive.speed import check_set_speed
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,7 @@ class Drive:
 
 
 def drive(config: Drive) -> int:
-    if not 0 < config.speed <= 100:
-        raise UserError(
-            f"--speed {config.speed:g}: a set speed is between 0 and 100 mph (the simulator reaches 30)"
-        )
+    check_set_speed(config.speed)
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
 
@@ -54,6 +51,7 @@ def drive(config: Drive) -> int:
     from drive.server import DriveServer, open_log
     from model import find_run, load_pilot
 
+    course = Course(config.simulator, config.laps, config.speed) if config.simulator is not None else None
     console = stderr()
     pilot = load_pilot(find_run(config.run, config.runs))
     pilot.get_ready()
@@ -68,11 +66,11 @@ def drive(config: Drive) -> int:
         )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: server.stop())
-        if config.simulator is None:
+        if course is None:
             console.print(f"bc-drive: {pilot.run} is waiting for a simulator on {config.host}:{server.port}")
             server.run()
         else:
-            drive_built_in(server, Course(config.simulator, config.laps, config.speed))
+            drive_built_in(server, course)
     extra = f", {server.malformed:,} malformed telemetries" if server.malformed else ""
     print(f"{path}: {server.frames:,} frames{extra}; look at it with `bc-play {path}`")
     return DONE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +14,7 @@ from typing import Any
 
 from drive.errors import DriveError
 from drive.server import DriveServer, open_log
+from drive.speed import check_set_speed
 from model import Pilot
 
 
@@ -23,6 +25,12 @@ class Course:
     track: str
     laps: float = 1.0
     set_speed_mph: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Raises DriveError for a course that nobody can drive."""
+        check_set_speed(self.set_speed_mph)
+        if not 0 < self.laps < math.inf:
+            raise DriveError(f"--laps {self.laps:g}: how far to drive is a number above 0")
 
 
 @dataclass(frozen=True)

@@ -6,4 +6,4 @@ from common import UserError
 
 
 class DriveError(UserError):
-    """A server that cannot start: its port is taken, its host is not this machine's."""
+    """A drive that cannot start, because its port is taken or its speed is nonsense; a simulator that failed."""

@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from common import UserError
 from common.command import DONE, run_command, stderr
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ def evaluate(config: Eval) -> int:
     from drive.closed_loop import evaluate as evaluate_run
     from model import find_run, load_pilot
 
+    if not config.simulator or not config.speed:
+        raise UserError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
     pilot = load_pilot(find_run(config.run, config.runs))
     pilot.get_ready()
     courses = [Course(track, config.laps, speed) for speed in config.speed for track in config.simulator]

@@ -5,12 +5,11 @@ from __future__ import annotations
 import socket
 from typing import Any
 
-from eventlet.greenio import GreenSocket
-
 from drive.errors import DriveError
+from drive.green import eventlet
 
 
-class QuickAckSocket(GreenSocket):  # type: ignore[misc]
+class QuickAckSocket(eventlet.greenio.GreenSocket):  # type: ignore[misc]
     """Acknowledges at once what it receives; what it accepts does so too.
 
     The real simulator sends a telemetry in many small writes with Nagle's algorithm on: each waits for the

@@ -7,13 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import eventlet
-import eventlet.wsgi
 import socketio
-from eventlet.greenthread import GreenThread
 
 from dataset.preprocess import DESCRIPTION
 from drive.driver import DriveLog, Driver
+from drive.green import eventlet
 from drive.listener import listen
 from drive.old_clients import accept_old_clients
 from drive.telemetry import MAX_IMAGE_BYTES, format_command
@@ -66,7 +64,7 @@ class DriveServer:
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve until `stop()` is called (from a signal handler or another green thread), or `until()` is true."""
-        web: GreenThread = eventlet.spawn(
+        web = eventlet.spawn(
             eventlet.wsgi.server, self._listener, socketio.WSGIApp(self._server), log_output=False
         )
         try:
@@ -85,7 +83,6 @@ class DriveServer:
         self._stopped = True
 
     def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
-        self._drivers[sid] = Driver(self._pilot, self._set_speed_mph)
         self._log.event("connected")
         self._say("connected, waiting for telemetry")
 
@@ -102,7 +99,9 @@ class DriveServer:
             if self.manual == 1:
                 self._log.event("manual: a human drives")
             return
-        driver = self._drivers[sid]
+        driver = self._drivers.get(sid)
+        if driver is None:
+            driver = self._drivers[sid] = Driver(self._pilot, self._set_speed_mph)
         decision = driver.decide(data)
         self._emit(sid, decision.steering, decision.throttle, decision.decimal_comma)
         total_ms = (time.perf_counter() - start_s) * 1e3

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from typing import Final
 
+from drive.errors import DriveError
+
 KP: Final = 0.1  # throttle for each mph too slow
 KI: Final = 0.002  # throttle for each mph too slow, summed over telemetries
 MAX_INTEGRAL_THROTTLE: Final = 0.5  # without a bound, a long climb winds up a throttle that outlasts it
+
+
+def check_set_speed(set_speed_mph: float) -> None:
+    """Raises DriveError for a set speed that no car of the simulator's kind holds."""
+    if not 0 < set_speed_mph <= 100:
+        raise DriveError(f"--speed {set_speed_mph:g}: give a speed above 0 mph and up to 100 (the car reaches 30)")
 
 
 class SpeedController:

@@ -10,6 +10,7 @@ from typing import Final
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from common import Skipped, UserError
+from common.files import refuse_existing
 from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
@@ -53,6 +54,9 @@ def record_simulated(
 
     Raises RecordingError for a drive that cannot be, UserError if `log` exists and `overwrite` is off.
     """
+    refuse_existing(log, overwrite)  # before the folder is begun
+    if not math.isfinite(drive.laps):
+        raise RecordingError(f"laps must be a finite number, not {drive.laps:g}")
     try:
         simulation = Simulation(drive.track)
         expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -60,7 +61,13 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
 
     from simulator.autonomous import drive_autonomously
     from simulator.simulation import Simulation
+    from simulator.vehicle import STEP_S
 
+    if not 0 < config.laps < math.inf:
+        raise UserError(f"--laps {config.laps:g}: how far to drive is a number above 0")
+    steps = 1 / (config.rate * STEP_S) if config.rate > 0 else 0.0
+    if steps < 0.99 or abs(steps - round(steps)) > 1e-6:
+        raise UserError(f"--rate {config.rate:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
     cv2.setNumThreads(1)  # the network that drives needs the other cores more
     try:
         simulation = Simulation(config.track)

@@ -221,7 +221,7 @@ def test_nagles_algorithm_is_on_as_in_the_real_one() -> None:
 
     def next_telemetry(answer: Answer) -> Told:
         for found in gc.get_objects():
-            if isinstance(found, socket.socket) and found.fileno() >= 0 and found.family == socket.AF_INET:
+            if issubclass(type(found), socket.socket) and found.fileno() >= 0 and found.family == socket.AF_INET:
                 try:
                     port = found.getpeername()[1]
                 except OSError:  # not connected

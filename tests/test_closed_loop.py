@@ -165,9 +165,9 @@ def pilot_run(folder: Path) -> Path:
 
 def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp_path: Path) -> None:
     """One here, one as a user calls it."""
-    course = Course("lake", 0.01)
+    course = Course("lake", 0.005)
     with Child(
-        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.01, "--logs", tmp_path / "b", "--json")
+        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.005, "--logs", tmp_path / "b", "--json")
     ) as child:
         (here,) = evaluate(load_pilot(pilot_run), [course], tmp_path / "a")
         assert child.join() == 0, child.stderr
@@ -175,7 +175,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     there = json.loads(line)
     assert here.as_dict() == {**there, "log": str(here.log)}
     assert len(there["trajectory_sha256"]) == 64
-    assert 0.01 <= there["laps"] < 0.012
+    assert 0.005 <= there["laps"] < 0.007
     assert {"track", "set_speed_mph", "interventions", "autonomy_percent", "mean_offset", "max_offset"} <= set(
         there
     )
@@ -203,8 +203,8 @@ def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_r
 
 def test_an_evaluation_of_nothing_is_one_line(pilot_run: Path, tmp_path: Path) -> None:
     done = run("bc-eval", pilot_run, "--simulator", "--logs", tmp_path / "logs")
-    assert done.returncode in (1, 2)
-    assert "Traceback" not in done.stderr
+    assert done.returncode == 1
+    assert "--simulator" in one_line_of(done)
 
 
 def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ class OldClient:
 
     def send(self, message: str) -> tuple[str, Any]:
         self._socket.send(message)
-        while not (answer := self._socket.recv()).startswith("42"):
+        while not (answer := str(self._socket.recv())).startswith("42"):
             assert answer, "the server has hung up"
         name, data = json.loads(answer[2:])
         return name, data

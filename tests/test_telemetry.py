@@ -67,7 +67,7 @@ def test_steering_and_throttle_stay_within_their_bounds() -> None:
     assert parse_telemetry(telemetry(throttle="-0.5")).throttle == 0.0
 
 
-NOT_NUMBERS = (
+NOT_NUMBERS: tuple[object, ...] = (
     ...,
     None,
     "",
@@ -137,8 +137,7 @@ TOLD = st.fixed_dictionaries(
 def test_anything_is_either_a_telemetry_or_a_telemetry_error(data: object) -> None:
     try:
         told = parse_telemetry(data)
-    except TelemetryError as error:
-        assert str(error)
+    except TelemetryError:
         return
     assert -1 <= told.steering <= 1
     assert 0 <= told.throttle <= 1

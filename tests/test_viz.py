@@ -1,0 +1,220 @@
+"""What the viewer is given: read back from the .rrd by Rerun's own reader, not by the code that wrote it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+import pyarrow as pa
+import pytest
+from rerun.chunk import RrdReader
+
+from common import UserError
+from driving import PATIENCE_S, Process, command, one_line_of, road_jpeg, run
+from recorder import LogError, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from viz import save_rrd, viewer
+
+ROWS = 40
+START_NS = 1_767_225_600 * 10**9
+
+
+def write_log(path: Path, *, is_drive: bool) -> Path:
+    """A session of three cameras, or a drive of one with crops, commands and an event."""
+    with LogWriter(path, {"source": "test"}) as log:
+        for i in range(ROWS):
+            time_ns = START_NS + i * 100_000_000
+            log.picture("center", time_ns, i, road_jpeg(i))
+            if not is_drive:
+                log.picture("left", time_ns, i, road_jpeg(i + 1))
+                log.picture("right", time_ns, i, road_jpeg(i + 2))
+            log.vehicle(time_ns, i, VehicleState(steering=i / 100, throttle=0.5, brake=0.25, speed_mph=i))
+            if is_drive:
+                log.crop(time_ns, i, road_jpeg(i))
+                command = PilotCommand(
+                    predicted_steering=-i / 50, steering=-i / 60, throttle=0.1, set_speed_mph=10
+                )
+                log.command(time_ns, i, command)
+        if is_drive:
+            log.event(START_NS, "connected")
+    return path
+
+
+def contents(rrd: Path) -> dict[str, dict[str, list[Any]]]:
+    """Values by entity and column, in the order of time."""
+    reader = RrdReader(rrd)
+    result: dict[str, dict[str, list[Any]]] = {}
+    for chunk in reader.stream().to_chunks():
+        batch = chunk.to_record_batch()
+        entity = result.setdefault(str(chunk.entity_path), {})
+        for name in batch.schema.names:
+            values = batch.column(name)
+            in_ns = values.cast("int64") if pa.types.is_timestamp(values.type) else values
+            entity.setdefault(name, []).extend(in_ns.to_pylist())
+    for columns in result.values():
+        times = columns.get("message_log_time", [])
+        for name, values in columns.items():
+            if len(values) == len(times) and name != "message_log_time":
+                columns[name] = [values[i] for i in np.argsort(np.array(times), kind="stable")]
+    return result
+
+
+def view_names(rrd: Path) -> set[str]:
+    reader = RrdReader(rrd)
+    (blueprint,) = reader.blueprints()
+    names: set[str] = set()
+    for chunk in reader.stream(store=blueprint).to_chunks():
+        batch = chunk.to_record_batch()
+        if "ViewBlueprint:display_name" in batch.schema.names:
+            names.update(value[0] for value in batch.column("ViewBlueprint:display_name").to_pylist() if value)
+    return names
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("viz")
+
+
+@pytest.fixture(scope="module")
+def session(folder: Path) -> Path:
+    save_rrd(write_log(folder / "session.mcap", is_drive=False), folder / "session.rrd")
+    return folder / "session.rrd"
+
+
+@pytest.fixture(scope="module")
+def drive(folder: Path) -> Path:
+    save_rrd(write_log(folder / "drive.mcap", is_drive=True), folder / "drive.rrd")
+    return folder / "drive.rrd"
+
+
+def test_every_picture_of_every_camera_is_in_it(session: Path) -> None:
+    found = contents(session)
+    for camera, first in (("center", 0), ("left", 1), ("right", 2)):
+        blobs = [bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]]
+        assert blobs == [road_jpeg(i + first) for i in range(ROWS)]
+    assert "/pilot/input" not in found
+    assert "/steering/predicted" not in found
+
+
+def test_the_recorded_curves_have_the_logs_values_at_the_logs_times(session: Path) -> None:
+    found = contents(session)
+    expected = {
+        "/steering/recorded": [i / 100 for i in range(ROWS)],
+        "/speed_mph/driven": [float(i) for i in range(ROWS)],
+        "/pedals/throttle": [0.5] * ROWS,
+        "/pedals/brake": [0.25] * ROWS,
+    }
+    for entity, values in expected.items():
+        assert [value[0] for value in found[entity]["Scalars:scalars"]] == pytest.approx(values)
+        assert found[entity]["message_log_time"] == [START_NS + i * 100_000_000 for i in range(ROWS)]
+
+
+def test_a_drive_has_the_crop_and_what_was_predicted_and_sent(drive: Path) -> None:
+    found = contents(drive)
+    assert (
+        len(found["/pilot/input"]["EncodedImage:blob"])
+        == len(found["/camera/center"]["EncodedImage:blob"])
+        == ROWS
+    )
+    predicted = [value[0] for value in found["/steering/predicted"]["Scalars:scalars"]]
+    sent = [value[0] for value in found["/steering/sent"]["Scalars:scalars"]]
+    assert predicted == pytest.approx([-i / 50 for i in range(ROWS)])
+    assert sent == pytest.approx([-i / 60 for i in range(ROWS)])
+    assert [value[0] for value in found["/speed_mph/set"]["Scalars:scalars"]] == [10.0] * ROWS
+    assert found["/events"]["TextLog:text"] == [["connected"]]
+    assert "/camera/left" not in found
+
+
+def test_the_layout_has_a_view_for_what_the_log_holds_and_for_nothing_else(session: Path, drive: Path) -> None:
+    plots = {"steering, -1 left .. 1 right", "speed, mph", "throttle and brake"}
+    assert view_names(session) == plots | {"centre camera", "left camera", "right camera"}
+    assert view_names(drive) == plots | {"centre camera", "what the network sees", "events"}
+
+
+def test_an_existing_file_is_kept_unless_it_is_forced(drive: Path, tmp_path: Path) -> None:
+    log, rrd = drive.with_suffix(".mcap"), tmp_path / "x.rrd"
+    rrd.write_bytes(b"precious")
+    with pytest.raises(UserError, match="--force"):
+        save_rrd(log, rrd)
+    assert (rrd.read_bytes(), list(tmp_path.iterdir())) == (b"precious", [rrd])
+    done = run("bc-play", log, "--save", rrd, "--force")
+    assert (done.returncode, done.stdout.split(":")[0]) == (0, str(rrd)), done.stderr
+    assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == ROWS
+
+
+def test_a_damaged_log_is_one_line(drive: Path, tmp_path: Path) -> None:
+    log = tmp_path / "cut.mcap"
+    log.write_bytes(drive.with_suffix(".mcap").read_bytes()[:-1000])
+    with pytest.raises(LogError):
+        save_rrd(log, tmp_path / "x.rrd")
+    done = run("bc-play", log, "--save", tmp_path / "x.rrd")
+    assert done.returncode == 1
+    assert str(log) in one_line_of(done)
+    assert list(tmp_path.iterdir()) == [log]
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "expected"),
+    [
+        ("linux", {}, False),
+        ("linux", {"DISPLAY": ""}, False),
+        ("linux", {"DISPLAY": ":0"}, True),
+        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ("darwin", {}, True),
+        ("win32", {}, True),
+    ],
+)
+def test_there_is_a_display_where_a_window_can_open(
+    platform: str, variables: dict[str, str], expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.platform", platform)
+    assert viewer.has_display() is expected
+
+
+def free_ports(count: int) -> list[int]:
+    with contextlib.ExitStack() as stack:
+        taken = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [each.getsockname()[1] for each in taken]
+
+
+def listening(process: psutil.Process) -> dict[int, str]:
+    """Address by port of what a process listens on."""
+    return {
+        connection.laddr.port: connection.laddr.ip
+        for connection in process.net_connections("tcp")
+        if connection.status == psutil.CONN_LISTEN
+    }
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one process alone")
+def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_the_command(drive: Path) -> None:
+    web_port, port = free_ports(2)
+    flags = ("--web", "--web-port", web_port, "--port", port)
+    with Process(command("bc-play", drive.with_suffix(".mcap"), *flags)) as play:
+        play.wait_for("open that address in a browser")
+        deadline_s = time.monotonic() + PATIENCE_S
+        children: list[psutil.Process] = []
+        sockets: dict[int, str] = {}
+        while set(sockets) < {web_port, port} and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+            children = psutil.Process(play.popen.pid).children(recursive=True)
+            sockets = {at: ip for child in children for at, ip in listening(child).items()}
+        assert sockets == {web_port: "127.0.0.1", port: "127.0.0.1"}
+        with socket.create_connection(("127.0.0.1", web_port), PATIENCE_S) as page:
+            page.sendall(b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
+            assert page.recv(12).startswith(b"HTTP/1.")
+        assert play.end(signal.SIGINT) == 130
+        assert not any(child.is_running() for child in children)
+    assert f"http://127.0.0.1:{web_port}/" in play.stdout
+    assert f"127.0.0.1:{port}" in play.stdout
