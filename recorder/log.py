@@ -222,11 +222,11 @@ class Log:
             tag, size, head_length = _length_delimited(head)
             position += head_length
             if size < 0 or position + size > end:
-                break
+                raise self._damaged(f"a message on {topic} is not a CompressedImage")
             if tag >> 3 == _IMAGE_DATA_FIELD:
                 return position, size
             position += size
-        raise self._damaged(f"a message on {topic} is not a CompressedImage")
+        return end, 0  # protobuf leaves an empty field out
 
     def _slice(self, offset: int, length: int) -> bytes:
         if offset < 0 or length < 0 or offset + length > self._size:

@@ -68,14 +68,15 @@ def read_recording(folder: Path) -> Recording:
         if not text.strip() or _HEADER.match(text):
             continue
         try:
-            names, values = _parse(text, rows[-1].speed_mph if rows else 0.0)
+            names, rest = _names(text)
+            used.update(names)
+            values = _values(rest, rows[-1].speed_mph if rows else 0.0)
             time_ns = _time_ns(names)
         except ValueError as error:
             skipped.add(f"rows with {error}", f"line {line}")
             continue
         found: dict[Camera, Path] = {}
         for camera, name in zip(CAMERAS, names, strict=True):
-            used.add(name)
             if name in pictures:
                 found[camera] = pictures[name]
             else:
@@ -98,13 +99,13 @@ def _lines(csv: Path) -> list[str]:
     return [os.fsdecode(line) for line in csv.read_bytes().removeprefix(b"\xef\xbb\xbf").splitlines()]
 
 
-def _parse(text: str, speed_before_mph: float) -> tuple[tuple[str, str, str], tuple[float, float, float, float]]:
-    """The three file names (centre, left, right) and the four values of a line; ValueError says what is wrong."""
+def _names(text: str) -> tuple[tuple[str, str, str], str]:
+    """The file names (centre, left, right) of a line, and what follows them; ValueError says what is wrong."""
     match = _PATHS.match(text)
     if match is None:
         raise ValueError("fewer than three pictures, or cut off")
     center, left, right = (re.split(r"[/\\]", path)[-1].strip() for path in match.group(1, 2, 3))
-    return (center, left, right), _values(match.group(4), speed_before_mph)
+    return (center, left, right), match.group(4)
 
 
 def _values(text: str, speed_before_mph: float) -> tuple[float, float, float, float]:

@@ -151,7 +151,16 @@ def test_a_picture_is_found_whatever_the_order_of_its_messages_fields(tmp_path: 
         assert plain_read(path, int(pictures.offset[0]), int(pictures.length[0])) == b"the picture"
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff" * 40, b"\x12\x7fshort", FORMAT, b"\x12"])
+@pytest.mark.parametrize("data", [b"", FORMAT], ids=["no field at all", "a format only"])
+def test_an_empty_picture_has_no_bytes(tmp_path: Path, data: bytes) -> None:
+    """Protobuf leaves an empty field out; the other pictures of the log are none the worse for it."""
+    path = tmp_path / "other.mcap"
+    write_raw(path, CompressionType.NONE, data)
+    with Log(path) as log:
+        assert log.pictures("/camera/center").length.tolist() == [0]
+
+
+@pytest.mark.parametrize("data", [b"\xff" * 40, b"\x12\x7fshort", b"\x12"])
 def test_a_message_that_is_no_picture_is_a_log_error(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "other.mcap"
     write_raw(path, CompressionType.NONE, data)
