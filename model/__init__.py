@@ -9,19 +9,19 @@ if TYPE_CHECKING:
     from model.errors import RunError
     from model.pilot import Pilot, load_pilot
     from model.run import find_run
-    from model.train import Epoch, train
+    from model.training import Epoch, train
 
 __all__ = ["Epoch", "Pilot", "RunError", "TrainConfig", "find_run", "load_pilot", "train"]
 
 __getattr__ = lazy_names(
     __name__,
     {
-        "Epoch": "model.train",
+        "Epoch": "model.training",
         "Pilot": "model.pilot",
         "RunError": "model.errors",
         "TrainConfig": "model.config",
         "find_run": "model.run",
         "load_pilot": "model.pilot",
-        "train": "model.train",
+        "train": "model.training",
     },
 )

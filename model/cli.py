@@ -13,7 +13,7 @@ from common.command import DONE, run_command, stderr
 from model.config import TrainConfig
 
 if TYPE_CHECKING:
-    from model.train import Epoch
+    from model.training import Epoch
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def train(config: Train) -> int:
     from dataset.index import SAMPLES_NAME
     from model.network import PARAMETERS
     from model.run import WEIGHTS
-    from model.train import train as train_network
+    from model.training import train as train_network
 
     if not (config.index / SAMPLES_NAME).exists():
         stderr().print(f"{config.index}: no index yet; building it from {config.sessions}")

@@ -11,7 +11,7 @@ import torch
 from dataset.preprocess import Image, preprocess
 from model.network import SteeringNetwork
 from model.run import checksum, load_config, load_network
-from model.train import as_input
+from model.training import as_input
 
 
 class Pilot:

@@ -8,11 +8,17 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+import torch
 
-from dataset import build_index
+from dataset import IndexConfig, build_index, decode
+from driving import DriveProcess
 from logs import plain_read, read_messages
+from model import TrainConfig, load_pilot, train
 from recorder import import_udacity
 from recorder.topics import CAMERAS
+from simulator.client import SimulatorClient
+from simulator.replay import replay
+from viz import save_rrd
 
 
 @pytest.mark.parametrize(
@@ -49,3 +55,32 @@ def test_every_picture_and_value_of_a_real_recording(
         expected = files[frame["camera"], frame["row"]]
         assert plain_read(done.path, frame["offset"], frame["length"]) == expected
         assert frame["steering"] == float(recorded[frame["row"]][3])
+
+
+def test_the_whole_chain_on_a_real_recording(recordings: Path, tmp_path: Path) -> None:
+    """Index, train, drive 300 of its pictures over the real wire, and play: nothing is lost on the way."""
+    log = import_udacity(recordings / "jungle_linux", tmp_path / "jungle.mcap").path
+    build_index([log], tmp_path / "index", IndexConfig(cameras=("center",), flip=False))
+    run = tmp_path / "runs" / "real"
+    [epoch] = train(tmp_path / "index", run, TrainConfig(epochs=1))
+    assert epoch.training_loss > 0
+
+    pictures = [path.read_bytes() for path in sorted((recordings / "jungle_linux" / "IMG").glob("center_*"))[:300]]
+    with DriveProcess(run, tmp_path / "run.mcap") as drive:
+        client = SimulatorClient(port=drive.wait_until_it_listens())
+        commands = replay(client, pictures)
+        assert drive.end() == 0
+    assert (client.telemetries, len(commands), client.bad_steers) == (300, 300, 0)
+
+    driven = read_messages(drive.log)
+    assert [image.data for _, image in driven["/camera/center"]] == pictures
+    torch.set_num_threads(1)  # as in the server
+    pilot = load_pilot(run)
+    for picture, (_, crop), (_, command) in zip(
+        pictures, driven["/pilot/input"], driven["/pilot/command"], strict=True
+    ):
+        assert pilot.predict(pilot.crop(decode(picture))) == command.predicted_steering
+        assert pilot.predict(decode(crop.data)) == command.predicted_steering
+
+    save_rrd(drive.log, tmp_path / "run.rrd")
+    assert (tmp_path / "run.rrd").stat().st_size > sum(map(len, pictures))

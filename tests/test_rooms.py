@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -81,7 +82,7 @@ def test_every_module_begins_by_saying_what_it_is() -> None:
     ("rooms", "unloaded"),
     [
         (
-            "dataset, model, model.train",
+            "dataset, model, model.training",
             ["rerun", "socketio", "engineio", "eventlet", "websocket", "viz", "drive"],
         ),
         ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch"]),
@@ -111,3 +112,13 @@ def test_nothing_is_ever_unpickled() -> None:
             flags = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
             assert flags.get("allow_pickle", "False") == "False", f"{path}:{node.lineno}"
             assert flags.get("shell", "False") == "False", f"{path}:{node.lineno}"
+
+
+@pytest.mark.parametrize("room", ["model", "drive"])
+def test_a_rooms_public_names_are_not_hidden_by_its_modules(room: str) -> None:
+    """They are imported when first used; a module of the same name would then stand in their place."""
+    package = importlib.import_module(room)
+    modules = {path.stem for path in (ROOT / room).glob("*.py")}
+    assert modules.isdisjoint(package.__all__)
+    for name in package.__all__:
+        assert getattr(package, name).__module__.startswith(f"{room}.")

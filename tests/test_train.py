@@ -29,7 +29,7 @@ from model import Epoch, RunError, TrainConfig, find_run, load_pilot, train
 from model.cli import main
 from model.measures import constant_errors, errors
 from model.network import SteeringNetwork
-from model.train import as_input
+from model.training import as_input
 from recorder import Log
 from recorder.topics import Camera
 from udacity import call
