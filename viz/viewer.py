@@ -31,9 +31,11 @@ def viewer_program() -> Path:
 @contextlib.contextmanager
 def open_viewer(rrd: Path, *, web: bool, web_port: int, port: int) -> Iterator[subprocess.Popen[bytes]]:
     """Open `rrd` in a window, or serve it to browsers on this machine; the viewer ends with the context."""
-    command = [str(viewer_program()), "--bind", LOCAL, "--port", str(port), str(rrd)]
+    command = [str(viewer_program()), str(rrd), "--bind", LOCAL]
     if web:
-        command += ["--serve-web", "--web-viewer-port", str(web_port)]
+        command += ["--serve-web", "--web-viewer-port", str(web_port), "--port", str(port)]
+    else:
+        command += ["--port", "auto"]  # a window of its own, also beside another viewer
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
         yield viewer
