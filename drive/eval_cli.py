@@ -68,19 +68,11 @@ def evaluate(config: Eval) -> int:
 
 
 def _table(results: list[Result]) -> Table:
-    table = Table(title="distances are from the centre line, as shares of the road's half width")
-    for heading in (
-        "track",
-        "mph set",
-        "mph",
-        "laps",
-        "interventions",
-        "autonomy",
-        "mean",
-        "largest",
-        "steering/s",
-    ):
-        table.add_column(heading, justify="left" if heading == "track" else "right")
+    # narrow enough for a terminal of 80 columns
+    title = "distances from the centre line are shares of the road's half width"
+    table = Table(title=title, box=None, pad_edge=False)
+    for heading in ("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"):
+        table.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
     for result in results:
         book = result.book
         table.add_row(
