@@ -31,7 +31,8 @@ class Skipped:
         self._items: list[tuple[str, str]] = []
 
     def add(self, reason: str, name: str) -> None:
-        self._items.append((reason, name))
+        """A name may come from any file system: what is not UTF-8 in it is shown escaped."""
+        self._items.append((reason, name.encode("utf-8", "backslashreplace").decode("utf-8")))
 
     def __len__(self) -> int:
         return len(self._items)

@@ -56,6 +56,7 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
         yield part
         with part.open("rb+") as stream:
             os.fsync(stream.fileno())
-        publish(part, path, overwrite)
-    finally:
+    except BaseException:
         part.unlink(missing_ok=True)
+        raise
+    publish(part, path, overwrite)

@@ -2,7 +2,7 @@
 
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.index import Indexed, build_index, find_logs
+from dataset.index import Indexed, build_index, find_logs, sessions_not_indexed
 from dataset.loader import Batch, Loader, Samples
 from dataset.preprocess import decode, preprocess
 from recorder.topics import MAX_STEERING_DEG
@@ -19,4 +19,5 @@ __all__ = [
     "decode",
     "find_logs",
     "preprocess",
+    "sessions_not_indexed",
 ]

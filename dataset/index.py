@@ -58,6 +58,12 @@ def find_logs(sessions: Sequence[str], folder: Path) -> list[Path]:
     return list(by_name.values())
 
 
+def sessions_not_indexed(index: Path, folder: Path) -> list[str]:
+    """Names of the logs in `folder` that the index does not hold (by choice, or because they are newer)."""
+    held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs", {})
+    return [name for log in sorted(folder.glob("*.mcap")) if (name := session_name(log)) not in held]
+
+
 def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = None) -> Indexed:
     """Bring `index` up to date: it then holds the sessions of `logs`, and only those."""
     config = config or IndexConfig()
@@ -66,10 +72,14 @@ def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = 
     tables: list[pa.Table] = []
     read: list[str] = []
     sources: dict[str, dict[str, str]] = {}
+    by_content: dict[str, Path] = {}  # twice the same pictures could be on both sides of the split
     for path in track(logs, "indexing", len(logs)):
         name = session_name(path)
         with Log(path) as log:
             metadata = frames_metadata(log, index, config)
+            if other := by_content.get(metadata["fingerprint"]):
+                raise DatasetError(f"{path} and {other}: the same recording twice; index only one of them")
+            by_content[metadata["fingerprint"]] = path
             sources[name] = {key: metadata[key] for key in ("log", "fingerprint")}
             file = frames_folder / f"{name}.parquet"
             table = _stored_frames(file, metadata)

@@ -30,7 +30,10 @@ def decode(encoded: bytes) -> Image:
     """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is not a picture."""
     if not encoded:
         raise ValueError("empty picture")
-    picture = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
+    try:
+        picture = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:  # a header that promises more pixels than OpenCV allows
+        picture = None
     if picture is None:
         raise ValueError(f"{len(encoded)} bytes that are not a picture")
     return picture.astype(np.uint8, copy=False)

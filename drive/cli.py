@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -64,13 +63,17 @@ def drive(config: Drive) -> int:
             set_speed_mph=config.speed,
             say=lambda text: console.print(f"bc-drive: {text}"),
         )
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: server.stop())
+        server.stop_on_signals()
         if course is None:
             console.print(f"bc-drive: {pilot.run} is waiting for a simulator on {config.host}:{server.port}")
             server.run()
         else:
-            drive_built_in(server, course)
+            book = drive_built_in(server, course)
+            if book:
+                print(
+                    f"{course.track}: {book['laps']:.2f} laps, {book['interventions']} interventions,"
+                    f" autonomy {book['autonomy_percent']:.1f} %"
+                )
     extra = f", {server.malformed:,} malformed telemetries" if server.malformed else ""
     print(f"{path}: {server.frames:,} frames{extra}; look at it with `bc-play {path}`")
     return DONE

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from common.files import refuse_existing
 from drive.errors import DriveError
 from drive.server import DriveServer, open_log
 from drive.speed import check_set_speed
@@ -57,15 +58,25 @@ def evaluate(
 
     Raises DriveError where the simulator fails, UserError where a log exists and may not be overwritten.
     """
-    for course in courses:
-        track = course.track.replace(":", "-")
-        path = logs / f"{pilot.run}-{track}-{course.set_speed_mph:g}mph.mcap"
+    paths = [_log_path(pilot, course, logs) for course in courses]
+    for path in paths:  # before the first drive, not after it
+        refuse_existing(path, overwrite)
+    if len(set(paths)) < len(paths):
+        raise DriveError("the same track at the same speed is named twice")
+    for course, path in zip(courses, paths, strict=True):
         said(f"{pilot.run} on {course.track} at {course.set_speed_mph:g} mph, {course.laps:g} laps")
         with open_log(path, pilot, course.set_speed_mph, overwrite=overwrite) as log:
             server = DriveServer(pilot, log, port=0, set_speed_mph=course.set_speed_mph)
+            server.stop_on_signals()
             book = drive_built_in(server, course)
+            if not book:
+                raise KeyboardInterrupt
             log.add_metadata("bc.drive", {name: str(value) for name, value in book.items()})
         yield Result(course, path, book)
+
+
+def _log_path(pilot: Pilot, course: Course, logs: Path) -> Path:
+    return logs / f"{pilot.run}-{course.track.replace(':', '-')}-{course.set_speed_mph:g}mph.mcap"
 
 
 def drive_built_in(server: DriveServer, course: Course, *, real_time: bool = False) -> dict[str, Any]:
@@ -84,12 +95,13 @@ def drive_built_in(server: DriveServer, course: Course, *, real_time: bool = Fal
 
 @contextmanager
 def _simulator(course: Course, port: int, real_time: bool) -> Iterator[subprocess.Popen[bytes]]:
+    # In a session of its own, Ctrl-C reaches only us, and the drive ends between two telemetries.
     command = [
         *(sys.executable, "-m", "simulator.cli", "--json", "--port", str(port)),
         *("--track", course.track, "--laps", str(course.laps)),
         *(["--real-time"] if real_time else []),
     ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
     try:
         yield process
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -54,6 +55,8 @@ class Driver:
         decoded_s = time.perf_counter()
         predicted = self._pilot.predict(crop)
         predicted_s = time.perf_counter()
+        if not math.isfinite(predicted):
+            return Decision(self._steering, 0.0, telemetry.decimal_comma, problem="the network gave no number")
         self._steering = min(max(predicted, -1.0), 1.0)
         self._decimal_comma = telemetry.decimal_comma
         return Decision(
@@ -66,6 +69,11 @@ class Driver:
             (decoded_s - start_s) * 1e3,
             (predicted_s - decoded_s) * 1e3,
         )
+
+    @property
+    def decimal_comma(self) -> bool:
+        """How this simulator's machine writes numbers, as far as it has told."""
+        return self._decimal_comma
 
     @property
     def set_speed_mph(self) -> float:

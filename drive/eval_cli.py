@@ -55,15 +55,21 @@ def evaluate(config: Eval) -> int:
     courses = [Course(track, config.laps, speed) for speed in config.speed for track in config.simulator]
     console = stderr()
     results = []
-    for result in evaluate_run(
-        pilot, courses, config.logs, overwrite=config.force, said=lambda text: console.print(f"bc-eval: {text}")
-    ):
-        results.append(result)
-        if config.json:
-            print(json.dumps(result.as_dict()), flush=True)
-    if not config.json:
-        Console(highlight=False).print(_table(results))
-        print(f"look at a drive with `bc-play {results[-1].log}`")
+    try:
+        for result in evaluate_run(
+            pilot,
+            courses,
+            config.logs,
+            overwrite=config.force,
+            said=lambda text: console.print(f"bc-eval: {text}"),
+        ):
+            results.append(result)
+            if config.json:
+                print(json.dumps(result.as_dict()), flush=True)
+    finally:  # what was measured is shown, whatever stops the rest
+        if results and not config.json:
+            Console(highlight=False).print(_table(results))
+            print(f"look at a drive with `bc-play {results[-1].log}`", flush=True)
     return DONE
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -48,7 +49,6 @@ class DriveServer:
         self._server = socketio.Server(
             async_mode="eventlet",
             async_handlers=False,
-            cors_allowed_origins=[],
             # above it the connection is cut; a picture that is too large is answered first
             max_http_buffer_size=4 * MAX_IMAGE_BYTES,
         )
@@ -72,8 +72,8 @@ class DriveServer:
                 # a tick, because a signal does not wake eventlet, and a flush is due also while nothing arrives
                 eventlet.sleep(TICK_S)
                 self._log.flush_if_due()
-            for sid in list(self._drivers):
-                self._emit(sid, 0.0, 0.0, False)  # the car keeps its last command: let it roll out
+            for sid, driver in list(self._drivers.items()):
+                self._emit(sid, 0.0, 0.0, driver.decimal_comma)  # the car keeps its last command: let it roll out
             eventlet.sleep(TICK_S)
         finally:
             web.kill()
@@ -81,6 +81,11 @@ class DriveServer:
 
     def stop(self) -> None:
         self._stopped = True
+
+    def stop_on_signals(self) -> None:
+        """Let Ctrl-C and `kill` end `run()` between two telemetries, and never in the middle of one."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: self.stop())
 
     def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
         self._log.event("connected")

@@ -35,7 +35,7 @@ class Train:
 
 
 def train(config: Train) -> int:
-    from dataset import build_index, find_logs
+    from dataset import build_index, find_logs, sessions_not_indexed
     from dataset.index import SAMPLES_NAME
     from model.network import PARAMETERS
     from model.run import WEIGHTS
@@ -44,6 +44,10 @@ def train(config: Train) -> int:
     if not (config.index / SAMPLES_NAME).exists():
         stderr().print(f"{config.index}: no index yet; building it from {config.sessions}")
         build_index(find_logs((), config.sessions), config.index)
+    elif absent := sessions_not_indexed(config.index, config.sessions):
+        stderr().print(
+            f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
+        )
     run = config.runs / (config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S"))
     print(f"{run}: {PARAMETERS:,} parameters, {config.config.epochs} epochs", flush=True)
     train_network(config.index, run, config.config, report_epoch)

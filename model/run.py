@@ -7,8 +7,12 @@ runs/NAME/metrics.jsonl       one line an epoch
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import math
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,9 +46,27 @@ def save_weights(folder: Path, network: SteeringNetwork) -> None:
         save_file(weights, part)
 
 
+@contextlib.contextmanager
+def kept_if_trained(folder: Path) -> Iterator[None]:
+    """Around the training of the run in `folder`, which this process has made: if that is stopped before its first
+    epoch is finished, the folder goes, and its name is free again."""
+    try:
+        yield
+    finally:
+        if not (folder / WEIGHTS).exists():
+            shutil.rmtree(folder)
+
+
 def add_metrics(folder: Path, metrics: dict[str, Any]) -> None:
+    """Add a line of JSON, in which a measure that does not exist (NaN) is null."""
+    metrics = {
+        name: {key: None if isinstance(v, float) and math.isnan(v) else v for key, v in value.items()}
+        if isinstance(value, dict)
+        else value
+        for name, value in metrics.items()
+    }
     with (folder / METRICS).open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(metrics) + "\n")
+        stream.write(json.dumps(metrics, allow_nan=False) + "\n")
 
 
 def newest_run(runs: Path) -> Path:

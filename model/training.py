@@ -28,7 +28,7 @@ from model.config import Precision, TrainConfig
 from model.errors import RunError
 from model.measures import Errors, constant_errors, errors
 from model.network import PARAMETERS, SteeringNetwork
-from model.run import add_metrics, create_run, save_weights
+from model.run import add_metrics, create_run, kept_if_trained, save_weights
 
 # The gradient of a batch is summed over parts of this size, which stay in the processor's cache: measured 410-480
 # samples/s against 370 for the whole batch at once.
@@ -87,7 +87,7 @@ def _train(
     create_run(run, _provenance(samples, config, dtype))
 
     history: list[Epoch] = []
-    with progress_bar() as progress:
+    with kept_if_trained(run), progress_bar() as progress:
         for number in range(1, config.epochs + 1):
             task = progress.add_task(f"epoch {number}/{config.epochs}", total=len(training), note="")
             start_s = time.perf_counter()

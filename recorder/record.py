@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 from common import Skipped
 from common.progress import track
 from recorder.bc_pb2 import VehicleState
@@ -14,6 +17,15 @@ from recorder.udacity import Recording, Row, read_recording
 from recorder.writer import LogWriter
 
 JPEG_START, JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+
+
+def _is_whole_jpeg(data: bytes) -> bool:
+    if not data.startswith(JPEG_START) or JPEG_END not in data[-64:]:  # some cameras pad the end
+        return False
+    try:  # an eighth of the size: a fraction of the time, and the whole file is still read through
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
+    except cv2.error:
+        return False
 
 
 @dataclass(frozen=True)
@@ -49,7 +61,7 @@ def _write_rows(writer: LogWriter, rows: Iterable[Row], recording: Recording) ->
             if path is None:
                 continue
             jpeg = path.read_bytes()
-            if not jpeg.startswith(JPEG_START) or JPEG_END not in jpeg[-64:]:  # some cameras pad the end
+            if not _is_whole_jpeg(jpeg):
                 recording.skipped.add("pictures that are not whole JPEG files", path.name)
                 continue
             writer.picture(camera, row.time_ns, sequence, jpeg)

@@ -28,6 +28,7 @@ _HEADER = re.compile(r'^\s*"?center"?\s*,', re.IGNORECASE)
 _WHOLE = re.compile(r"-?(0|[1-9]\d*)$")
 _FRACTION = re.compile(r"\d*[1-9]([eE][+-]?\d+)?$")  # the simulator prints no trailing zeros
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,17 @@ def read_recording(folder: Path) -> Recording:
     pictures = _find_pictures(folder, skipped)
     rows: list[Row] = []
     used: set[str] = set()
+    seen: set[tuple[str, str, str]] = set()
     for line, text in enumerate(_lines(csv), start=1):
         if not text.strip() or _HEADER.match(text):
             continue
         try:
             names, rest = _names(text)
+            if names in seen:
+                raise ValueError(
+                    "the pictures of an earlier row"
+                )  # twice the same, it could be on both sides of a split
+            seen.add(names)
             used.update(names)
             values = _values(rest, rows[-1].speed_mph if rows else 0.0)
             time_ns = _time_ns(names)
@@ -161,7 +168,8 @@ def _time_ns(names: tuple[str, str, str]) -> int:
                 moment = datetime(year, month, day, hour, minute, second, ms * 1000, tzinfo=UTC)
             except ValueError:
                 continue
-            return (moment - _EPOCH) // timedelta(microseconds=1) * 1000
+            if _EPOCH <= moment < _LAST:
+                return (moment - _EPOCH) // timedelta(microseconds=1) * 1000
     raise ValueError("no time in their pictures' names")
 
 

@@ -15,9 +15,14 @@ def replay(client: SimulatorClient, jpegs: Iterable[bytes], speed_mph: float = 9
     pictures = iter(jpegs)
     commands: list[Steer] = []
     waiting = 0  # telemetries in flight
+    lost = 0  # unreadable answers, which this client never hears of
+    connection = 0
 
     def next_telemetry(answer: Answer) -> Told:
-        nonlocal waiting
+        nonlocal waiting, lost, connection
+        if client.connections != connection:  # whatever was in flight on the last one is lost
+            waiting, connection = 0, client.connections
+        waiting, lost = waiting - (client.bad_steers - lost), client.bad_steers
         if isinstance(answer, Steer):
             commands.append(answer)
             waiting -= 1

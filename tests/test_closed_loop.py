@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -211,6 +213,21 @@ def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_ru
     log = tmp_path / "run.mcap"
     done = run("bc-drive", pilot_run, "--log", log, "--port", 0, "--simulator", "lake", "--laps", 0.005)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"{log}: ")
+    driven, logged = done.stdout.splitlines()
+    assert driven.startswith("lake: ")
+    assert "interventions" in driven
+    assert logged.startswith(f"{log}: ")
     with Log(log) as written:
         assert written.counts["/camera/center"] == written.counts["/pilot/command"] > 10
+
+
+def test_an_evaluation_that_is_stopped_ends_and_keeps_what_it_drove(pilot_run: Path, tmp_path: Path) -> None:
+    arguments = (pilot_run, "--simulator", "lake", "--laps", 1, "--logs", tmp_path / "drives")
+    with Child(command("bc-eval", *arguments)) as process:
+        process.wait_for("connecting to")
+        while not any(part.stat().st_size > 100_000 for part in (tmp_path / "drives").glob("*.part")):
+            assert process.popen.poll() is None, process.stderr
+            time.sleep(0.05)  # until it is in the middle of driving
+        assert process.end(signal.SIGTERM) == 130
+    assert "Traceback" not in "\n".join(process.stderr)
+    assert [path.suffix for path in (tmp_path / "drives").iterdir()] == [".mcap"]

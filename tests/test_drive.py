@@ -419,3 +419,12 @@ def test_no_run_is_one_line(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "bc-train" in one_line_of(done)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_web_page_of_another_site_is_not_let_in(pilot_run: Path, tmp_path: Path) -> None:
+    """A page in the user's browser can reach this machine's ports; its requests carry where it comes from."""
+    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+        url = f"ws://127.0.0.1:{process.wait_until_it_listens()}/socket.io/?EIO=4&transport=websocket"
+        with pytest.raises(websocket.WebSocketBadStatusException):
+            websocket.create_connection(url, timeout=PATIENCE_S, origin="http://elsewhere.example")
+        websocket.create_connection(url, timeout=PATIENCE_S, suppress_origin=True).close()

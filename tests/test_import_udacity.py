@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -382,3 +383,32 @@ def test_every_split_of_a_decimal_comma_row_that_is_written_is_read(tmp_path: Pa
     make_recording(tmp_path, csv, range(len(rows)))
     expected = [tuple(float(cell.replace(",", ".")) for cell in row) for row in rows]
     assert values_of(imported(tmp_path).path) == expected
+
+
+def test_a_row_that_comes_twice_is_taken_once(tmp_path: Path) -> None:
+    """Twice in a log, a picture could be on both sides of the split."""
+    make_recording(tmp_path, three_rows() + three_rows())
+    done = imported(tmp_path)
+    assert values_of(done.path) == VALUES
+    assert done.skipped.counts == {"rows with the pictures of an earlier row": 3}
+
+
+def test_a_name_that_is_not_utf8_is_named_escaped(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows())
+    (tmp_path / "IMG" / os.fsdecode(b"caf\xe9.jpg")).write_bytes(jpeg(1))
+    assert [name for _, name in imported(tmp_path).skipped] == ["caf\\udce9.jpg"]
+
+
+@pytest.mark.parametrize("year", ["1960", "2300"])
+def test_a_time_that_no_log_can_hold_costs_the_row(tmp_path: Path, year: str) -> None:
+    names = ",".join(f"IMG/{camera}_{year}_01_01_00_00_00_000.jpg" for camera in CAMERAS)
+    make_recording(tmp_path, f"{three_rows()}{names},0,0,0,1\n")
+    done = imported(tmp_path)
+    assert (done.rows, done.skipped.counts) == (3, {"rows with no time in their pictures' names": 1})
+
+
+def test_a_file_that_only_begins_and_ends_like_a_jpeg_is_left_out(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows())
+    broken = picture_name("left", 2)
+    (tmp_path / "IMG" / broken).write_bytes(b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9")
+    assert [name for _, name in imported(tmp_path).skipped] == [broken]

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
-from common import UserError
+from common import UserError, whole_file
 from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -377,3 +377,17 @@ def test_the_fingerprint_is_the_contents_not_the_files(tmp_path: Path) -> None:
     shutil.copy(path, copied)
     assert fingerprint(path) == fingerprint(copied) == fingerprint(write_log(tmp_path / "c.mcap", [0.1, 0.2]))
     assert fingerprint(path) != fingerprint(write_log(tmp_path / "d.mcap", [0.1, 0.25]))
+
+
+def test_what_was_made_stays_if_its_name_is_taken_meanwhile(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+
+    def write() -> None:
+        with whole_file(path, overwrite=False) as part:
+            part.write_text("mine")
+            path.write_text("theirs")
+
+    with pytest.raises(UserError, match=r"file\.txt\.[0-9a-f]+\.part"):
+        write()
+    assert sorted(file.read_text() for file in tmp_path.iterdir()) == ["mine", "theirs"]
+    assert path.read_text() == "theirs"

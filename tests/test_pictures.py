@@ -330,3 +330,13 @@ def test_a_broken_picture_names_its_log_and_its_place(tmp_path: Path) -> None:
             list(Loader(samples, samples.table, batch=2).epoch(0))
     finally:
         samples.close()
+
+
+def test_a_header_that_promises_too_many_pixels_is_no_picture() -> None:
+    ok, encoded = cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))
+    assert ok
+    data = bytearray(encoded.tobytes())
+    size = data.index(b"\xff\xc0") + 5  # of the frame header: height and width, two bytes each
+    data[size : size + 4] = (65500).to_bytes(2, "big") * 2
+    with pytest.raises(ValueError, match="not a picture"):
+        decode(bytes(data))
