@@ -216,7 +216,7 @@ def test_validation_is_as_near_to_its_share_as_whole_blocks_allow(
 
 def test_another_session_moves_no_ones_split(tmp_path: Path) -> None:
     alone = rows_of(index_of(tmp_path, a=STEERING).path / "frames" / "a.parquet")
-    together = rows_of(index_of(tmp_path, a=STEERING, b=STEERING).path / "frames" / "a.parquet")
+    together = rows_of(index_of(tmp_path, a=STEERING, b=STEERING[::-1]).path / "frames" / "a.parquet")
     assert [row["split"] for row in alone] == [row["split"] for row in together]
 
 
@@ -259,7 +259,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
 
 
 def test_only_what_changed_is_read_again(tmp_path: Path) -> None:
-    logs = [write_log(tmp_path / f"{name}.mcap", STEERING) for name in "ab"]
+    logs = [write_log(tmp_path / "a.mcap", STEERING), write_log(tmp_path / "b.mcap", STEERING[::-1])]
     index = tmp_path / "index"
 
     def read_again(config: IndexConfig = BLOCKS) -> list[str]:
@@ -285,7 +285,7 @@ def test_only_what_changed_is_read_again(tmp_path: Path) -> None:
 
 
 def test_a_session_that_is_gone_vanishes_and_strangers_files_stay(tmp_path: Path) -> None:
-    indexed = index_of(tmp_path, a=STEERING, b=STEERING)
+    indexed = index_of(tmp_path, a=STEERING, b=STEERING[::-1])
     note = indexed.path / "frames" / "mine.parquet"
     note.write_bytes(b"not ours")
     (tmp_path / "b.mcap").unlink()
@@ -296,6 +296,13 @@ def test_a_session_that_is_gone_vanishes_and_strangers_files_stay(tmp_path: Path
 
 
 # Errors and the command
+
+
+def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
+    """Each name has a split of its own: a picture could be on both sides."""
+    logs = [write_log(tmp_path / f"{name}.mcap", STEERING) for name in "ab"]
+    with pytest.raises(DatasetError, match=r"b\.mcap and .*a\.mcap: the same recording twice"):
+        build_index(logs, tmp_path / "index", BLOCKS)
 
 
 def test_no_sessions_is_an_error_with_the_next_command(tmp_path: Path) -> None:
