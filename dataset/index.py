@@ -47,7 +47,7 @@ def find_logs(sessions: Sequence[str], folder: Path) -> list[Path]:
     else:
         logs = sorted(folder.glob("*.mcap"))
         if not logs:
-            raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME --from FOLDER`")
+            raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
     by_name: dict[str, Path] = {}
     for log in logs:
         if not log.is_file():

@@ -17,6 +17,7 @@ from drive.errors import DriveError
 from drive.server import DriveServer, open_log
 from drive.speed import check_set_speed
 from model import Pilot
+from simulator.track import load_track
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,10 @@ class Course:
         check_set_speed(self.set_speed_mph)
         if not 0 < self.laps < math.inf:
             raise DriveError(f"--laps {self.laps:g}: how far to drive is a number above 0")
+        try:
+            load_track(self.track)
+        except ValueError as error:
+            raise DriveError(str(error)) from None
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 
 from common import whole_file
 from dataset.preprocess import DESCRIPTION
@@ -43,7 +43,7 @@ def save_weights(folder: Path, network: SteeringNetwork) -> None:
     """Replace the run's weights in one step: a full disk or a crash leaves the old ones."""
     weights = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
     with whole_file(folder / WEIGHTS, overwrite=True) as part:
-        save_file(weights, part)
+        part.write_bytes(save(weights))  # `save_file` would let nobody else read them
 
 
 @contextlib.contextmanager

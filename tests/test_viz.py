@@ -20,6 +20,7 @@ from common import UserError
 from driving import PATIENCE_S, Process, command, one_line_of, road_jpeg, run
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.simulated import SimulatedDrive, record_simulated
 from viz import save_rrd, viewer
 
 ROWS = 40
@@ -218,3 +219,15 @@ def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_the_command(d
         assert not any(child.is_running() for child in children)
     assert f"http://127.0.0.1:{web_port}/" in play.stdout
     assert f"127.0.0.1:{port}" in play.stdout
+
+
+def test_a_log_damaged_in_the_middle_is_one_line_and_an_end(tmp_path: Path) -> None:
+    """Rerun is not started for it: it would not end."""
+    log = record_simulated(SimulatedDrive(laps=0.01), tmp_path / "drive.mcap").path
+    with log.open("rb+") as stream:
+        stream.seek(log.stat().st_size // 2)
+        stream.write(bytes(100_000))
+    done = run("bc-play", log, "--save", tmp_path / "out.rrd")
+    assert done.returncode == 1
+    assert "damaged" in one_line_of(done)
+    assert not list(tmp_path.glob("*.rrd*"))

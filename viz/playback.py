@@ -27,12 +27,15 @@ def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> None:
     Raises LogError if the log cannot be read, UserError if `rrd` exists and may not be overwritten.
     """
     with Log(path) as log, whole_file(rrd, overwrite=overwrite) as part:
+        # Both come before Rerun starts: of a damaged log, or a folder that cannot be written, it makes a hang.
+        drawn = list(curves(log))
+        part.touch()
         recording = rr.RecordingStream(APPLICATION, recording_id=f"{path.name}-{log.fingerprint[:12]}")
         topics = [topic for topic, count in log.counts.items() if count]
         recording.save(part, default_blueprint=layout.log_layout(topics))
         recording.send_recording_name(path.name)
         recording.log_file_from_path(path)
-        for curve, time_ns, values in curves(log):
+        for curve, time_ns, values in drawn:
             _send(recording, curve, time_ns, values)
         recording.flush()
         recording.disconnect()
