@@ -84,10 +84,10 @@ def _log_path(pilot: Pilot, course: Course, logs: Path) -> Path:
     return logs / f"{pilot.run}-{course.track.replace(':', '-')}-{course.set_speed_mph:g}mph.mcap"
 
 
-def drive_built_in(server: DriveServer, course: Course, *, real_time: bool = False) -> dict[str, Any]:
+def drive_built_in(server: DriveServer, course: Course) -> dict[str, Any]:
     """Serve until the built-in simulator has driven its course or `server` is stopped; the simulator's book, empty
     if it was stopped. Raises DriveError if the simulator fails."""
-    with _simulator(course, server.port, real_time) as process:
+    with _simulator(course, server.port) as process:
         server.run(until=lambda: process.poll() is not None)
         if process.poll() is None:
             return {}
@@ -99,13 +99,12 @@ def drive_built_in(server: DriveServer, course: Course, *, real_time: bool = Fal
 
 
 @contextmanager
-def _simulator(course: Course, port: int, real_time: bool) -> Iterator[subprocess.Popen[bytes]]:
-    # In a session of its own, Ctrl-C reaches only us, and the drive ends between two telemetries.
+def _simulator(course: Course, port: int) -> Iterator[subprocess.Popen[bytes]]:
     command = [
         *(sys.executable, "-m", "simulator.cli", "--json", "--port", str(port)),
         *("--track", course.track, "--laps", str(course.laps)),
-        *(["--real-time"] if real_time else []),
     ]
+    # In a session of its own: Ctrl-C reaches only us, and the drive ends between two telemetries.
     process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
     try:
         yield process
