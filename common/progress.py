@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from types import TracebackType
+from typing import Self, TypeVar
 
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.status import Status
 
 from common.command import stderr
 
@@ -33,3 +36,28 @@ def track(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
         for item in items:
             yield item
             progress.advance(task)
+
+
+class StatusLine:
+    """One line on stderr that is rewritten while something without an end goes on; use it as a context manager.
+
+    Where stderr is not a terminal, nothing is shown: a file of messages needs no line twice a second.
+    """
+
+    def __init__(self) -> None:
+        self._status = Status("", console=stderr())
+        self._is_shown = self._status.console.is_interactive
+
+    def show(self, text: str) -> None:
+        if self._is_shown:
+            self._status.update(escape(text))
+
+    def __enter__(self) -> Self:
+        if self._is_shown:
+            self._status.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._status.stop()
