@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +35,7 @@ def publish(part: Path, path: Path, overwrite: bool) -> None:
     """
     if overwrite:
         part.replace(path)
+        _sync_folder(path.parent)
         return
     try:
         os.link(part, path)  # unlike rename, link fails if the name is taken: no window for a second writer
@@ -44,6 +46,55 @@ def publish(part: Path, path: Path, overwrite: bool) -> None:
         part.rename(path)
     else:
         part.unlink()
+    _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a new name to the disk: without this, a pulled plug may take it back."""
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        except OSError:  # some network file systems cannot
+            pass
+        finally:
+            os.close(descriptor)
+
+
+class BackgroundSync:
+    """Brings what was written of a file to the disk, on a thread of its own, because that may take a second."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = os.dup(descriptor)
+        self._wanted = threading.Event()
+        self._is_closing = False
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
+        self._thread.start()
+
+    def request(self) -> None:
+        """Have everything written until now brought to the disk, soon. Raises OSError if that failed before."""
+        if self._error is not None:
+            raise self._error
+        self._wanted.set()
+
+    def close(self) -> None:
+        self._is_closing = True
+        self._wanted.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while True:
+                self._wanted.wait()
+                self._wanted.clear()
+                if self._is_closing:
+                    return
+                os.fsync(self._descriptor)
+        except OSError as error:
+            self._error = error
+        finally:
+            os.close(self._descriptor)
 
 
 @contextlib.contextmanager

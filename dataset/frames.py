@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from common import whole_file
 from dataset.balance import bin_of
 from dataset.config import IndexConfig
-from dataset.split import block_numbers, drive_numbers, validation_blocks
+from dataset.split import block_numbers, validation_blocks
 from recorder import Log
+from recorder.quality import drive_numbers
 from recorder.topics import CAMERAS, VEHICLE, camera_topic
 
 FORMAT: Final = 1

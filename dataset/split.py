@@ -11,14 +11,6 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-NEW_DRIVE_GAP_S = 1.0  # the simulator writes at least five rows a second (measured: at most 0.22 s apart)
-
-
-def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers the drives of a session from 0: a new one begins after a gap, or where time goes backwards."""
-    step_ns = np.diff(time_ns)
-    return np.concatenate([[0], np.cumsum((step_ns > NEW_DRIVE_GAP_S * 1e9) | (step_ns < 0))])[: len(time_ns)]
-
 
 def block_numbers(time_ns: NDArray[np.int64], drive: NDArray[np.int64], block_s: float) -> NDArray[np.int64]:
     """Numbers the blocks of a session from 0: stretches of `block_s` seconds within one drive."""

@@ -1,61 +1,56 @@
 """Reading a log: what it says of itself, its vehicle states, and where in the file each picture lies.
 
-A log is read through the indexes that MCAP keeps at its end and behind each chunk; pictures are not touched
-until somebody asks for one. The file is untrusted: every offset is checked before it is followed.
+Nothing is given out of a chunk whose CRC does not hold. A log that was never finished is read as far as it
+goes, and says so (`Log.notice`).
 """
 
 from __future__ import annotations
 
+import bisect
 import hashlib
-import os
 import struct
-import sys
-import threading
+from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Final, Self, TypeVar
 
 import numpy as np
+import pyarrow as pa
 from google.protobuf.message import DecodeError
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.records import ChunkIndex
-from mcap.summary import Summary
+from mcap.records import Attachment, Channel, Schema
+from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.chunks import CHUNK_HEADER, Chunk, McapFile, StoredMessage
 from recorder.errors import LogError
+from recorder.topics import CAMERAS, Camera, camera_topic
 
-# Record layouts: https://mcap.dev/spec. All integers are little-endian.
-_MAGIC = b"\x89MCAP0\r\n"
-_RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the content
-_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log time, publish time
-_MESSAGE_INDEX = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of (log time, offset) pairs
-_CHUNK = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed size, CRC
-_CHUNK_FIXED_BYTES = _CHUNK.size + 4 + 8  # then an empty compression name and the size of the records
-_LAST_TIME_NS = 2**63 - 1  # MCAP's times are unsigned, but those of files, tables and NumPy are not
-_OP_MESSAGE, _OP_CHUNK, _OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
+UNCOMPRESSED: Final = -1
+"""In the place of a chunk's offset: the bytes lie in the file as they are."""
 
-# What mcap's reader raises on damaged bytes, a seek to before the file or far behind it among them.
-_UNREADABLE = (McapError, ValueError, EOFError, KeyError, OverflowError, MemoryError, OSError, struct.error)
+_LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, but those of files, tables and NumPy are not
+_CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each
 
 Decoded = TypeVar("Decoded", VehicleState, PilotCommand)
 
-_IMAGE_DATA_FIELD = 2  # foxglove.CompressedImage.data
-_LONGEST_FIELD_HEADER = 20  # two varints of at most ten bytes
+_IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
+_IMAGE_DATA_FIELD: Final = 2
 
 
 @dataclass(frozen=True)
 class Message:
-    """One message as it lies in the file: `data` is `length` bytes from `offset`."""
+    """One message: its content is `length` bytes from `offset`."""
 
     sequence: int
     log_time_ns: int
-    offset: int
+    offset: int  # from the start of the file, or within `chunk` unpacked
     length: int
+    chunk: int = UNCOMPRESSED  # where in the file the compressed chunk begins that holds it
 
 
 @dataclass(frozen=True)
@@ -64,53 +59,31 @@ class Pictures:
 
     sequence: NDArray[np.int64]
     log_time_ns: NDArray[np.int64]
-    offset: NDArray[np.int64]  # of the JPEG or PNG itself, from the start of the file
+    offset: NDArray[np.int64]  # of the JPEG or PNG itself, as in Message
     length: NDArray[np.int64]  # bytes
+    chunk: NDArray[np.int64]  # as in Message
 
 
 class Log:
-    """A finished log, open for reading. Use it as a context manager, or call `close()`.
+    """A log, open for reading. Use it as a context manager, or call `close()`.
 
-    Raises LogError where the file is missing, not an MCAP file, unfinished, compressed or damaged.
+    Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._file = McapFile(self.path)
         try:
-            self._stream = path.open("rb")
-        except OSError as error:
-            raise LogError(f"{path}: cannot be opened ({error.strerror}); `bc-record NAME` makes a log") from None
-        try:
-            head = self._stream.read(len(_MAGIC))
-            if head != _MAGIC:
-                raise LogError(f"{path}: not an MCAP log (it does not start with MCAP's magic bytes)")
-            self._size = os.fstat(self._stream.fileno()).st_size
-            self._lock = threading.Lock()
-            self._summary = self._read_summary()
+            self._structure = self._file.structure()
         except BaseException:
-            self._stream.close()
+            self._file.close()
             raise
-        self._topics = {channel.id: channel.topic for channel in self._summary.channels.values()}
-
-    def _read_summary(self) -> Summary:
-        self._stream.seek(0)
-        try:
-            summary = make_reader(self._stream).get_summary()
-        except _UNREADABLE:
-            summary = None
-        if summary is None or summary.statistics is None:
-            raise LogError(
-                f"{self.path}: the log has no readable end: its recording was killed, or is still going on"
-            )
-        for chunk in summary.chunk_indexes:
-            if chunk.compression:
-                raise LogError(
-                    f"{self.path}: compressed with {chunk.compression}; logs of this toolkit are uncompressed"
-                )
-        return summary
+        self._chunk_starts = [chunk.start for chunk in self.chunks]
+        self._is_verified = bytearray(len(self.chunks))
+        self._unpacked: OrderedDict[int, bytes] = OrderedDict()
 
     def close(self) -> None:
-        self._stream.close()
+        self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -121,60 +94,158 @@ class Log:
         self.close()
 
     @property
+    def problem(self) -> str:
+        """Why the log is not a finished one; empty if it is."""
+        return self._structure.problem
+
+    @property
+    def notice(self) -> str:
+        """What to tell a person before such a log is used; empty for a finished one."""
+        if not self.problem:
+            return ""
+        middle = sum(end - start for start, end in self.lost if end < self.size)
+        also = f", and {middle:,} bytes before it are damaged" if middle else ""
+        return (
+            f"{self.path}: {self.problem}{also}; what is complete in it is read."
+            f" `bc-log recover {self.path}` makes a finished log of it"
+        )
+
+    @property
+    def lost(self) -> list[tuple[int, int]]:
+        """Stretches of bytes (from, to) in which nothing whole was found; always empty for a finished log."""
+        return self._structure.lost
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file when it was opened."""
+        return self._file.size
+
+    @property
+    def chunks(self) -> list[Chunk]:
+        return self._structure.chunks
+
+    @property
+    def channels(self) -> dict[int, Channel]:
+        return self._structure.channels
+
+    @property
     def metadata(self) -> dict[str, str]:
         """The record `bc.session`: where the log comes from. Empty if it has none."""
         return self.read_metadata(topics.SESSION_METADATA)
 
     def read_metadata(self, name: str) -> dict[str, str]:
         """The last metadata record called `name`, or {}."""
-        self._stream.seek(0)
-        try:
-            records = list(make_reader(self._stream).iter_metadata())
-        except _UNREADABLE as error:
-            raise self._damaged("its metadata cannot be read") from error
-        found = [record.metadata for record in records if record.name == name]
-        return dict(found[-1]) if found else {}
+        found = [values for called, values in self.all_metadata() if called == name]
+        return found[-1] if found else {}
+
+    def all_metadata(self) -> list[tuple[str, dict[str, str]]]:
+        """Every metadata record, by name and in the order of the file."""
+        records = [self._file.metadata(offset) for offset in sorted(self._structure.metadata_at)]
+        return [(record.name, dict(record.metadata)) for record in records]
+
+    def attachments(self) -> Iterator[Attachment]:
+        return (self._file.attachment(offset) for offset in sorted(self._structure.attachments_at))
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages by topic, from the summary."""
-        assert self._summary.statistics is not None  # noqa: S101  (checked when the log was opened)
-        counts = self._summary.statistics.channel_message_counts
-        return {topic: counts.get(channel, 0) for channel, topic in self._topics.items()}
+        """Messages by topic: from the summary, if there is one."""
+        if self._structure.statistics is not None:
+            by_channel = self._structure.statistics.channel_message_counts
+        else:
+            found = np.unique(self._table["channel"], return_counts=True)
+            by_channel = dict(zip(*(column.tolist() for column in found), strict=True))
+        counts: dict[str, int] = {}
+        for number, channel in self.channels.items():
+            counts[channel.topic] = counts.get(channel.topic, 0) + by_channel.get(number, 0)
+        return counts
+
+    @property
+    def time_range_ns(self) -> tuple[int, int]:
+        """The first and the last log time; (0, 0) without messages."""
+        if self._structure.statistics is not None:
+            statistics = self._structure.statistics
+            return statistics.message_start_time, statistics.message_end_time
+        times = self._table["log_time_ns"]
+        return (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
     @property
     def fingerprint(self) -> str:
         """Tells this content from any other: SHA-256 over the chunks' headers (with the CRC of each chunk's
         content) and the file's size. It reads some 50 bytes a chunk, and changes with any picture."""
-        digest = hashlib.sha256(struct.pack("<Q", self._size))
-        for chunk in self._chunks():
-            digest.update(self._slice(chunk.chunk_start_offset, _CHUNK.size))
+        digest = hashlib.sha256(struct.pack("<Q", self.size))
+        for chunk in self.chunks:
+            header = self._file.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start))
+            has_crc = len(header) == CHUNK_HEADER.size and any(header[-4:])
+            digest.update(header if has_crc else self._file.read(chunk.start, chunk.end - chunk.start))
         return digest.hexdigest()
 
-    def read(self, offset: int, length: int) -> bytes:
-        """`length` bytes from `offset`, as `Pictures` gives them. May be called from several threads."""
-        return self._slice(offset, length)
+    def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
+        """`length` bytes from `offset`, as `Pictures` and `Message` give them. May be called from several threads.
+
+        Raises LogError where the CRC of the chunk around them does not hold; it is computed once for each chunk.
+        """
+        if chunk != UNCOMPRESSED:
+            data = self._unpacked_records(chunk)[offset : offset + length]
+            if offset < 0 or len(data) != length:
+                raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
+            return data
+        number = bisect.bisect_right(self._chunk_starts, offset) - 1
+        if number < 0 or offset + length > self.chunks[number].end:
+            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
+        if not self._is_verified[number]:
+            self._file.records(self.chunks[number])
+            self._is_verified[number] = True
+        return self._file.read(offset, length)
+
+    def frames(self) -> pa.Table:
+        """The cameras' pictures, one a row, in the order of the file: row (the frame's number in the log), camera,
+        log_time_ns, offset, length and chunk (for `read`)."""
+        parts = []
+        for camera in CAMERAS:
+            found = self.pictures(camera_topic(camera))
+            columns = {
+                "row": found.sequence,
+                "camera": pa.array([camera] * len(found.sequence), pa.string()),
+                **{name: getattr(found, name) for name in ("log_time_ns", "offset", "length", "chunk")},
+            }
+            parts.append(pa.table(columns))
+        return pa.concat_tables(parts).sort_by([("chunk", "ascending"), ("offset", "ascending")])
+
+    def vehicle(self) -> pa.Table:
+        """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
+        (0 .. 1), speed_mph (NaN where the source did not tell it)."""
+        found = list(self.vehicle_states())
+        columns = {
+            "row": pa.array([message.sequence for message, _ in found], pa.int64()),
+            "log_time_ns": pa.array([message.log_time_ns for message, _ in found], pa.int64()),
+        }
+        for name in ("steering", "throttle", "brake", "speed_mph"):
+            columns[name] = pa.array([getattr(state, name) for _, state in found], pa.float64())
+        return pa.table(columns)
+
+    def picture(self, row: int, camera: Camera = "center") -> bytes:
+        """The JPEG (or PNG) of a camera at a row, byte for byte. Raises LogError if there is none."""
+        found = self.pictures(camera_topic(camera))
+        (at,) = np.nonzero(found.sequence == row)
+        if not len(at):
+            raise LogError(f"{self.path}: row {row} has no picture of the {camera} camera")
+        return self.read(int(found.offset[at[0]]), int(found.length[at[0]]), int(found.chunk[at[0]]))
+
+    def pictures(self, topic: str) -> Pictures:
+        """Where the pictures of a CompressedImage topic lie."""
+        if topic not in self._pictures:
+            table = self._of_topic(topic)
+            if (table["picture"] < 0).any():
+                raise self._file.damaged(f"a message on {topic} is not a CompressedImage")
+            names = ("sequence", "log_time_ns", "picture", "picture_length", "chunk")
+            self._pictures[topic] = Pictures(*(table[name].astype(np.int64) for name in names))
+        return self._pictures[topic]
 
     def messages(self, topic: str) -> list[Message]:
         """Where the messages of `topic` lie, in the order of writing."""
-        ids = {channel for channel, name in self._topics.items() if name == topic}
-        found: list[Message] = []
-        for chunk in self._chunks():
-            start = chunk.chunk_start_offset + _CHUNK_FIXED_BYTES
-            end = chunk.chunk_start_offset + chunk.chunk_length
-            in_chunk = [
-                self._message(start + int(offset), end, ids)
-                for channel, index_offset in chunk.message_index_offsets.items()
-                if channel in ids
-                for offset in self._index_offsets(index_offset, channel)
-            ]
-            found += sorted(in_chunk, key=lambda message: message.offset)
-        return found
-
-    def pictures(self, topic: str) -> Pictures:
-        """Where the pictures of a CompressedImage topic lie. No picture is read, only its message's header."""
-        rows = [(m.sequence, m.log_time_ns, *self._image_range(topic, m)) for m in self.messages(topic)]
-        return Pictures(*np.array(rows, dtype=np.int64).reshape(len(rows), 4).T)
+        names = ("sequence", "log_time_ns", "offset", "length", "chunk")
+        table = self._of_topic(topic)
+        return [Message(*row) for row in zip(*(table[name].tolist() for name in names), strict=True)]
 
     def vehicle_states(self) -> Iterator[tuple[Message, VehicleState]]:
         return self._decoded(topics.VEHICLE, VehicleState)
@@ -182,82 +253,124 @@ class Log:
     def commands(self) -> Iterator[tuple[Message, PilotCommand]]:
         return self._decoded(topics.PILOT_COMMAND, PilotCommand)
 
+    def messages_of(self, chunk: Chunk) -> Iterator[tuple[Schema | None, Channel, McapMessage]]:
+        """The messages of one chunk with what describes them, for copying them into another log."""
+        records = self._file.records(chunk)
+        for stored in self._file.messages(records):
+            channel = self.channels.get(stored.channel)
+            if channel is None:
+                raise self._file.damaged(f"a message of the unknown channel {stored.channel}")
+            data = records[stored.offset : stored.offset + stored.length]
+            message = McapMessage(
+                stored.channel, stored.log_time_ns, data, stored.publish_time_ns, stored.sequence
+            )
+            yield self._structure.schemas.get(channel.schema_id), channel, message
+
+    @cached_property
+    def _pictures(self) -> dict[str, Pictures]:
+        return {}
+
+    @cached_property
+    def _table(self) -> NDArray[np.void]:
+        """One entry a message, in the order of the file."""
+        parts = [self._rows_of(number) for number in range(len(self.chunks))]
+        table = np.concatenate(parts) if parts else np.empty(0, _ROW)
+        if (table["log_time_ns"] > _LAST_TIME_NS).any():
+            raise self._file.damaged(f"a message of the time {table['log_time_ns'].max()} ns")
+        return table
+
+    def _rows_of(self, number: int) -> NDArray[np.void]:
+        chunk = self.chunks[number]
+        records = self._file.records(chunk)
+        self._is_verified[number] = True
+        base = 0 if chunk.compression else self._file.records_at(chunk)
+        place = chunk.start if chunk.compression else UNCOMPRESSED
+        rows = []
+        for stored in self._file.messages(records):
+            picture, length = -1, 0
+            if stored.channel in self._image_channels:
+                picture, length = _image_data(records, stored)
+                picture += base if picture >= 0 else 0
+            rows.append(
+                (
+                    stored.channel,
+                    stored.sequence,
+                    stored.log_time_ns,
+                    stored.offset + base,
+                    stored.length,
+                    picture,
+                    length,
+                    place,
+                )
+            )
+        return np.array(rows, _ROW)
+
+    @cached_property
+    def _image_channels(self) -> frozenset[int]:
+        schemas = {number for number, schema in self._structure.schemas.items() if schema.name == _IMAGE_SCHEMA}
+        return frozenset(number for number, channel in self.channels.items() if channel.schema_id in schemas)
+
+    def _of_topic(self, topic: str) -> NDArray[np.void]:
+        channels = [number for number, channel in self.channels.items() if channel.topic == topic]
+        return self._table[np.isin(self._table["channel"], channels)] if channels else np.empty(0, _ROW)
+
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         for message in self.messages(topic):
             try:
-                yield message, kind.FromString(self._slice(message.offset, message.length))
+                yield message, kind.FromString(self.read(message.offset, message.length, message.chunk))
             except DecodeError as error:
-                raise self._damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}") from error
+                raise self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}") from error
 
-    def _chunks(self) -> list[ChunkIndex]:
-        return sorted(self._summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
-
-    def _index_offsets(self, at: int, channel: int) -> NDArray[np.uint64]:
-        opcode, _, found_channel, size = _MESSAGE_INDEX.unpack(self._slice(at, _MESSAGE_INDEX.size))
-        if opcode != _OP_MESSAGE_INDEX or found_channel != channel or size % 16:
-            raise self._damaged("a message index is not where the summary says")
-        pairs = np.frombuffer(self._slice(at + _MESSAGE_INDEX.size, size), dtype="<u8").reshape(-1, 2)
-        return pairs[:, 1]
-
-    def _message(self, at: int, end: int, channels: set[int]) -> Message:
-        if at + _MESSAGE.size > end:
-            raise self._damaged("a message index points out of its chunk")
-        opcode, size, channel, sequence, log_time_ns, _ = _MESSAGE.unpack(self._slice(at, _MESSAGE.size))
-        length = size - (_MESSAGE.size - _RECORD_HEADER.size)
-        if opcode != _OP_MESSAGE or channel not in channels or length < 0 or at + _MESSAGE.size + length > end:
-            raise self._damaged("a message is not where its index says")
-        if log_time_ns > _LAST_TIME_NS:
-            raise self._damaged(f"a message of the time {log_time_ns} ns")
-        return Message(sequence, log_time_ns, at + _MESSAGE.size, length)
-
-    def _image_range(self, topic: str, message: Message) -> tuple[int, int]:
-        """Offset and length of the field `data` of a serialised CompressedImage.
-
-        Walks the message's fields (https://protobuf.dev/programming-guides/encoding/) and skips their
-        contents, so that a picture's bytes are never read, whatever the order of the fields.
-        """
-        position, end = message.offset, message.offset + message.length
-        while position < end:
-            head = self._slice(position, min(_LONGEST_FIELD_HEADER, end - position))
-            tag, size, head_length = _length_delimited(head)
-            position += head_length
-            if size < 0 or position + size > end:
-                raise self._damaged(f"a message on {topic} is not a CompressedImage")
-            if tag >> 3 == _IMAGE_DATA_FIELD:
-                return position, size
-            position += size
-        return end, 0  # protobuf leaves an empty field out
-
-    def _slice(self, offset: int, length: int) -> bytes:
-        if offset < 0 or length < 0 or offset + length > self._size:
-            raise self._damaged(f"bytes {offset} to {offset + length} lie outside the file")
-        if sys.platform == "win32":  # no pread there
-            with self._lock:
-                self._stream.seek(offset)
-                data = self._stream.read(length)
-        else:
-            data = os.pread(self._stream.fileno(), length, offset)
-        if len(data) != length:
-            raise self._damaged("it has become shorter while it was read")
-        return data
-
-    def _damaged(self, what: str) -> LogError:
-        return LogError(f"{self.path}: damaged: {what}")
+    def _unpacked_records(self, start: int) -> bytes:
+        records = self._unpacked.get(start)
+        if records is None:
+            number = bisect.bisect_left(self._chunk_starts, start)
+            if number == len(self.chunks) or self.chunks[number].start != start:
+                raise self._file.damaged(f"no chunk begins at byte {start}")
+            records = self._file.records(self.chunks[number])
+            self._unpacked[start] = records
+            while len(self._unpacked) > _CACHED_CHUNKS:
+                self._unpacked.popitem(last=False)
+        return records
 
 
-def _length_delimited(head: bytes) -> tuple[int, int, int]:
-    """Tag, size and the length of both, of a length-delimited protobuf field; size -1 if it is none."""
-    tag, position = _varint(head, 0)
-    size, position = _varint(head, position)
-    return (tag, size, position) if tag & 7 == 2 else (tag, -1, position)
+_ROW: Final = np.dtype(
+    [
+        ("channel", np.uint16),
+        ("sequence", np.uint32),
+        ("log_time_ns", np.uint64),
+        ("offset", np.int64),
+        ("length", np.int64),
+        ("picture", np.int64),  # offset of a CompressedImage's data; -1 where the message is none
+        ("picture_length", np.int64),
+        ("chunk", np.int64),
+    ]
+)
 
 
-def _varint(data: bytes, position: int) -> tuple[int, int]:
-    """A base-128 varint and the position behind it; (-1, position) if it is cut off."""
+def _image_data(records: bytes, message: StoredMessage) -> tuple[int, int]:
+    """Offset and length of the field `data` of a serialised CompressedImage; (-1, 0) if it is none.
+
+    Walks the message's fields (https://protobuf.dev/programming-guides/encoding/), whatever their order.
+    """
+    position, end = message.offset, message.offset + message.length
+    while position < end:
+        tag, position = _varint(records, position, end)
+        size, position = _varint(records, position, end)
+        if tag & 7 != 2 or size < 0 or position + size > end:  # each field of it is length-delimited
+            return -1, 0
+        if tag >> 3 == _IMAGE_DATA_FIELD:
+            return position, size
+        position += size
+    return end, 0  # protobuf leaves an empty field out
+
+
+def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
+    """A base-128 varint and the position behind it; (-1, end) if it is cut off or longer than ten bytes."""
     value, shift = 0, 0
-    for i in range(position, len(data)):
+    for i in range(position, min(end, position + 10)):
         value |= (data[i] & 0x7F) << shift
         if data[i] < 0x80:
             return value, i + 1
         shift += 7
-    return -1, len(data)
+    return -1, end

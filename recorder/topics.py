@@ -9,8 +9,10 @@ CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
 
 PROFILE: Final = "bc"
 SESSION_METADATA: Final = "bc.session"
+QUALITY_METADATA: Final = "bc.quality"
 
 VEHICLE: Final = "/vehicle"
+VEHICLE_SCHEMA: Final = "bc.VehicleState"
 PILOT_INPUT: Final = "/pilot/input"
 PILOT_COMMAND: Final = "/pilot/command"
 EVENTS: Final = "/events"

@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Final, Literal, Self
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from google.protobuf.message import Message
+from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.records import Attachment, Channel, Schema
+from mcap.records import Message as McapMessage
 from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
-from common import files
+from common import UserError, files
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.quality import StatesWritten, summary
 from recorder.topics import Camera, camera_topic
 
-CHUNK_BYTES = 256 * 1024
-FLUSH_S = 1.0
+CHUNK_BYTES: Final = 256 * 1024
+FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
 
@@ -48,30 +52,49 @@ class LogWriter:
     offset. All messages of one frame share a log time and a sequence number (the frame's number in the log).
     Messages of one topic are kept in the order in which they are written, whatever their times.
 
-    ``live=True`` closes a chunk at least once a second, so that a killed process loses at most that; an
-    import leaves it off, and its bytes then depend on its input alone.
+    ``live=True`` closes a chunk and brings it to the disk twice a second, so that a killed process, or a pulled
+    plug, costs at most a second; an import leaves it off, and its bytes then depend on its input alone.
 
     As a context manager it closes the log, or discards it if anything was raised; what was recorded live is
     kept even then, because nobody can record it again.
     """
 
     def __init__(
-        self, path: Path, metadata: dict[str, str], *, overwrite: bool = False, live: bool = False
+        self,
+        path: Path,
+        metadata: dict[str, str] | None,
+        *,
+        overwrite: bool = False,
+        live: bool = False,
+        profile: str = topics.PROFILE,
     ) -> None:
-        """Raises UserError if `path` exists and may not be overwritten."""
+        """`metadata` says where the log comes from; None for copies of other programs' logs, which do not.
+
+        Raises UserError if `path` exists and may not be overwritten.
+        """
         files.refuse_existing(path, overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self.part = files.part_path(path)
         self._overwrite = overwrite
         self._live = live
+        self._is_broken = False
         self._last_flush_s = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._copied: dict[int, tuple[Channel, int]] = {}
+        self._copied_schemas: dict[tuple[str, str, bytes], int] = {}
+        self._states = StatesWritten()
         self._stream = self.part.open("xb")
-        self._mcap = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
-        self._mcap.start(profile=topics.PROFILE, library=f"behavioural-cloning-toolkit {toolkit_version()}")
-        self._mcap.add_metadata(topics.SESSION_METADATA, {**metadata, "toolkit": toolkit_version()})
+        self._sync = files.BackgroundSync(self._stream.fileno()) if live else None
+        self._mcap = McapWriter(
+            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
+        )
+        self._to_disk(
+            self._mcap.start, profile=profile, library=f"behavioural-cloning-toolkit {toolkit_version()}"
+        )
+        if metadata is not None:
+            self.add_metadata(topics.SESSION_METADATA, {"toolkit": toolkit_version(), **metadata})
 
     def picture(self, camera: Camera, time_ns: int, sequence: int, jpeg: bytes) -> None:
         """A camera's JPEG, byte for byte."""
@@ -83,6 +106,7 @@ class LogWriter:
 
     def vehicle(self, time_ns: int, sequence: int, state: VehicleState) -> None:
         self._write(topics.VEHICLE, state, time_ns, sequence)
+        self._states.add(sequence, time_ns, state)
 
     def command(self, time_ns: int, sequence: int, command: PilotCommand) -> None:
         self._write(topics.PILOT_COMMAND, command, time_ns, sequence)
@@ -97,27 +121,57 @@ class LogWriter:
         )
         self._write(topics.EVENTS, message, time_ns, 0)
 
+    def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
+        """A message of another log, as it is but for its sequence number."""
+        known = self._copied.get(id(channel))
+        if known is None:
+            number = self._mcap.register_channel(
+                channel.topic, channel.message_encoding, self._copied_schema(schema), dict(channel.metadata)
+            )
+            known = self._copied[id(channel)] = (channel, number)  # keeping it keeps its id from being used again
+        self._message(known[1], message.log_time, message.publish_time, sequence, message.data)
+        if channel.topic == topics.VEHICLE and schema is not None and schema.name == topics.VEHICLE_SCHEMA:
+            try:
+                self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
+            except DecodeError:
+                raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+
+    def copy_attachment(self, attachment: Attachment) -> None:
+        self._to_disk(
+            self._mcap.add_attachment,
+            attachment.create_time,
+            attachment.log_time,
+            attachment.name,
+            attachment.media_type,
+            attachment.data,
+        )
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file until now; the open chunk is not in it yet."""
+        return self._stream.tell()
+
     def flush_if_due(self) -> None:
-        """Close the chunk if the last flush is over a second ago (call it also while nothing arrives)."""
+        """Close the chunk if the last flush is long enough ago (call it also while nothing arrives)."""
         now_s = time.monotonic()
-        if self._live and now_s - self._last_flush_s >= FLUSH_S:
-            self._mcap.flush()
+        if self._sync is not None and now_s - self._last_flush_s >= FLUSH_S:
+            self._to_disk(self._mcap.flush)
+            self._to_disk(self._sync.request)
             self._last_flush_s = now_s
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        self._mcap.add_metadata(name, values)
+        self._to_disk(self._mcap.add_metadata, name, values)
 
     def close(self) -> None:
         """Write the summary and give the log its name. Raises UserError if the name was taken meanwhile."""
-        self._mcap.finish()
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        self._stream.close()
+        if len(self._states):
+            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()))
+        self._to_disk(self._finish)
         files.publish(self.part, self.path, self._overwrite)
 
     def discard(self) -> None:
         """Give up: nothing of this log stays."""
-        self._stream.close()
+        self._abandon()
         self.part.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
@@ -126,7 +180,10 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None or (self._live and self._channels):
+        has_messages = bool(self._channels or self._copied)
+        if self._is_broken and self._live and has_messages:
+            self._abandon()  # the error that broke it names the file, which stays
+        elif kind is None or (self._live and has_messages):
             self.close()
         else:
             self.discard()
@@ -139,13 +196,13 @@ class LogWriter:
 
     def _write(self, topic: str, message: Message, time_ns: int, sequence: int) -> None:
         channel = self._channels.get(topic) or self._register(topic, type(message))
-        self._mcap.add_message(
-            channel,
-            log_time=time_ns,
-            publish_time=time_ns,
-            sequence=sequence,
-            data=message.SerializeToString(),
-        )
+        self._message(channel, time_ns, time_ns, sequence, message.SerializeToString())
+
+    def _message(self, channel: int, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
+        try:  # as _to_disk does, without the cost of another call for every message
+            self._mcap.add_message(channel, log_time, data, publish_time, sequence)
+        except OSError as error:
+            raise self._broken(error) from None
         if self._live:
             self.flush_if_due()
 
@@ -155,3 +212,40 @@ class LogWriter:
             self._schemas[name] = register_schema(self._mcap, message)
         self._channels[topic] = self._mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
         return self._channels[topic]
+
+    def _copied_schema(self, schema: Schema | None) -> int:
+        if schema is None:
+            return 0  # in MCAP: no schema
+        key = (schema.name, schema.encoding, schema.data)
+        if key not in self._copied_schemas:
+            self._copied_schemas[key] = self._mcap.register_schema(*key)
+        return self._copied_schemas[key]
+
+    def _finish(self) -> None:
+        self._mcap.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        if self._sync is not None:
+            self._sync.close()
+        self._stream.close()
+
+    def _to_disk(self, action: Callable[..., Any], *arguments: Any, **options: Any) -> None:
+        try:
+            action(*arguments, **options)
+        except OSError as error:
+            raise self._broken(error) from None
+
+    def _broken(self, error: OSError) -> UserError:
+        """What to tell when the disk is full, or gone."""
+        self._is_broken = True
+        if not self._live:
+            return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")
+        return UserError(
+            f"{self.part}: cannot be written any further ({error.strerror}); what was recorded until now is in it:"
+            f" make room and give `bc-log recover {self.part}`"
+        )
+
+    def _abandon(self) -> None:
+        if self._sync is not None:
+            self._sync.close()
+        self._stream.raw.close()  # what is left in the buffer would meet the full disk again

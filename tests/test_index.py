@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from dataset import DatasetError, IndexConfig, Indexed, Samples, build_index, find_logs
 from dataset.balance import balance, bin_of
 from dataset.cli import main
-from dataset.split import block_numbers, drive_numbers, validation_blocks
+from dataset.split import block_numbers, validation_blocks
 from logs import STEP_NS, not_a_picture, plain_read, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
+from recorder.quality import drive_numbers
 from recorder.topics import CAMERAS, Camera
 from udacity import call
 

@@ -1,0 +1,120 @@
+"""What is odd about the rows of a log, from its vehicle states alone; whether pictures are, `check` looks.
+
+Thresholds were set on published recordings: people with keyboards hold an exact 0 for up to 14 s of driving, and
+any other exact value for at most 2 s; the simulator writes at least five rows a second.
+"""
+
+from __future__ import annotations
+
+import json
+from array import array
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.bc_pb2 import VehicleState
+
+GAP_S: Final = 1.0
+STANDING_MPH: Final = 0.5
+STUCK_S: Final = 3.0
+STUCK_AT_ZERO_S: Final = 30.0
+MOST_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
+
+RowFlag = Literal["gap", "out_of_range", "standing_still", "stuck_steering"]
+ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class States:
+    """The vehicle states of a log in its order; arrays of one length."""
+
+    row: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    steering: Values
+    throttle: Values
+    brake: Values
+    speed_mph: Values  # NaN where it is not known
+
+
+class StatesWritten:
+    """The states of a log that is being written: 48 bytes a row."""
+
+    def __init__(self) -> None:
+        self._numbers = array("q")
+        self._values = array("d")
+
+    def add(self, row: int, time_ns: int, state: VehicleState) -> None:
+        self._numbers.extend((row, time_ns))
+        self._values.extend((state.steering, state.throttle, state.brake, state.speed_mph))
+
+    def __len__(self) -> int:
+        return len(self._numbers) // 2
+
+    def states(self) -> States:
+        numbers = np.array(self._numbers, np.int64).reshape(-1, 2)
+        values = np.array(self._values, np.float64).reshape(-1, 4)
+        return States(numbers[:, 0], numbers[:, 1], *values.T)
+
+
+def summary(states: States) -> dict[str, str]:
+    """What a log says of its own rows, so that nobody has to read it all to tell: drives, how many rows each flag
+    holds for, and the first stretches of them as JSON, [flag, first row, last row]."""
+    flags = row_flags(states)
+    found = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
+    listed = [[flag, int(states.row[first]), int(states.row[last])] for first, last, flag in found]
+    return {
+        "rows": str(len(states.row)),
+        "drives": str(int(drive_numbers(states.time_ns)[-1]) + 1 if len(states.row) else 0),
+        **{flag: str(int(mask.sum())) for flag, mask in flags.items()},
+        "stretches": json.dumps(listed[:MOST_STRETCHES]),
+    }
+
+
+def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers the drives of a session from 0: a new one begins after a gap, or where time goes backwards."""
+    step_ns = np.diff(time_ns)
+    return np.concatenate([[0], np.cumsum((step_ns > GAP_S * 1e9) | (step_ns < 0))])[: len(time_ns)]
+
+
+def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
+    """For each flag the rows (N,) that it holds for.
+
+    `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
+    number; `standing_still`; `stuck_steering`: the very same steering for long while the car moves.
+    """
+    drive = drive_numbers(states.time_ns)
+    standing = states.speed_mph < STANDING_MPH  # False for an unknown speed
+    in_range = np.abs(states.steering) <= 1  # False for NaN too
+    for pedal in (states.throttle, states.brake):
+        in_range &= (pedal >= 0) & (pedal <= 1)
+    return {
+        "gap": np.diff(drive, prepend=drive[:1]) > 0,
+        "out_of_range": ~in_range,
+        "standing_still": standing,
+        "stuck_steering": _stuck(states, drive, standing),
+    }
+
+
+def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    stuck = np.zeros(len(drive), np.bool_)
+    changes = (np.diff(states.steering) != 0) | (np.diff(drive) != 0) | (np.diff(standing) != 0)
+    for first, last in _runs(changes, len(drive)):
+        limit_s = STUCK_AT_ZERO_S if states.steering[first] == 0 else STUCK_S
+        if not standing[first] and states.time_ns[last] - states.time_ns[first] >= limit_s * 1e9:
+            stuck[first : last + 1] = True
+    return stuck
+
+
+def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last position of every run of True."""
+    return [(first, last) for first, last in _runs(np.diff(mask) != 0, len(mask)) if mask[first]]
+
+
+def _runs(changes: NDArray[np.bool_], length: int) -> list[tuple[int, int]]:
+    """First and last position of the runs between changes, which are given for every neighbouring pair."""
+    starts = np.concatenate([[0], np.flatnonzero(changes) + 1]) if length else np.zeros(0, np.int64)
+    return list(zip(starts.tolist(), [*(starts[1:] - 1).tolist(), length - 1][: len(starts)], strict=True))
