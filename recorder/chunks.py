@@ -25,7 +25,7 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, ChunkIndex, MetadataIndex, Schema, Statistics
+from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, MetadataIndex, Schema, Statistics
 from mcap.records import Metadata as MetadataRecord
 from mcap.stream_reader import StreamReader
 
@@ -222,6 +222,8 @@ class McapFile:
                         found.chunks.append(Chunk(record.chunk_start_offset, end, record.compression))
                     case MetadataIndex():
                         found.metadata_at.append(record.offset)
+                    case AttachmentIndex():
+                        found.attachments_at.append(record.offset)
                     case Statistics():
                         found.statistics = record
         except _UNREADABLE:

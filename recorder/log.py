@@ -143,8 +143,13 @@ class Log:
         records = [self._file.metadata(offset) for offset in sorted(self._structure.metadata_at)]
         return [(record.name, dict(record.metadata)) for record in records]
 
-    def attachments(self) -> Iterator[Attachment]:
-        return (self._file.attachment(offset) for offset in sorted(self._structure.attachments_at))
+    @property
+    def attachments(self) -> list[int]:
+        """Where the attachments begin (MCAP's files within a log; this toolkit writes none)."""
+        return sorted(self._structure.attachments_at)
+
+    def attachment(self, offset: int) -> Attachment:
+        return self._file.attachment(offset)
 
     @property
     def counts(self) -> dict[str, int]:

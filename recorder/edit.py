@@ -1,0 +1,223 @@
+"""New logs out of old ones: recovered, trimmed, merged, split. Nothing edits a log in place.
+
+Messages are copied as they are. Rows keep their numbers, except in a merged log, where each one still has a number
+of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from mcap.records import Channel, Schema
+from mcap.records import Message as McapMessage
+from numpy.typing import NDArray
+
+from common import Skipped
+from common.files import refuse_existing
+from common.progress import track
+from recorder import topics
+from recorder.errors import LogError
+from recorder.log import Log
+from recorder.quality import drive_numbers
+from recorder.topics import CAMERAS, camera_topic
+from recorder.writer import LogWriter
+
+ROW_TOPICS: Final = frozenset(
+    (
+        *map(camera_topic, CAMERAS),
+        topics.VEHICLE,
+        topics.PILOT_INPUT,
+        topics.PILOT_COMMAND,
+        topics.POSE,
+    )
+)
+"""Their messages carry their row's number as sequence number."""
+
+Copied = tuple[Schema | None, Channel, McapMessage]
+
+
+@dataclass(frozen=True)
+class Written:
+    """A new log."""
+
+    path: Path
+    messages: int
+    rows: int
+    skipped: Skipped
+
+
+def recovered_name(path: Path) -> Path:
+    """Where a recovered log goes unless told otherwise: what was being written gets the name it would have had."""
+    meant = path.with_name(re.sub(r"\.[0-9a-f]{6}\.part$", "", path.name))
+    if meant != path and not meant.exists():
+        return meant
+    return meant.with_name(f"{meant.name.removesuffix('.mcap')}.recovered.mcap")
+
+
+def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
+    """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
+
+    A chunk is taken if its CRC holds; what is left out is in `skipped`.
+    """
+    skipped = Skipped()
+    refuse_existing(to, overwrite)  # before a long log is read
+    with Log(path) as log:
+        expected = sum(log.counts.values()) if not log.problem else None
+        session = log.metadata
+        metadata = {**session, "recovered_from": path.name} if session else None
+        profile = topics.PROFILE if session else ""
+        count = rows = 0
+        with LogWriter(to, metadata, overwrite=overwrite, profile=profile) as writer:
+            for chunk in track(log.chunks, f"recovering {path.name}", len(log.chunks)):
+                try:
+                    for schema, channel, message in log.messages_of(chunk):
+                        writer.copy(schema, channel, message, message.sequence)
+                        count += 1
+                        rows += channel.topic == topics.VEHICLE
+                except LogError:
+                    skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
+            _copy_rest(log, writer, skipped)
+    for start, end in log.lost:
+        skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
+    if expected is not None and count < expected:
+        skipped.add("messages of damaged chunks", f"{expected - count:,} of {expected:,}")
+    return Written(to, count, rows, skipped)
+
+
+def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False) -> Written:
+    """Write the rows from the first to the last of `rows`, both included, to the new log `to`.
+
+    Messages without a row (events) are taken if they are of the same time. Raises LogError without such rows.
+    """
+    refuse_existing(to, overwrite)
+    with Log(path) as log:
+        number, time_ns = _rows(log)
+        chosen = time_ns[(number >= rows[0]) & (number <= rows[1])]
+        if not len(chosen):
+            raise LogError(f"{path}: no row from {rows[0]} to {rows[1]}; {_range(number)}")
+        metadata = {**log.metadata, "trimmed_from": path.name, "rows": f"{rows[0]}-{rows[1]}"}
+        first_ns, last_ns = int(chosen.min()), int(chosen.max())
+        count = 0
+        with LogWriter(to, metadata, overwrite=overwrite) as writer:
+            for schema, channel, message in _messages(log, "trimming"):
+                if channel.topic in ROW_TOPICS:
+                    is_in = rows[0] <= message.sequence <= rows[1]
+                else:
+                    is_in = first_ns <= message.log_time <= last_ns
+                if is_in:
+                    writer.copy(schema, channel, message, message.sequence)
+                    count += 1
+            _copy_rest(log, writer, Skipped())
+    return Written(to, count, len(chosen), Skipped())
+
+
+def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Written:
+    """Write several logs into one, in the order given: the rows of each are numbered on from those before."""
+    refuse_existing(to, overwrite)
+    count = rows = following = 0
+    with contextlib.ExitStack() as stack:
+        logs = [stack.enter_context(Log(path)) for path in paths]
+        metadata = {"source": "merged", "merged_from": ", ".join(path.name for path in paths)}
+        writer = stack.enter_context(LogWriter(to, metadata, overwrite=overwrite))
+        for log in logs:
+            first = following
+            for schema, channel, message in _messages(log, "merging"):
+                sequence = message.sequence
+                if channel.topic in ROW_TOPICS:
+                    sequence += first
+                    following = max(following, sequence + 1)
+                writer.copy(schema, channel, message, sequence)
+                count += 1
+                rows += channel.topic == topics.VEHICLE
+            writer.add_metadata(f"{topics.SESSION_METADATA} of {log.path.name}", log.metadata)
+            _copy_rest(log, writer, Skipped())
+    return Written(to, count, rows, Skipped())
+
+
+def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]:
+    """Write each drive of the log at `path` to a log of its own in `folder`: NAME-1.mcap, NAME-2.mcap ...
+
+    A new drive begins after a gap of a second, or where time goes back. Messages without a row go to the drive
+    beside whose rows they lie in the file. Raises LogError if there is only one drive.
+    """
+    with Log(path) as log, contextlib.ExitStack() as stack:
+        number, time_ns = _rows(log)
+        drives = drive_numbers(time_ns)
+        if not len(drives) or drives[-1] == 0:
+            raise LogError(f"{path}: a single drive, nothing to split")
+        name = path.name.removesuffix(".mcap")
+        targets = [folder / f"{name}-{drive + 1}.mcap" for drive in range(int(drives[-1]) + 1)]
+        for target in targets:
+            refuse_existing(target, overwrite)
+        metadata = {**log.metadata, "split_from": path.name}
+        writers = [
+            stack.enter_context(LogWriter(target, {**metadata, "drive": str(drive)}, overwrite=overwrite))
+            for drive, target in enumerate(targets)
+        ]
+        drive_of = dict(zip(number.tolist(), drives.tolist(), strict=True))
+        counts, at = [0] * len(writers), 0
+        for schema, channel, message in _messages(log, "splitting"):
+            if channel.topic in ROW_TOPICS:
+                at = drive_of.get(message.sequence, at)
+            writers[at].copy(schema, channel, message, message.sequence)
+            counts[at] += 1
+        for writer in writers:
+            _copy_rest(log, writer, Skipped())
+    rows = np.bincount(drives).tolist()
+    return [Written(*parts, Skipped()) for parts in zip(targets, counts, rows, strict=True)]
+
+
+def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
+    """The first and the last row between two times, in seconds from the log's first row.
+
+    Raises LogError if there is none, or if they are not one stretch because time goes back in this log.
+    """
+    number, time_ns = _rows(log)
+    since_s = (time_ns - time_ns[:1]) / 1e9
+    (at,) = np.nonzero((since_s >= start_s) & (since_s <= end_s))
+    if not len(at):
+        last = f"it lasts {since_s.max():.1f} s" if len(since_s) else "it has none at all"
+        raise LogError(f"{log.path}: no row between {start_s:g} and {end_s:g} s; {last}")
+    if at[-1] - at[0] + 1 != len(at):
+        raise LogError(f"{log.path}: time goes back within {start_s:g} to {end_s:g} s; give --rows instead")
+    return int(number[at[0]]), int(number[at[-1]])
+
+
+def _rows(
+    log: Log,
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    """Number and time of every row, in the order of the log."""
+    messages = log.messages(topics.VEHICLE)
+    if not messages:
+        raise LogError(f"{log.path}: no rows in it ({topics.VEHICLE} is empty)")
+    return (
+        np.array([message.sequence for message in messages], np.int64),
+        np.array([message.log_time_ns for message in messages], np.int64),
+    )
+
+
+def _range(number: NDArray[np.int64]) -> str:
+    return f"its rows are {number.min()} to {number.max()}"
+
+
+def _messages(log: Log, doing: str) -> Iterator[Copied]:
+    for chunk in track(log.chunks, f"{doing} {log.path.name}", len(log.chunks)):
+        yield from log.messages_of(chunk)
+
+
+def _copy_rest(log: Log, writer: LogWriter, skipped: Skipped) -> None:
+    """Metadata (but what the new log says itself) and attachments."""
+    for name, values in log.all_metadata():
+        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA):
+            writer.add_metadata(name, values)
+    for offset in log.attachments:
+        try:
+            writer.copy_attachment(log.attachment(offset))
+        except LogError:
+            skipped.add("damaged attachments", f"at byte {offset:,}")
