@@ -28,6 +28,12 @@ def stderr() -> Console:
     return Console(stderr=True, soft_wrap=True, highlight=False)
 
 
+def warn(text: str) -> int:
+    """Print what a person should know before the result is used; the exit code that says so."""
+    stderr().print(f"[yellow]{escape(text)}[/]")
+    return DONE_BUT_SKIPPED
+
+
 def warn_skipped(skipped: Skipped) -> int:
     """Print what was left out; the exit code that says so."""
     console = stderr()
@@ -41,10 +47,16 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def run_command(prog: str, config: type[Config], action: Callable[[Config], int]) -> None:
-    """Parse the command line into `config`, call `action`, and exit with what it returns."""
+def run_command(
+    prog: str, config: type[Config], action: Callable[[Config], int], description: str | None = None
+) -> None:
+    """Parse the command line into `config`, call `action`, and exit with what it returns.
+
+    `description` is what `--help` begins with; by default what `config` says of itself.
+    """
     signal.signal(signal.SIGTERM, _interrupt)
-    parsed = tyro.cli(config, prog=prog, description=config.__doc__, config=(tyro.conf.FlagCreatePairsOff,))
+    about = description or config.__doc__
+    parsed = tyro.cli(config, prog=prog, description=about, config=(tyro.conf.FlagCreatePairsOff,))
     try:
         code = action(parsed)
         sys.stdout.flush()

@@ -32,7 +32,7 @@ from mcap.stream_reader import StreamReader
 from recorder.errors import LogError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-_RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
+RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
@@ -64,12 +64,13 @@ class Chunk:
 
 
 class StoredMessage(NamedTuple):
-    """A message within a chunk's records: its content is `length` bytes from `offset`."""
+    """A message within a chunk's records: it begins at `start`, its content is `length` bytes from `offset`."""
 
     channel: int
     sequence: int
     log_time_ns: int
     publish_time_ns: int
+    start: int
     offset: int
     length: int
 
@@ -124,10 +125,13 @@ class McapFile:
 
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
-        record = self.read(chunk.start, chunk.end - chunk.start)
+        return self.unpacked(self.read(chunk.start, chunk.end - chunk.start), chunk.start)
+
+    def unpacked(self, record: bytes, start: int) -> bytes:
+        """The records within a chunk's `record`, which begins at byte `start`. Raises what `records` does."""
         if record[:1] == bytes([OP_MESSAGE]):
             return record
-        where = f"the chunk at byte {chunk.start}"
+        where = f"the chunk at byte {start}"
         try:
             opcode, length, _, _, size, crc = CHUNK_HEADER.unpack_from(record)
             named = _prefixed(record, CHUNK_HEADER.size)
@@ -135,7 +139,7 @@ class McapFile:
             (stored_size,) = struct.unpack_from("<Q", record, stored_at - 8)
         except struct.error:
             raise self.damaged(f"{where} is cut off") from None
-        if opcode != OP_CHUNK or _RECORD.size + length != len(record) or stored_at + stored_size != len(record):
+        if opcode != OP_CHUNK or RECORD.size + length != len(record) or stored_at + stored_size != len(record):
             raise self.damaged(f"{where} is not of the length it tells")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size} bytes")
@@ -162,13 +166,13 @@ class McapFile:
                     raise self.damaged("a message is cut off")
                 _, _, channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(records, start)
                 content = start + _MESSAGE.size
-                yield StoredMessage(channel, sequence, log_time, publish_time, content, end - content)
+                yield StoredMessage(channel, sequence, log_time, publish_time, start, content, end - content)
 
     def definitions(self, records: bytes, structure: Structure) -> None:
         """Add the schemas and channels that are among `records`."""
         for opcode, start, end in self._inside(records):
             if opcode in (_SCHEMA, _CHANNEL):
-                self._define(opcode, records[start + _RECORD.size : end], structure)
+                self._define(opcode, records[start + RECORD.size : end], structure)
 
     def metadata(self, offset: int) -> MetadataRecord:
         """The metadata record that begins at `offset`."""
@@ -195,13 +199,46 @@ class McapFile:
         found = self._summary()
         return self._walk() if found is None else found
 
+    def is_finished(self) -> bool:
+        """Whether the file has the summary at its end that tells where everything is."""
+        return self._summary() is not None
+
+    def walk_on(self, position: int, found: Structure) -> tuple[int, bool]:
+        """Take into `found` what has been completed behind `position` of a file that grows.
+
+        Where to go on next time, and whether there is nothing more to come. Start at `len(MAGIC)`, and know the
+        file's new size after it. Raises LogError where the file was deleted before its end was written.
+        """
+        status = os.fstat(self._stream.fileno())
+        self.size = status.st_size
+        while self.size - position >= RECORD.size:
+            opcode, length = RECORD.unpack(self.read(position, RECORD.size))
+            end = position + RECORD.size + length
+            if opcode == _DATA_END and length == 4:
+                return position, True
+            if end > self.size and length <= MAX_CHUNK_BYTES:
+                break  # it is being written
+            try:
+                if end > self.size:
+                    raise self.damaged("no record")
+                self._take(opcode, position, end, found)
+            except LogError:
+                end = self._next_chunk(position + 1)
+                if end == self.size:
+                    break  # the next chunk may still come
+                found.lost.append((position, end))
+            position = end
+        if status.st_nlink == 0:
+            raise LogError(f"{self.path}: deleted before it was finished; nothing more will come")
+        return position, False
+
     def _summary(self) -> Structure | None:
         tail = _FOOTER.size + len(MAGIC)
         if self.size < 2 * len(MAGIC) + _FOOTER.size:
             return None
         footer = self.read(self.size - tail, tail)
         opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
-        is_footer = opcode == _FOOTER_OP and length == _FOOTER.size - _RECORD.size and footer.endswith(MAGIC)
+        is_footer = opcode == _FOOTER_OP and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
         if not is_footer or not 0 < start <= self.size - tail:
             return None
         summary = self.read(start, self.size - start)
@@ -239,9 +276,9 @@ class McapFile:
     def _walk(self) -> Structure:
         found = Structure(problem="unfinished (its recording was killed, or is still going on)")
         position, wasted, most_waste = len(MAGIC), 0, _MOST_WASTE * self.size + _LEAST_BUDGET
-        while self.size - position >= _RECORD.size:
-            opcode, length = _RECORD.unpack(self.read(position, _RECORD.size))
-            end = position + _RECORD.size + length
+        while self.size - position >= RECORD.size:
+            opcode, length = RECORD.unpack(self.read(position, RECORD.size))
+            end = position + RECORD.size + length
             try:
                 if end > self.size:
                     raise self.damaged("no record")
@@ -271,7 +308,7 @@ class McapFile:
         elif opcode == OP_MESSAGE and self._is_message(start, end, found):
             found.chunks.append(Chunk(start, end))
         elif opcode in (_SCHEMA, _CHANNEL):
-            self._define(opcode, self.read(start + _RECORD.size, end - start - _RECORD.size), found)
+            self._define(opcode, self.read(start + RECORD.size, end - start - RECORD.size), found)
         elif opcode == _METADATA:
             self.metadata(start)
             found.metadata_at.append(start)
@@ -308,19 +345,19 @@ class McapFile:
             raise self.damaged("a schema or channel cannot be read") from None
 
     def _content(self, offset: int, opcode: int) -> bytes:
-        found, length = _RECORD.unpack(self.read(offset, _RECORD.size))
+        found, length = RECORD.unpack(self.read(offset, RECORD.size))
         if found != opcode:
             raise self.damaged("a record is not where the summary says")
-        return self.read(offset + _RECORD.size, length)
+        return self.read(offset + RECORD.size, length)
 
     def _inside(self, records: bytes) -> Iterator[tuple[int, int, int]]:
         """Opcode, start and end of each record."""
         position, size = 0, len(records)
         while position < size:
-            if size - position < _RECORD.size:
+            if size - position < RECORD.size:
                 raise self.damaged("a record in a chunk is cut off")
-            opcode, length = _RECORD.unpack_from(records, position)
-            end = position + _RECORD.size + length
+            opcode, length = RECORD.unpack_from(records, position)
+            end = position + RECORD.size + length
             if end > size:
                 raise self.damaged("a record points out of its chunk")
             yield opcode, position, end

@@ -24,9 +24,10 @@ from mcap.records import Attachment, Channel, Schema
 from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
-from recorder import topics
+from recorder import compressed_image, topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.chunks import CHUNK_HEADER, Chunk, McapFile, StoredMessage
+from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
+from recorder.compressed_image import image_data
 from recorder.errors import LogError
 from recorder.topics import CAMERAS, Camera, camera_topic
 
@@ -37,9 +38,6 @@ _LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, but those of file
 _CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each
 
 Decoded = TypeVar("Decoded", VehicleState, PilotCommand)
-
-_IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
-_IMAGE_DATA_FIELD: Final = 2
 
 
 @dataclass(frozen=True)
@@ -127,6 +125,12 @@ class Log:
     @property
     def channels(self) -> dict[int, Channel]:
         return self._structure.channels
+
+    @property
+    def schemas(self) -> dict[str, str]:
+        """The name of the schema of each topic; empty where it has none."""
+        names = {number: schema.name for number, schema in self._structure.schemas.items()}
+        return {channel.topic: names.get(channel.schema_id, "") for channel in self.channels.values()}
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -294,7 +298,7 @@ class Log:
         for stored in self._file.messages(records):
             picture, length = -1, 0
             if stored.channel in self._image_channels:
-                picture, length = _image_data(records, stored)
+                picture, length = image_data(records, stored.offset, stored.length)
                 picture += base if picture >= 0 else 0
             rows.append(
                 (
@@ -312,7 +316,9 @@ class Log:
 
     @cached_property
     def _image_channels(self) -> frozenset[int]:
-        schemas = {number for number, schema in self._structure.schemas.items() if schema.name == _IMAGE_SCHEMA}
+        schemas = {
+            number for number, schema in self._structure.schemas.items() if schema.name == compressed_image.SCHEMA
+        }
         return frozenset(number for number, channel in self.channels.items() if channel.schema_id in schemas)
 
     def _of_topic(self, topic: str) -> NDArray[np.void]:
@@ -351,31 +357,3 @@ _ROW: Final = np.dtype(
         ("chunk", np.int64),
     ]
 )
-
-
-def _image_data(records: bytes, message: StoredMessage) -> tuple[int, int]:
-    """Offset and length of the field `data` of a serialised CompressedImage; (-1, 0) if it is none.
-
-    Walks the message's fields (https://protobuf.dev/programming-guides/encoding/), whatever their order.
-    """
-    position, end = message.offset, message.offset + message.length
-    while position < end:
-        tag, position = _varint(records, position, end)
-        size, position = _varint(records, position, end)
-        if tag & 7 != 2 or size < 0 or position + size > end:  # each field of it is length-delimited
-            return -1, 0
-        if tag >> 3 == _IMAGE_DATA_FIELD:
-            return position, size
-        position += size
-    return end, 0  # protobuf leaves an empty field out
-
-
-def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
-    """A base-128 varint and the position behind it; (-1, end) if it is cut off or longer than ten bytes."""
-    value, shift = 0, 0
-    for i in range(position, min(end, position + 10)):
-        value |= (data[i] & 0x7F) << shift
-        if data[i] < 0x80:
-            return value, i + 1
-        shift += 7
-    return -1, end

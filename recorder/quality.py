@@ -62,10 +62,21 @@ class StatesWritten:
 
 def summary(states: States) -> dict[str, str]:
     """What a log says of its own rows, so that nobody has to read it all to tell: drives, how many rows each flag
-    holds for, and the first stretches of them as JSON, [flag, first row, last row]."""
+    holds for, and the first stretches of them as JSON: [flag, first row, last row, begin and end in seconds from
+    the log's first row]; a gap begins at the row before it."""
     flags = row_flags(states)
     found = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
-    listed = [[flag, int(states.row[first]), int(states.row[last])] for first, last, flag in found]
+    since_s = (states.time_ns - states.time_ns[:1]) / 1e9
+    listed = [
+        [
+            flag,
+            int(states.row[first]),
+            int(states.row[last]),
+            float(since_s[first - (flag == "gap")]),
+            float(since_s[last]),
+        ]
+        for first, last, flag in found
+    ]
     return {
         "rows": str(len(states.row)),
         "drives": str(int(drive_numbers(states.time_ns)[-1]) + 1 if len(states.row) else 0),

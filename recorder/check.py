@@ -1,0 +1,50 @@
+"""Looking a log through: is the file sound, and does what it holds make sense?"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.progress import track
+from recorder.check_contents import Contents, Finding
+from recorder.check_structure import sound_chunks
+from recorder.chunks import McapFile
+from recorder.errors import LogError
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What was looked at, and what is wrong."""
+
+    path: Path
+    messages: int
+    pictures: int  # decoded
+    findings: list[Finding]
+
+
+def check(path: Path, *, look: bool = True) -> Checked:
+    """Read the whole log at `path` and say what is wrong with it; `look` decodes every picture.
+
+    Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that
+    do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
+    of range. Raises LogError if it is no MCAP file.
+    """
+    file = McapFile(path)
+    findings: list[Finding] = []
+    try:
+        structure = file.structure()
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            contents = Contents(structure, findings, pool if look else None)
+            chunks = sound_chunks(file, structure, findings)
+            for records in track(chunks, f"checking {path.name}", len(structure.chunks)):
+                try:
+                    for message in file.messages(records):
+                        contents.take(records, message)
+                except LogError as error:
+                    findings.append(Finding("damaged chunks", str(error)))
+            contents.judge()
+    finally:
+        file.close()
+    return Checked(path, sum(contents.counts.values()), contents.pictures, findings)

@@ -1,0 +1,106 @@
+"""Whether a log's file is sound: every CRC, and its indexes and counts against what is there."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from typing import Final
+
+from recorder.check_contents import Finding
+from recorder.chunks import CHUNK_HEADER, MAGIC, OP_CHUNK, RECORD, Chunk, McapFile, StoredMessage, Structure
+from recorder.errors import LogError
+
+_OP_MESSAGE_INDEX: Final = 7
+_OP_DATA_END: Final = 15
+
+
+def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[bytes]:
+    """The records of every sound chunk, in the order of the file; what is wrong is added to `findings`."""
+    return (_without_end if structure.problem else _walk)(file, structure, findings)
+
+
+def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[bytes]:
+    """The chunks of a log without a readable end: those that were found have been checked."""
+    findings.append(Finding("no readable end", structure.problem))
+    for start, end in structure.lost:
+        findings.append(Finding("bytes without anything whole", f"{start:,} to {end:,}"))
+    for chunk in structure.chunks:
+        yield file.records(chunk)
+
+
+def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[bytes]:
+    """Reads a finished log from its start, record by record, and yields the records of its sound chunks."""
+    position, crc = len(MAGIC), zlib.crc32(MAGIC)
+    indexed = {chunk.start: chunk for chunk in structure.chunks}
+    counts: Counter[int] = Counter()
+    expected: dict[int, list[tuple[int, int]]] = {}
+    while True:
+        try:
+            opcode, length = RECORD.unpack(file.read(position, RECORD.size))
+            record = file.read(position, RECORD.size + length)
+        except LogError:
+            findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
+            break
+        if opcode != _OP_MESSAGE_INDEX and expected:
+            findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
+            expected = {}
+        if opcode == _OP_DATA_END:
+            (told,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
+            if told and told != crc:
+                findings.append(Finding("CRC of all data does not hold", f"{told:08x}, found {crc:08x}"))
+            break
+        crc = zlib.crc32(record, crc)
+        if opcode == OP_CHUNK:
+            chunk = Chunk(position, position + len(record))
+            if indexed.pop(position, chunk).end != chunk.end:
+                findings.append(Finding("chunks that are not where the summary says", f"at byte {position:,}"))
+            try:
+                records = file.unpacked(record, position)
+                messages = list(file.messages(records))
+            except LogError:
+                findings.append(Finding("damaged chunks", f"bytes {position:,} to {chunk.end:,}"))
+            else:
+                counts.update(message.channel for message in messages)
+                expected = _index_of(messages)
+                _, _, first_ns, last_ns, _, _ = CHUNK_HEADER.unpack_from(record)
+                times = [message.log_time_ns for message in messages] or [0]
+                if (min(times), max(times)) != (first_ns, last_ns):
+                    findings.append(Finding("chunks of other times than they tell", f"at byte {position:,}"))
+                yield records
+        elif opcode == _OP_MESSAGE_INDEX and expected:
+            channel, found = _message_index(record)
+            if sorted(found) != sorted(expected.pop(channel, [])):
+                findings.append(Finding("indexes that do not fit their chunk", f"at byte {position:,}"))
+        position += len(record)
+    findings.extend(
+        Finding("chunks that are not where the summary says", f"at byte {start:,}") for start in sorted(indexed)
+    )
+    told_counts = structure.statistics.channel_message_counts if structure.statistics is not None else {}
+    for channel in sorted(told_counts.keys() | counts.keys()):
+        if told_counts.get(channel, 0) != counts[channel]:
+            topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"
+            findings.append(
+                Finding(
+                    "other numbers of messages than told",
+                    f"{topic}: {counts[channel]:,} of {told_counts.get(channel, 0):,}",
+                )
+            )
+
+
+def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]:
+    """(log time, offset of the record) of the messages of each channel, as an index has them."""
+    index: dict[int, list[tuple[int, int]]] = defaultdict(list)
+    for message in messages:
+        index[message.channel].append((message.log_time_ns, message.start))
+    return index
+
+
+def _message_index(record: bytes) -> tuple[int, list[tuple[int, int]]]:
+    """Channel and entries; (-1, []) for a record that is none."""
+    try:
+        channel, size = struct.unpack_from("<HI", record, RECORD.size)
+        return channel, list(struct.iter_unpack("<QQ", record[RECORD.size + 6 : RECORD.size + 6 + size]))
+    except struct.error:
+        return -1, []

@@ -1,0 +1,36 @@
+"""Where the picture lies within a serialised foxglove.CompressedImage."""
+
+from __future__ import annotations
+
+from typing import Final
+
+SCHEMA: Final = "foxglove.CompressedImage"
+_DATA_FIELD: Final = 2
+
+
+def image_data(data: bytes, offset: int, length: int) -> tuple[int, int]:
+    """Offset and length of the picture in the message of `length` bytes at `offset` of `data`; (-1, 0) if none.
+
+    Walks the message's fields (https://protobuf.dev/programming-guides/encoding/), whatever their order.
+    """
+    position, end = offset, offset + length
+    while position < end:
+        tag, position = _varint(data, position, end)
+        size, position = _varint(data, position, end)
+        if tag & 7 != 2 or size < 0 or position + size > end:  # each field of it is length-delimited
+            return -1, 0
+        if tag >> 3 == _DATA_FIELD:
+            return position, size
+        position += size
+    return end, 0  # protobuf leaves an empty field out
+
+
+def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
+    """A base-128 varint and the position behind it; (-1, end) if it is cut off or longer than ten bytes."""
+    value, shift = 0, 0
+    for i in range(position, min(end, position + 10)):
+        value |= (data[i] & 0x7F) << shift
+        if data[i] < 0x80:
+            return value, i + 1
+        shift += 7
+    return -1, end

@@ -1,0 +1,100 @@
+"""What a log says of itself: read from its end alone, however long it is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from recorder import topics
+from recorder.log import Log
+from recorder.quality import ROW_FLAGS, StatesWritten, summary
+from recorder.tags import Tag, read_tags, tags_path
+
+
+@dataclass(frozen=True)
+class Topic:
+    topic: str
+    schema: str
+    messages: int
+    per_second: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Rows with something odd about them; times in seconds from the log's first row."""
+
+    flag: str
+    first_row: int
+    last_row: int
+    begin_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Info:
+    path: str
+    size_bytes: int
+    start: str  # UTC, ISO 8601
+    duration_s: float
+    topics: list[Topic]
+    session: dict[str, str]  # where it comes from
+    drives: int
+    flags: dict[str, int]  # rows that each flag holds for
+    stretches: list[Stretch]  # the first of them
+    tags: list[Tag]
+    notice: str  # of an unfinished log
+
+
+def describe(path: Path) -> Info:
+    """Raises LogError if the log cannot be read."""
+    with Log(path) as log:
+        first_ns, last_ns = log.time_range_ns
+        duration_s = (last_ns - first_ns) / 1e9
+        counts, schemas = log.counts, log.schemas
+        quality = _quality(log)
+        return Info(
+            path=str(path),
+            size_bytes=log.size,
+            start=(datetime.fromtimestamp(first_ns // 10**9, UTC)).isoformat() if first_ns < 2**62 else "",
+            duration_s=duration_s,
+            topics=[
+                Topic(name, schemas[name], counts[name], counts[name] / duration_s if duration_s else 0.0)
+                for name in sorted(counts)
+            ],
+            session=log.metadata,
+            drives=_count(quality.get("drives")),
+            flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS},
+            stretches=_stretches(quality.get("stretches", "")),
+            tags=read_tags(path, log.fingerprint) if tags_path(path).exists() else [],
+            notice=log.notice,
+        )
+
+
+def _quality(log: Log) -> dict[str, str]:
+    """As the log's writer has summed it up; for one that was never finished, from its rows."""
+    stored = log.read_metadata(topics.QUALITY_METADATA)
+    if stored or not log.problem:
+        return stored
+    states = StatesWritten()
+    for message, state in log.vehicle_states():
+        states.add(message.sequence, message.log_time_ns, state)
+    return summary(states.states()) if len(states) else {}
+
+
+def _count(text: str | None) -> int:
+    return int(text) if text is not None and text.isascii() and text.isdigit() and len(text) < 16 else 0
+
+
+def _stretches(text: str) -> list[Stretch]:
+    """Somebody else may have written the log: what is no stretch is left out."""
+    try:
+        entries: list[list[Any]] = json.loads(text or "[]")
+        return [
+            Stretch(str(flag), int(first), int(last), float(begin_s), float(end_s))
+            for flag, first, last, begin_s, end_s in entries
+        ]
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return []
