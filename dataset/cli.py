@@ -11,9 +11,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from common.command import DONE, run_command
+from common.command import DONE, run_command, warn
 from dataset.config import IndexConfig
-from dataset.index import Indexed, build_index, find_logs
+from dataset.index import Indexed, build_index, find_logs, unfinished_recordings
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,16 @@ class Index:
 
 def index(config: Index) -> int:
     indexed = build_index(find_logs(config.sessions, config.folder), config.index, config.config)
+    code = DONE
+    for notice in [*indexed.notices, *unfinished_recordings(config.folder, indexed.sessions)]:
+        code = warn(notice)
     console = Console(highlight=False)
     console.print(_sessions(indexed))
     console.print(_balance(indexed))
     splits = indexed.samples["split"].value_counts().to_pylist()
     counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in splits)
     print(f"{indexed.path}: {len(indexed.frames):,} frames, {len(indexed.samples):,} samples ({counts})")
-    return DONE
+    return code
 
 
 def _sessions(indexed: Indexed) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,9 +19,10 @@ from dataset.config import IndexConfig
 from dataset.split import block_numbers, validation_blocks
 from recorder import Log
 from recorder.quality import drive_numbers
+from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, VEHICLE, camera_topic
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 METADATA_KEY: Final = b"bc.index"
 
 SCHEMA: Final = pa.schema(
@@ -29,8 +31,11 @@ SCHEMA: Final = pa.schema(
         pa.field("row", pa.int64()),  # the frame's number in its log
         pa.field("camera", pa.string()),
         pa.field("log_time_ns", pa.int64()),
-        pa.field("offset", pa.int64()),  # of the JPEG, in bytes from the start of the log
+        pa.field(
+            "offset", pa.int64()
+        ),  # of the JPEG, in bytes from the start of the log (or of its chunk, unpacked)
         pa.field("length", pa.int64()),  # of the JPEG, in bytes
+        pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
         pa.field("steering", pa.float64()),
         pa.field("throttle", pa.float64()),
         pa.field("brake", pa.float64()),
@@ -40,20 +45,24 @@ SCHEMA: Final = pa.schema(
         pa.field("split", pa.string()),  # "train" or "validation"
         pa.field("bin", pa.int64()),  # of the recorded steering; -1 where that is not in -1..1
         pa.field("flags", pa.list_(pa.string())),
+        pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
     ]
 )
 
 
 def session_name(log: Path) -> str:
-    return log.name.removesuffix(".mcap")
+    """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part, whose recording was killed."""
+    return re.sub(r"\.mcap(\.[0-9a-f]{6}\.part)?$", "", log.name)
 
 
 def frames_metadata(log: Log, index: Path, config: IndexConfig) -> dict[str, Any]:
     """What a frames file depends on: it is up to date as long as this has not changed."""
+    fingerprint = log.fingerprint
     return {
         "format": FORMAT,
         "log": Path(os.path.relpath(log.path.resolve(), index.resolve())).as_posix(),
-        "fingerprint": log.fingerprint,
+        "fingerprint": fingerprint,
+        "tags": [[tag.name, tag.first_row, tag.last_row] for tag in read_tags(log.path, fingerprint)],
         "bins": config.bins,
         "block_s": config.block_s,
         "validation": config.validation,
@@ -80,6 +89,7 @@ def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
 
 def frames_table(log: Log, session: str, config: IndexConfig) -> pa.Table:
     """One row for each camera picture that has a vehicle state, in the order of the log."""
+    tags = read_tags(log.path, log.fingerprint)
     messages, states = zip(*log.vehicle_states(), strict=True) if log.counts.get(VEHICLE) else ((), ())
     row = np.array([m.sequence for m in messages], np.int64)
     time_ns = np.array([m.log_time_ns for m in messages], np.int64)
@@ -106,6 +116,7 @@ def frames_table(log: Log, session: str, config: IndexConfig) -> pa.Table:
                 "log_time_ns": time_ns[state],
                 "offset": pictures.offset[found],
                 "length": pictures.length[found],
+                "chunk": pictures.chunk[found],
                 **{name: value[state] for name, value in values.items()},
                 "drive": drive[state],
                 "block": block[state],
@@ -115,11 +126,21 @@ def frames_table(log: Log, session: str, config: IndexConfig) -> pa.Table:
             }
         )
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    order = np.argsort(columns["offset"])
+    order = np.lexsort((columns["offset"], columns["chunk"]))
     columns = {name: column[order] for name, column in columns.items()}
     columns["session"] = np.full(len(order), session, dtype=object)
     columns["flags"] = [["out_of_range"] if bad else [] for bad in columns.pop("out_of_range")]
+    columns["tags"] = _tags_of(columns["row"], tags)
     return pa.table({field.name: pa.array(columns[field.name], field.type) for field in SCHEMA}, schema=SCHEMA)
+
+
+def _tags_of(row: NDArray[np.int64], tags: list[Tag]) -> list[list[str]]:
+    names: list[list[str]] = [[] for _ in row]
+    for tag in tags:
+        for at in np.flatnonzero((row >= tag.first_row) & (row <= tag.last_row)).tolist():
+            if tag.name not in names[at]:
+                names[at].append(tag.name)
+    return names
 
 
 def _rows_of(

@@ -19,6 +19,7 @@ from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames import frames_metadata, frames_table, read_metadata, session_name, write_table
 from dataset.samples import Balance, samples_table
+from dataset.shared import refuse_shared_pictures
 from recorder import Log
 
 SAMPLES_NAME = "samples.parquet"
@@ -35,6 +36,7 @@ class Indexed:
     frames: pa.Table
     samples: pa.Table
     balance: Balance
+    notices: list[str]  # logs that were never finished: what is complete in them is indexed
 
 
 def find_logs(sessions: Sequence[str], folder: Path) -> list[Path]:
@@ -43,7 +45,9 @@ def find_logs(sessions: Sequence[str], folder: Path) -> list[Path]:
     Raises DatasetError for one that does not exist, or for two of one name.
     """
     if sessions:
-        logs = [Path(given) if given.endswith(".mcap") else folder / f"{given}.mcap" for given in sessions]
+        logs = [
+            Path(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap" for given in sessions
+        ]
     else:
         logs = sorted(folder.glob("*.mcap"))
         if not logs:
@@ -64,6 +68,15 @@ def sessions_not_indexed(index: Path, folder: Path) -> list[str]:
     return [name for log in sorted(folder.glob("*.mcap")) if (name := session_name(log)) not in held]
 
 
+def unfinished_recordings(folder: Path, sessions: Sequence[str]) -> list[str]:
+    """A line for each unfinished recording in `folder` that no session of `sessions` stands for."""
+    return [
+        f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`"
+        for part in sorted(folder.glob("*.mcap.*.part"))
+        if session_name(part) not in sessions
+    ]
+
+
 def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = None) -> Indexed:
     """Bring `index` up to date: it then holds the sessions of `logs`, and only those."""
     config = config or IndexConfig()
@@ -72,14 +85,13 @@ def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = 
     tables: list[pa.Table] = []
     read: list[str] = []
     sources: dict[str, dict[str, str]] = {}
-    by_content: dict[str, Path] = {}  # twice the same pictures could be on both sides of the split
+    notices: list[str] = []
     for path in track(logs, "indexing", len(logs)):
         name = session_name(path)
         with Log(path) as log:
             metadata = frames_metadata(log, index, config)
-            if other := by_content.get(metadata["fingerprint"]):
-                raise DatasetError(f"{path} and {other}: the same recording twice; index only one of them")
-            by_content[metadata["fingerprint"]] = path
+            if log.notice:
+                notices.append(log.notice)
             sources[name] = {key: metadata[key] for key in ("log", "fingerprint")}
             file = frames_folder / f"{name}.parquet"
             table = _stored_frames(file, metadata)
@@ -94,13 +106,14 @@ def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = 
     frames = pa.concat_tables(tables)
     if not len(frames):
         raise DatasetError(f"{', '.join(map(str, logs))}: no frame with a vehicle state in it; nothing to index")
+    refuse_shared_pictures(frames, {session_name(path): path for path in logs})
     samples, balance = samples_table(frames, config)
     if not len(samples):
         raise DatasetError(
             f"no frame can be used: no picture of {', '.join(config.cameras)} with steering in -1..1"
         )
     write_table(index / SAMPLES_NAME, samples, {"format": 1, "settings": config.as_dict(), "logs": sources})
-    return Indexed(index, list(sources), read, frames, samples, balance)
+    return Indexed(index, list(sources), read, frames, samples, balance, notices)
 
 
 def _stored_frames(file: Path, metadata: dict[str, Any]) -> pa.Table | None:

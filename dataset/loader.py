@@ -102,12 +102,11 @@ class Loader:
         self._flip = rows["flip"].to_numpy()
         self._alteration: list[str] = rows["alteration"].to_pylist()
         self._alteration_seed = rows["seed"].to_numpy()
-        self._where = list(
-            zip(rows["session"].to_pylist(), rows["offset"].to_pylist(), rows["length"].to_pylist(), strict=True)
-        )
+        places = (rows[name].to_pylist() for name in ("session", "offset", "length", "chunk"))
+        self._where = list(zip(*places, strict=True))
         self._logs = samples.logs
         # Mirror images and copies share their original's picture: it is decoded and kept once.
-        slots: dict[tuple[str, int, int], int] = {}
+        slots: dict[tuple[str, int, int, int], int] = {}
         self._slot = np.array([slots.setdefault(where, len(slots)) for where in self._where], np.int64)
         kept = min(len(slots), budget_bytes // (SIZE_PX * SIZE_PX * 3))
         self._crops = np.empty((kept, SIZE_PX, SIZE_PX, 3), np.uint8)
@@ -162,10 +161,10 @@ class Loader:
         if slot < len(self._crops) and self._is_kept[slot]:
             kept: Image = self._crops[slot]
             return kept
-        session, offset, length = self._where[row]
+        session, offset, length, chunk = self._where[row]
         log = self._logs[session]
         try:
-            crop = preprocess(decode(log.read(offset, length)))
+            crop = preprocess(decode(log.read(offset, length, chunk)))
         except ValueError as error:
             raise DatasetError(f"{log.path}: the picture at byte {offset}: {error}") from None
         if slot < len(self._crops):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dataset.balance import balance, bin_of
 from dataset.config import IndexConfig
+from recorder.tags import EXCLUDE
 
 SCHEMA: Final = pa.schema(
     [
@@ -21,6 +22,7 @@ SCHEMA: Final = pa.schema(
         pa.field("log_time_ns", pa.int64()),
         pa.field("offset", pa.int64()),
         pa.field("length", pa.int64()),
+        pa.field("chunk", pa.int64()),
         pa.field("flip", pa.bool_()),
         pa.field("alteration", pa.string()),  # "", or names joined by "+"
         pa.field("seed", pa.int64()),  # of the alteration
@@ -30,6 +32,9 @@ SCHEMA: Final = pa.schema(
         pa.field("copy", pa.bool_()),  # added to fill up its bin
     ]
 )
+
+
+FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
 
 
 @dataclass(frozen=True)
@@ -42,14 +47,23 @@ class Balance:
     short: dict[int, int]
 
 
+def is_excluded(frames: pa.Table) -> pa.ChunkedArray:
+    """Which frames somebody has tagged `exclude`."""
+    tagged = pc.list_parent_indices(frames["tags"].combine_chunks())
+    names = pc.list_flatten(frames["tags"].combine_chunks())
+    mask = np.zeros(len(frames), np.bool_)
+    mask[tagged.filter(pc.equal(names, EXCLUDE)).to_numpy()] = True
+    return pa.chunked_array([pa.array(mask)])
+
+
 def samples_table(frames: pa.Table, config: IndexConfig) -> tuple[pa.Table, Balance]:
     """Frames (see `frames.SCHEMA`) as samples: mirrored, labelled, and the training split balanced.
 
     Validation holds every picture and its mirror image once, unaltered. A frame whose steering is out of
-    range cannot be binned and is left out.
+    range cannot be binned and is left out; so is one that somebody has tagged `exclude`.
     """
     usable = pc.and_(pc.is_in(frames["camera"], pa.array(config.cameras)), pc.greater_equal(frames["bin"], 0))
-    frames = frames.filter(usable).combine_chunks()
+    frames = frames.filter(pc.and_(usable, pc.invert(is_excluded(frames)))).combine_chunks()
     camera = frames["camera"].to_numpy()
     correction = config.side_correction * ((camera == "left").astype(float) - (camera == "right"))
     straight = np.clip(frames["steering"].to_numpy() + correction, -1.0, 1.0)
@@ -73,7 +87,7 @@ def samples_table(frames: pa.Table, config: IndexConfig) -> tuple[pa.Table, Bala
 
     taken = frames.take(pa.array(frame[chosen]))
     columns = {
-        **{name: taken[name] for name in ("session", "row", "camera", "log_time_ns", "offset", "length", "split")},
+        **{name: taken[name] for name in FROM_FRAMES},
         "flip": flip[chosen],
         "alteration": alteration,
         "seed": seed,

@@ -17,7 +17,7 @@ from dataset import DatasetError, IndexConfig, Indexed, Samples, build_index, fi
 from dataset.balance import balance, bin_of
 from dataset.cli import main
 from dataset.split import block_numbers, validation_blocks
-from logs import STEP_NS, not_a_picture, plain_read, write_log
+from logs import STEP_NS, plain_read, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.quality import drive_numbers
@@ -31,8 +31,13 @@ distributions = st.lists(st.floats(-1, 1), min_size=1, max_size=300)
 bins_from_1 = st.integers(1, 40)
 
 
+def write_session(path: Path, steering: list[float]) -> Path:
+    """A log whose pictures are no other session's."""
+    return write_log(path, steering, lambda camera, row: f"{path.stem} {camera} {row}".encode(), overwrite=True)
+
+
 def index_of(folder: Path, config: IndexConfig = BLOCKS, **sessions: list[float]) -> Indexed:
-    logs = [write_log(folder / f"{name}.mcap", steering, overwrite=True) for name, steering in sessions.items()]
+    logs = [write_session(folder / f"{name}.mcap", steering) for name, steering in sessions.items()]
     return build_index(logs, folder / "index", config)
 
 
@@ -229,7 +234,7 @@ def test_ranges_lead_to_the_pictures_bytes_and_values_to_their_rows(tmp_path: Pa
     frames = rows_of(indexed.path / "frames" / "a.parquet")
     assert len(frames) == 3 * len(STEERING)
     for row in frames:
-        expected = not_a_picture(row["camera"], row["row"])
+        expected = f"{row['session']} {row['camera']} {row['row']}".encode()
         assert plain_read(tmp_path / "a.mcap", row["offset"], row["length"]) == expected
         values = [row[name] for name in ("steering", "throttle", "brake", "speed_mph")]
         assert values == [STEERING[row["row"]], 0.5, 0.0, 9.0]
@@ -260,7 +265,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
 
 
 def test_only_what_changed_is_read_again(tmp_path: Path) -> None:
-    logs = [write_log(tmp_path / "a.mcap", STEERING), write_log(tmp_path / "b.mcap", STEERING[::-1])]
+    logs = [write_session(tmp_path / "a.mcap", STEERING), write_session(tmp_path / "b.mcap", STEERING[::-1])]
     index = tmp_path / "index"
 
     def read_again(config: IndexConfig = BLOCKS) -> list[str]:
@@ -270,7 +275,7 @@ def test_only_what_changed_is_read_again(tmp_path: Path) -> None:
     before = [digest(path) for path in sorted(index.rglob("*.parquet"))]
     assert read_again() == []
     assert [digest(path) for path in sorted(index.rglob("*.parquet"))] == before
-    write_log(logs[1], STEERING[1:], overwrite=True)
+    write_session(logs[1], STEERING[1:])
     assert read_again() == ["b"]
     (index / "frames" / "a.parquet").unlink()
     assert read_again() == ["a"]
@@ -302,7 +307,7 @@ def test_a_session_that_is_gone_vanishes_and_strangers_files_stay(tmp_path: Path
 def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
     """Each name has a split of its own: a picture could be on both sides."""
     logs = [write_log(tmp_path / f"{name}.mcap", STEERING) for name in "ab"]
-    with pytest.raises(DatasetError, match=r"b\.mcap and .*a\.mcap: the same recording twice"):
+    with pytest.raises(DatasetError, match=r"a\.mcap and .*b\.mcap: the same picture in both"):
         build_index(logs, tmp_path / "index", BLOCKS)
 
 
