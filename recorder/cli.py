@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -10,22 +14,37 @@ import tyro
 
 from common.command import run_command, warn_skipped
 from recorder.errors import RecordingError
-from recorder.record import import_udacity
+from recorder.record import Imported
 from recorder.simulated import SimulatedDrive, record_simulated
+from recorder.sources import Topics, import_from
 
 
 @dataclass(frozen=True)
 class Record:
-    """Record a session to sessions/NAME.mcap: of the built-in simulator, or from a recording.
+    """Record a session to sessions/NAME.mcap: of the built-in simulator, of one that runs, or from a recording.
 
     bc-record lake --track lake --laps 0.5
-    bc-record mine --from ~/beta_simulator/recording
+    bc-record mine --from ~/beta_simulator/recording --watch
     """
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session: a plain name, without folders or ending."""
-    source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FOLDER")] = None
-    """A folder into which the Udacity simulator recorded: driving_log.csv and IMG/."""
+    source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
+    """What has been recorded: a folder of the Udacity simulator (driving_log.csv and IMG/), a DonkeyCar tub,
+    another program's log (.mcap), or a ROS 2 bag."""
+    watch: bool = False
+    """Follow the folder given to --from while the simulator writes it, also if it is not there yet."""
+    listen: bool = False
+    """Record the telemetry that a simulator sends, or any Socket.IO client that sends the same."""
+    idle: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """End --watch or --listen when nothing new has come for so long; otherwise Ctrl-C ends them."""
+    viewer: bool = False
+    """Show in Rerun what --watch or --listen records, while it does."""
+    host: str = "127.0.0.1"
+    """Address that --listen listens on; other machines are let in by 0.0.0.0."""
+    port: int = 4567
+    """Port that --listen listens on; the simulator connects to 4567."""
+    topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
     sessions: Path = Path("sessions")
@@ -36,22 +55,74 @@ class Record:
 
 
 def record(config: Record) -> int:
-    name = config.name
-    if not name or name.startswith(".") or any(character in name for character in '/\\\0\n\r:*?"<>|'):
-        raise RecordingError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
-    log = config.sessions / f"{name}.mcap"
-    if config.source is not None:
-        if config.udacity is not None or config.drive != SimulatedDrive():
-            raise RecordingError(
-                "--from imports a recording; --udacity and --track and its like are the simulator's"
-            )
-        done = import_udacity(config.source, log, overwrite=config.force)
-    else:
-        done = record_simulated(config.drive, log, udacity=config.udacity, overwrite=config.force)
+    _refuse_contradictions(config)
+    done = _recorded(config, config.sessions / f"{config.name}.mcap")
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
     print(f"{done.path}: {done.rows:,} rows, {done.pictures:,} pictures, {size_mb:.1f} MB")
     return code
+
+
+def _recorded(config: Record, log: Path) -> Imported:
+    with contextlib.ExitStack() as stack:
+
+        def preview(growing: Path) -> None:
+            if config.viewer:
+                stack.enter_context(_preview(growing))
+
+        if config.listen:
+            from recorder.listen import listen_for_telemetry  # Socket.IO: a second to load
+
+            return listen_for_telemetry(
+                log,
+                host=config.host,
+                port=config.port,
+                idle_s=config.idle,
+                overwrite=config.force,
+                on_started=preview,
+            )
+        if config.source is not None and config.watch:
+            from recorder.watch import watch_udacity
+
+            return watch_udacity(
+                config.source, log, idle_s=config.idle, overwrite=config.force, on_started=preview
+            )
+        if config.source is not None:
+            return import_from(config.source, log, config.topics, overwrite=config.force)
+        return record_simulated(config.drive, log, udacity=config.udacity, overwrite=config.force)
+
+
+@contextlib.contextmanager
+def _preview(growing: Path) -> Iterator[None]:
+    """The viewer, as a program of its own: it may freeze, or be closed, and the recording goes on."""
+    viewer = subprocess.Popen([sys.executable, "-m", "viz.cli", str(growing), "--follow"], stdout=sys.stderr)
+    try:
+        yield
+    finally:
+        viewer.terminate()
+        viewer.wait()
+
+
+def _refuse_contradictions(config: Record) -> None:
+    name = config.name
+    if not name or name.startswith(".") or any(character in name for character in '/\\\0\n\r:*?"<>|'):
+        raise RecordingError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
+    if name.endswith(".mcap"):
+        raise RecordingError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
+    if config.source is not None and config.listen:
+        raise RecordingError("--from and --listen: give one of them")
+    if config.watch and config.source is None:
+        raise RecordingError("--watch follows a folder: give it with --from FOLDER")
+    if (config.source is not None or config.listen) and (
+        config.udacity is not None or config.drive != SimulatedDrive()
+    ):
+        raise RecordingError(
+            "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
+        )
+    if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
+        raise RecordingError("--idle and --viewer go with --watch or --listen")
+    if config.topics != Topics() and (config.source is None or config.watch):
+        raise RecordingError("--image and --steering go with --from other.mcap")
 
 
 def main() -> None:

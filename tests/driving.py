@@ -23,6 +23,7 @@ from model.run import create_run, save_weights
 PATIENCE_S = 60.0  # for a process on a busy machine: nothing waits that long unless it is broken
 COMMANDS = {
     "bc-record": "recorder.cli",
+    "bc-log": "recorder.log_cli",
     "bc-index": "dataset.cli",
     "bc-train": "model.cli",
     "bc-drive": "drive.cli",

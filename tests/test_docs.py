@@ -21,15 +21,29 @@ FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 @pytest.fixture(scope="module")
 def flags() -> dict[str, set[str]]:
-    """The flags that each command's --help shows."""
+    """The flags that the --help of each command shows, and of each of its subcommands (`bc-log info`)."""
+    result: dict[str, set[str]] = {}
     with ThreadPoolExecutor(3) as pool:
-        helped = pool.map(lambda name: run(name, "--help"), COMMANDS)
-        result = {}
-        for name, done in zip(COMMANDS, helped, strict=True):
-            assert done.returncode == 0, done.stderr
-            result[name] = set(re.findall(r"^\W*(?:-\w, )?(--[a-z][a-z0-9-]*)", done.stdout, re.MULTILINE))
-            assert result[name], done.stdout
+        for name, shown in zip(COMMANDS, pool.map(help_of, COMMANDS), strict=True):
+            result[name] = flags_in(shown)
+            subcommands = [f"{name} {sub}" for sub in re.findall(r"• (\w+) ", shown)]
+            for subcommand, helped in zip(subcommands, pool.map(help_of, subcommands), strict=True):
+                result[subcommand] = flags_in(helped)
+                result[name] |= result[subcommand]
     return result
+
+
+def help_of(command: str) -> str:
+    name, *subcommand = command.split()
+    done = run(name, *subcommand, "--help")
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def flags_in(shown: str) -> set[str]:
+    found = set(re.findall(r"^\W*(?:-\w, )?(--[a-z][a-z0-9-]*)", shown, re.MULTILINE))
+    assert found, shown
+    return found
 
 
 def documentation() -> str:
@@ -53,7 +67,7 @@ def test_the_commands_are_those_of_the_project_file() -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_and_flag_is_documented(name: str, flags: dict[str, set[str]]) -> None:
     text = documentation()
-    assert name in text
+    assert all(command in text for command in flags if command.split()[0] == name)
     assert flags[name] - {"--help"} - set(FLAG.findall(text)) == set()
 
 
@@ -63,7 +77,7 @@ def test_the_command_lines_in_the_documentation_have_flags_that_exist(flags: dic
     wrong = []
     for page, line in lines:
         words = shlex.split(line, comments=True)
-        known = flags.get(words[0])
+        known = flags.get(" ".join(words[:2]), flags.get(words[0]))
         unknown = {word.split("=")[0] for word in words if word.startswith("--")} - (known or set())
         if known is None or unknown:
             wrong.append(f"{page}: {line}")
