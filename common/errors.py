@@ -6,6 +6,7 @@ one line and ends with exit code 1. Anything else that escapes is a bug and keep
     UserError
     ├── LogError         (recorder)   a log that is missing, damaged, unfinished or of another program
     ├── RecordingError   (recorder)   a recording that cannot be imported
+    ├── ListenError      (recorder)   a port that is taken, or may not be listened on
     ├── DatasetError     (dataset)    an index that is missing, empty or older than its logs
     ├── RunError         (model)      a run folder that is missing, incomplete or of another version
     └── DriveError       (drive)      a drive that cannot start

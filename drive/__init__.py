@@ -1,4 +1,4 @@
-"""Driving: the server that the simulator connects to, the pilot's decisions, and the drive's log."""
+"""Driving: the pilot's decisions on the telemetry that the simulator tells, and the drive's log."""
 
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from drive.errors import DriveError
     from drive.server import DriveServer, open_log
     from drive.speed import SpeedController
-    from drive.telemetry import Telemetry, TelemetryError, parse_telemetry
 
 __all__ = [
     "Course",
@@ -20,11 +19,8 @@ __all__ = [
     "Driver",
     "Result",
     "SpeedController",
-    "Telemetry",
-    "TelemetryError",
     "evaluate",
     "open_log",
-    "parse_telemetry",
 ]
 
 __getattr__ = lazy_names(
@@ -37,10 +33,7 @@ __getattr__ = lazy_names(
         "Driver": "drive.driver",
         "Result": "drive.closed_loop",
         "SpeedController": "drive.speed",
-        "Telemetry": "drive.telemetry",
-        "TelemetryError": "drive.telemetry",
         "evaluate": "drive.closed_loop",
         "open_log": "drive.server",
-        "parse_telemetry": "drive.telemetry",
     },
 )

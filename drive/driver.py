@@ -11,10 +11,10 @@ import cv2
 from dataset import decode
 from dataset.preprocess import Image
 from drive.speed import SpeedController
-from drive.telemetry import Telemetry, TelemetryError, parse_telemetry
 from model import Pilot
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.telemetry import Telemetry, TelemetryError, parse_telemetry
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,6 @@ class Driver:
             (decoded_s - start_s) * 1e3,
             (predicted_s - decoded_s) * 1e3,
         )
-
-    @property
-    def decimal_comma(self) -> bool:
-        """How this simulator's machine writes numbers, as far as it has told."""
-        return self._decimal_comma
 
     @property
     def set_speed_mph(self) -> float:

@@ -6,4 +6,4 @@ from common import UserError
 
 
 class DriveError(UserError):
-    """A drive that cannot start, because its port is taken or its speed is nonsense; a simulator that failed."""
+    """A drive that cannot start, because its speed or its course is nonsense; a simulator that failed."""

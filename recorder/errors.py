@@ -1,4 +1,4 @@
-"""What can be wrong with a log or a recording."""
+"""What can be wrong with a log, a recording, or the port on which telemetry arrives."""
 
 from __future__ import annotations
 
@@ -11,3 +11,7 @@ class LogError(UserError):
 
 class RecordingError(UserError):
     """A recording that cannot be imported."""
+
+
+class ListenError(UserError):
+    """An address or a port that cannot be listened on."""

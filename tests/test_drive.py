@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
-import shutil
 import signal
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -22,13 +22,15 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 
+import driving
 from dataset import decode
-from drive.telemetry import MAX_IMAGE_BYTES
-from driving import PATIENCE_S, DriveProcess, one_line_of, road_jpeg, run, untrained_run
+from driving import PATIENCE_S, DriveProcess, Process, one_line_of, road_jpeg, run, untrained_run
 from model import load_pilot
-from recorder import Log, LogError
+from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told
+from recorder.edit import recover, recovered_name
+from recorder.telemetry import MAX_IMAGE_BYTES
+from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
 from simulator.replay import replay
 
 REPLAYED, MODERN, TOGETHER, COMMA, MANUAL = 60, 12, 15, 10, 3
@@ -390,9 +392,10 @@ def test_a_killed_drive_leaves_a_part_that_can_be_read(pilot_run: Path, tmp_path
         except (McapError, EOFError):
             pass  # the cut
     assert pictures == told
-    shutil.copy(part, log)
-    with pytest.raises(LogError, match="no readable end"):
-        Log(log)
+    recovered = recover(part, recovered_name(part))
+    assert recovered.path == log
+    with Log(log) as whole:
+        assert [whole.picture(row) for row in range(len(told))] == told
 
 
 def test_an_existing_log_is_refused_before_anything_starts(tmp_path: Path) -> None:
@@ -428,3 +431,57 @@ def test_a_web_page_of_another_site_is_not_let_in(pilot_run: Path, tmp_path: Pat
         with pytest.raises(websocket.WebSocketBadStatusException):
             websocket.create_connection(url, timeout=PATIENCE_S, origin="http://elsewhere.example")
         websocket.create_connection(url, timeout=PATIENCE_S, suppress_origin=True).close()
+
+
+def test_at_the_end_the_car_is_let_roll_out(pilot_run: Path, tmp_path: Path) -> None:
+    """It would keep its last command; and whoever still tells after that gets no other one."""
+    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+        commands: list[Steer] = []
+        client = SimulatorClient(port=process.wait_until_it_listens(), wait_s=0)
+
+        def next_telemetry(answer: Answer) -> Told:
+            if isinstance(answer, Steer):
+                commands.append(answer)
+                if len(commands) == 10:
+                    process.popen.send_signal(signal.SIGINT)
+            return Telemetry(0.0, 0.0, 5.0, road_jpeg(len(commands)))
+
+        with pytest.raises(WaitTimeoutError):  # it tells on and on, until nobody is there any more
+            client.run(next_telemetry)
+        assert process.join() == 0
+    sent = [PilotCommand.FromString(data) for _, _, data in messages(tmp_path / "run.mcap", "/pilot/command")]
+    assert commands[-1] == Steer(0.0, 0.0)
+    assert [command.steering for command in commands[:-1]] == pytest.approx(
+        [command.steering for command in sent], abs=1e-6
+    )
+
+
+def test_a_full_disk_ends_the_drive_in_one_line_that_names_the_file(pilot_run: Path, tmp_path: Path) -> None:
+    line = driving.command("bc-drive", pilot_run, "--log", tmp_path / "run.mcap", "--port", 0)
+    # the system refuses a file that grows above 400 blocks as it refuses one on a full disk
+    with Process(["sh", "-c", 'ulimit -f 400; exec "$0" "$@"', *line]) as process:
+        port = int(process.wait_for(r"is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1])
+        with pytest.raises(WaitTimeoutError):
+            SimulatorClient(port=port, wait_s=0).run(lambda answer: Telemetry(0.0, 0.0, 5.0, road_jpeg(0)))
+        assert process.join() == 1
+    (part,) = tmp_path.iterdir()
+    assert str(part) in process.stderr[-1]
+    assert "File too large" in process.stderr[-1]
+    assert "Traceback" not in "".join(process.stderr)
+
+
+def test_a_broken_packet_is_one_line_and_others_are_driven_on(pilot_run: Path, tmp_path: Path) -> None:
+    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+        port = process.wait_until_it_listens()
+        url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
+            connection = websocket.create_connection(url, socket=stream)
+            connection.send("42" + json.dumps(["telemetry", fields(0)]))
+            connection.send("42[]")
+            received = list(iter(connection.recv, ""))  # until the server hangs up
+        assert sum(str(message).startswith('42["steer"') for message in received) == 1
+        assert len(replay(SimulatorClient(port=port), [road_jpeg(i) for i in range(3)])) == 3
+        assert process.end() == 0
+    lines = [line for line in process.stderr if "broken packet" in line]
+    assert lines == ["bc-drive: disconnected after 1 frames (broken packet); waiting"]
+    assert "Traceback" not in "".join(process.stderr)

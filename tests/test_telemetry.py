@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drive.speed import SpeedController
-from drive.telemetry import MAX_IMAGE_BYTES, Telemetry, TelemetryError, format_command, parse_telemetry
+from recorder.telemetry import MAX_IMAGE_BYTES, Telemetry, TelemetryError, format_command, parse_telemetry
 
 PICTURE = bytes(range(256))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 from typing import Any
 
-from drive.errors import DriveError
-from drive.green import eventlet
+from recorder.errors import ListenError
+from recorder.green import eventlet
 
 
 class QuickAckSocket(eventlet.greenio.GreenSocket):  # type: ignore[misc]
@@ -29,7 +29,7 @@ class QuickAckSocket(eventlet.greenio.GreenSocket):  # type: ignore[misc]
 
 
 def listen(host: str, port: int) -> QuickAckSocket:
-    """Listen on host:port, port 0 for a free one. Raises DriveError if that is not possible.
+    """Listen on host:port, port 0 for a free one. Raises ListenError if that is not possible.
 
     Not `eventlet.listen`, which shares ports: a second server would silently take half of the connections.
     """
@@ -39,10 +39,11 @@ def listen(host: str, port: int) -> QuickAckSocket:
     try:
         listener.bind((host, port))
         listener.listen(16)
-    except (OSError, OverflowError) as error:
+    except (OSError, OverflowError, TypeError, ValueError) as error:  # the latter two: no host has such a name
         listener.close()
         reason = getattr(error, "strerror", None) or error
-        raise DriveError(
-            f"cannot listen on {host}:{port} ({reason}); if another bc-drive is running, give another --port"
+        raise ListenError(
+            f"cannot listen on {host}:{port} ({reason}); end the bc-drive or bc-record --listen that is running"
+            " there, or give another --port"
         ) from None
     return listener

@@ -1,0 +1,173 @@
+"""Recording live telemetry: whatever a connected simulator tells becomes a log."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from common import Skipped
+from common.command import stderr
+from common.files import refuse_existing
+from common.progress import StatusLine
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.jpeg import is_whole_jpeg
+from recorder.record import Imported
+from recorder.telemetry import TelemetryError, parse_telemetry
+from recorder.telemetry_server import Answer, TelemetryServer
+from recorder.writer import EventLevel, LogWriter
+
+RATE_S = 1.0  # the rows a second that are shown are those of this last while
+
+
+def listen_for_telemetry(
+    log: Path,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 4567,
+    idle_s: float | None = None,
+    overwrite: bool = False,
+    on_started: Callable[[Path], None] | None = None,
+) -> Imported:
+    """Record to `log` what Socket.IO clients tell on host:port (port 0: a free one); every telemetry is answered
+    by `manual`, which asks for the next one.
+
+    Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last telemetry; outside the main thread, which alone
+    hears signals, only on the latter. `on_started` gets the path of the growing file, once the server listens.
+
+    Raises RecordingError if not one telemetry came that can be used, ListenError if the port is taken, UserError
+    if `log` exists and `overwrite` is off, or if it cannot be written any further.
+    """
+    refuse_existing(log, overwrite)
+    with _stop_signals() as stopped, contextlib.ExitStack() as writing:
+        writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
+        with StatusLine() as status:
+            session = _Session(writer, status)
+            server = TelemetryServer(session, host=host, port=port)
+            session.say(f"waiting for a simulator on {host}:{server.port}")
+            if on_started is not None:
+                on_started(writer.part)
+            server.run(until=lambda: stopped.is_set() or (idle_s is not None and session.is_idle_for(idle_s)))
+        if not session.rows:
+            writing.pop_all()  # a live log would be kept, for its events
+            writer.discard()
+            raise RecordingError(f"{log}: {session.why_nothing()}")
+    return Imported(log, session.rows, session.rows, session.skipped)
+
+
+class _Session:
+    """Writes telemetry down; rows are numbered from 0, and no time is the same as or before the last one."""
+
+    def __init__(self, writer: LogWriter, status: StatusLine) -> None:
+        self._writer = writer
+        self._status = status
+        self._text = ""
+        self._connections = 0
+        self._telemetries = 0
+        self._manuals = 0
+        self._last_ns = 0
+        self._last_s = 0.0
+        self._rate_from = (time.monotonic(), 0)
+        self._rate = 0.0
+        self.rows = 0
+        self.skipped = Skipped()
+
+    def connected(self, sid: str) -> None:
+        self._event(time.time_ns(), "connected")
+        self._connections += 1
+        if self._connections == 1:
+            self.say("connected, waiting for telemetry")
+
+    def disconnected(self, sid: str, reason: str) -> None:
+        self._event(time.time_ns(), f"disconnected: {reason}")
+
+    def telemetry(self, sid: str, data: object) -> Answer:
+        received_ns = time.time_ns()
+        self._last_s = time.monotonic()
+        return Answer(None, lambda _: self._note(received_ns, data))
+
+    def tick(self) -> None:
+        self._writer.flush_if_due()
+        now_s = time.monotonic()
+        since_s, rows = self._rate_from
+        if now_s - since_s >= RATE_S:
+            self._rate = (self.rows - rows) / (now_s - since_s)
+            self._rate_from = (now_s, self.rows)
+        if self._telemetries:
+            self._text = (
+                f"{self.rows:,} rows, {self.rows:,} pictures, {self._writer.bytes_written / 1e6:.1f} MB,"
+                f" {self._rate:.0f} rows/s, {len(self.skipped):,} skipped"
+            )
+        self._status.show(self._text)
+
+    def say(self, text: str) -> None:
+        """Show it in the status line; where there is none, print it."""
+        self._text = text
+        console = stderr()
+        if not console.is_interactive:
+            console.print(text, markup=False)
+
+    def is_idle_for(self, idle_s: float) -> bool:
+        """Whether the last telemetry came so long ago; False before the first."""
+        return self._telemetries > 0 and time.monotonic() - self._last_s >= idle_s
+
+    def why_nothing(self) -> str:
+        if self.skipped:
+            return f"nothing was recorded, {'; '.join(self.skipped.lines(most_names=3))}"
+        if self._manuals:
+            return (
+                "nothing was recorded: the simulator tells nothing while its keys are held; drive in its training"
+                " mode and follow that by `bc-record NAME --from FOLDER --watch`"
+            )
+        if self._connections:
+            return "nothing was recorded: a client connected, but told no telemetry; start its autonomous mode"
+        return "nothing was recorded: no simulator connected; start its autonomous mode while this waits for it"
+
+    def _note(self, received_ns: int, data: object) -> None:
+        self._telemetries += 1
+        if data is None:  # a human holds a key
+            self._manuals += 1
+            if self._manuals == 1:
+                self._event(received_ns, "manual: a human drives")
+            return
+        try:
+            told = parse_telemetry(data)
+            if not is_whole_jpeg(told.jpeg):
+                raise TelemetryError("image is not a whole JPEG")
+        except TelemetryError as error:
+            self.skipped.add(f"telemetries that cannot be used ({error})", f"number {self._telemetries}")
+            self._event(received_ns, f"bad telemetry: {error}", "WARNING")
+            return
+        time_ns = self._unique_ns(received_ns)
+        self._writer.picture("center", time_ns, self.rows, told.jpeg)
+        state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
+        self._writer.vehicle(time_ns, self.rows, state)
+        self.rows += 1
+
+    def _event(self, time_ns: int, text: str, level: EventLevel = "INFO") -> None:
+        self._writer.event(self._unique_ns(time_ns), text, level, "recorder")
+
+    def _unique_ns(self, time_ns: int) -> int:
+        self._last_ns = max(time_ns, self._last_ns + 1)
+        return self._last_ns
+
+
+@contextlib.contextmanager
+def _stop_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and `kill` set, instead of what they do otherwise."""
+    stopped = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stopped
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, lambda *_: stopped.set())
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
