@@ -29,6 +29,7 @@ from recorder.quality import StatesWritten, summary
 from recorder.topics import Camera, camera_topic
 
 CHUNK_BYTES: Final = 256 * 1024
+PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
@@ -96,9 +97,10 @@ class LogWriter:
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": toolkit_version(), **metadata})
 
-    def picture(self, camera: Camera, time_ns: int, sequence: int, jpeg: bytes) -> None:
-        """A camera's JPEG, byte for byte."""
-        self._image(camera_topic(camera), time_ns, sequence, jpeg, "jpeg")
+    def picture(self, camera: Camera, time_ns: int, sequence: int, picture: bytes) -> None:
+        """A camera's JPEG or PNG, byte for byte."""
+        kind = "png" if picture.startswith(PNG_START) else "jpeg"
+        self._image(camera_topic(camera), time_ns, sequence, picture, kind)
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
         """The picture that the network saw, as PNG (lossless)."""
@@ -184,7 +186,12 @@ class LogWriter:
         if self._is_broken and self._live and has_messages:
             self._abandon()  # the error that broke it names the file, which stays
         elif kind is None or (self._live and has_messages):
-            self.close()
+            try:
+                self.close()
+            except UserError:
+                if self._is_broken:
+                    (self._abandon if self._live else self.discard)()
+                raise
         else:
             self.discard()
 
