@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from common import Skipped
 from common.progress import track
 from recorder.bc_pb2 import VehicleState
+from recorder.jpeg import is_whole_jpeg
 from recorder.topics import CAMERAS
 from recorder.udacity import Recording, Row, read_recording
 from recorder.writer import LogWriter
 
-JPEG_START, JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
-
-
-def _is_whole_jpeg(data: bytes) -> bool:
-    if not data.startswith(JPEG_START) or JPEG_END not in data[-64:]:  # some cameras pad the end
-        return False
-    try:  # an eighth of the size: a fraction of the time, and the whole file is still read through
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
-    except cv2.error:
-        return False
+NOT_WHOLE = "pictures that are not whole JPEG files"
+UNREADABLE = "pictures that cannot be read"
 
 
 @dataclass(frozen=True)
@@ -44,7 +35,7 @@ def import_udacity(folder: Path, log: Path, *, overwrite: bool = False) -> Impor
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     recording = read_recording(folder)
-    metadata = {"source": "udacity", "recording": recording.folder.resolve().name}
+    metadata = {"source": "udacity", "recording": Path(os.path.realpath(recording.folder)).name}
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
         rows = track(recording.rows, f"importing {recording.folder.name}", len(recording.rows))
         pictures = _write_rows(writer, rows, recording)
@@ -56,18 +47,24 @@ def import_udacity(folder: Path, log: Path, *, overwrite: bool = False) -> Impor
 def _write_rows(writer: LogWriter, rows: Iterable[Row], recording: Recording) -> int:
     pictures = 0
     for sequence, row in enumerate(rows):
-        for camera in CAMERAS:
-            path = row.pictures.get(camera)
+        for camera, name in zip(CAMERAS, row.names, strict=True):
+            path = recording.pictures.get(name)
             if path is None:
                 continue
-            jpeg = path.read_bytes()
-            if not _is_whole_jpeg(jpeg):
-                recording.skipped.add("pictures that are not whole JPEG files", path.name)
+            try:
+                with open(path, "rb", buffering=0) as file:  # noqa: PTH123  (a Path of each would take longer)
+                    jpeg = file.read()
+            except OSError:
+                recording.skipped.add(UNREADABLE, name)
+                continue
+            if not is_whole_jpeg(jpeg):
+                recording.skipped.add(NOT_WHOLE, name)
                 continue
             writer.picture(camera, row.time_ns, sequence, jpeg)
             pictures += 1
-        state = VehicleState(
-            steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=row.speed_mph
-        )
-        writer.vehicle(row.time_ns, sequence, state)
+        writer.vehicle(row.time_ns, sequence, vehicle_state(row))
     return pictures
+
+
+def vehicle_state(row: Row) -> VehicleState:
+    return VehicleState(steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=row.speed_mph)

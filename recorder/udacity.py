@@ -11,6 +11,7 @@ import itertools
 import math
 import os
 import re
+import string
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -18,15 +19,19 @@ from pathlib import Path
 
 from common import Skipped
 from recorder.errors import RecordingError
-from recorder.topics import CAMERAS, Camera
 
 CSV_NAME = "driving_log.csv"
+MISSING = "pictures that a row names but no folder has"
+WITHOUT_ROW = "pictures without a row"
 
-_PATHS = re.compile(r'^\s*"?(.*?\.jpe?g)"?\s*,\s*"?(.*?\.jpe?g)"?\s*,\s*"?(.*?\.jpe?g)"?\s*,(.*)$', re.IGNORECASE)
+# Spaces and quotes before a path are stripped later: matched here as well, a line of spaces would take for ever.
+_PATHS = re.compile(r'(.*?\.jpe?g)"?\s*,(.*?\.jpe?g)"?\s*,(.*?\.jpe?g)"?\s*,(.*)$', re.IGNORECASE)
 _TIME_IN_NAME = re.compile(r"_(\d{4})_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d{3})\.jpe?g$", re.IGNORECASE)
 _HEADER = re.compile(r'^\s*"?center"?\s*,', re.IGNORECASE)
+_AROUND_A_NAME = string.whitespace + '"'
 _WHOLE = re.compile(r"-?(0|[1-9]\d*)$")
 _FRACTION = re.compile(r"\d*[1-9]([eE][+-]?\d+)?$")  # the simulator prints no trailing zeros
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
@@ -41,14 +46,86 @@ class Row:
     throttle: float
     brake: float
     speed_mph: float
-    pictures: dict[Camera, Path]  # those that exist
+    names: tuple[str, str, str]  # of its pictures' files, in the order of CAMERAS
 
 
 @dataclass(frozen=True)
 class Recording:
     folder: Path
     rows: list[Row]
+    pictures: dict[str, str]  # file name -> path, of all that exist
     skipped: Skipped
+
+
+class RowReader:
+    """Makes rows of a csv's lines, given in their order; what cannot be used goes to `skipped`."""
+
+    def __init__(self, skipped: Skipped) -> None:
+        self.named: set[str] = set()  # every picture that a line names
+        self._skipped = skipped
+        self._seen: set[tuple[str, str, str]] = set()
+        self._speed_mph = 0.0
+
+    def read(self, line: int, content: bytes) -> Row | None:
+        """The row of this line, the first being number 1, or None if there is none in it."""
+        # Foreign encodings do not matter: what counts of a path is the file's name, and undecodable bytes in that
+        # are kept as the file system keeps them.
+        text = os.fsdecode(content.removeprefix(_BYTE_ORDER_MARK) if line == 1 else content)
+        if not text.strip() or _HEADER.match(text):
+            return None
+        try:
+            names, rest = _names(text)
+            if names in self._seen:  # twice in a log, it could be on both sides of a split
+                raise ValueError("the pictures of an earlier row")
+            self._seen.add(names)
+            self.named.update(names)
+            values = _values(rest, self._speed_mph)
+            row = Row(line, _time_ns(names), *values, names)
+        except ValueError as error:
+            self._skipped.add(f"rows with {error}", f"line {line}")
+            return None
+        self._speed_mph = row.speed_mph
+        return row
+
+
+class PictureFiles:
+    """The JPEG files of a recording: in IMG/ beside the csv, in the csv's folder, in ../IMG; the first wins.
+
+    A link that leaves the recording is not followed: a recording is somebody else's data.
+    """
+
+    def __init__(self, folder: Path, skipped: Skipped) -> None:
+        self.paths: dict[str, str] = {}  # by file name
+        self._folder = folder
+        self._skipped = skipped
+        self._links: set[str] = set()
+
+    def places(self) -> list[Path]:
+        """The folders that there are to look into."""
+        return [place for place, root in self._places() if place.is_dir() and is_inside(place, root)]
+
+    def look_into(self, place: Path) -> None:
+        """Take the pictures of one of the `places` into `paths`."""
+        with os.scandir(place) as entries:
+            for entry in entries:
+                if entry.name in self.paths or not entry.name.lower().endswith((".jpg", ".jpeg")):
+                    continue
+                if entry.is_symlink() and not self.is_inside(entry.path):
+                    if entry.path not in self._links:
+                        self._links.add(entry.path)
+                        self._skipped.add("pictures that are links out of the recording", entry.name)
+                elif entry.is_file():
+                    self.paths[entry.name] = entry.path
+
+    def is_inside(self, path: str) -> bool:
+        """Whether a picture is, all links followed, where it was looked for."""
+        return any(is_inside(Path(path), root) for place, root in self._places() if place == Path(path).parent)
+
+    def _places(self) -> tuple[tuple[Path, Path], ...]:
+        """Each place with the folder that no link may leave."""
+        root = Path(os.path.realpath(self._folder))
+        above = root.parent / "IMG"
+        return (root / "IMG", root), (root, root), (above, above)
 
 
 def read_recording(folder: Path) -> Recording:
@@ -57,53 +134,59 @@ def read_recording(folder: Path) -> Recording:
     Raises RecordingError if there is no csv, no usable row, or not a single picture.
     """
     csv = folder / CSV_NAME
-    if not folder.is_dir():
-        raise RecordingError(f"{folder}: no such folder; give the folder that holds {CSV_NAME} and IMG/")
-    if not csv.is_file():
-        raise RecordingError(f"{folder}: no {CSV_NAME} in it; give the folder that the simulator recorded into")
     skipped = Skipped()
-    pictures = _find_pictures(folder, skipped)
-    rows: list[Row] = []
-    used: set[str] = set()
-    seen: set[tuple[str, str, str]] = set()
-    for line, text in enumerate(_lines(csv), start=1):
-        if not text.strip() or _HEADER.match(text):
+    try:
+        if not folder.is_dir():
+            raise RecordingError(f"{folder}: no such folder; give the folder that holds {CSV_NAME} and IMG/")
+        check_csv(folder)
+        if not csv.is_file():
+            raise RecordingError(
+                f"{folder}: no {CSV_NAME} in it; give the folder that the simulator recorded into"
+            )
+        files = PictureFiles(folder, skipped)
+        for place in files.places():
+            files.look_into(place)
+        lines = csv.read_bytes().splitlines()  # of bytes: at \n, \r\n and \r only
+    except OSError as error:
+        raise RecordingError(f"{error.filename}: cannot be read ({error.strerror})") from None
+    reader = RowReader(skipped)
+    rows = []
+    for line, content in enumerate(lines, start=1):
+        row = reader.read(line, content)
+        if row is None:
             continue
-        try:
-            names, rest = _names(text)
-            if names in seen:
-                raise ValueError(
-                    "the pictures of an earlier row"
-                )  # twice the same, it could be on both sides of a split
-            seen.add(names)
-            used.update(names)
-            values = _values(rest, rows[-1].speed_mph if rows else 0.0)
-            time_ns = _time_ns(names)
-        except ValueError as error:
-            skipped.add(f"rows with {error}", f"line {line}")
-            continue
-        found: dict[Camera, Path] = {}
-        for camera, name in zip(CAMERAS, names, strict=True):
-            if name in pictures:
-                found[camera] = pictures[name]
-            else:
-                skipped.add("pictures that a row names but no folder has", name)
-        rows.append(Row(line, time_ns, *values, found))
+        rows.append(row)
+        for name in row.names:
+            if name not in files.paths:
+                skipped.add(MISSING, name)
     if not rows:
-        raise RecordingError(f"{csv}: no usable row{_because(skipped)}")
-    if not any(row.pictures for row in rows):
+        raise RecordingError(f"{csv}: no usable row{because(skipped)}")
+    if not any(name in files.paths for row in rows for name in row.names):
         raise RecordingError(
             f"{csv}: none of its pictures is there; they are looked for in IMG/, in {folder.name}/ and in ../IMG/"
         )
-    for name in sorted(pictures.keys() - used):
-        skipped.add("pictures without a row", name)
-    return Recording(folder, rows, skipped)
+    for name in sorted(files.paths.keys() - reader.named):
+        skipped.add(WITHOUT_ROW, name)
+    return Recording(folder, rows, files.paths, skipped)
 
 
-def _lines(csv: Path) -> list[str]:
-    # Bytes split at \n, \r\n and \r only. Foreign encodings do not matter: what counts of a path is the file's
-    # name, and undecodable bytes in that are kept as the file system keeps them.
-    return [os.fsdecode(line) for line in csv.read_bytes().removeprefix(b"\xef\xbb\xbf").splitlines()]
+def check_csv(folder: Path) -> None:
+    """Raise RecordingError if the csv of `folder` is a link out of it."""
+    csv = folder / CSV_NAME
+    if csv.is_symlink() and not is_inside(csv, Path(os.path.realpath(folder))):
+        raise RecordingError(
+            f"{csv}: a link out of the recording, which is not followed; give a folder of its own"
+        )
+
+
+def is_inside(path: Path, root: Path) -> bool:
+    """Whether `path`, all links followed, is below `root`, which is free of links."""
+    return Path(os.path.realpath(path)).is_relative_to(root)
+
+
+def because(skipped: Skipped) -> str:
+    """Why nothing was left, for the end of an error."""
+    return "".join(f"; {line}" for line in skipped.lines(most_names=3))
 
 
 def _names(text: str) -> tuple[tuple[str, str, str], str]:
@@ -111,7 +194,7 @@ def _names(text: str) -> tuple[tuple[str, str, str], str]:
     match = _PATHS.match(text)
     if match is None:
         raise ValueError("fewer than three pictures, or cut off")
-    center, left, right = (re.split(r"[/\\]", path)[-1].strip() for path in match.group(1, 2, 3))
+    center, left, right = (re.split(r"[/\\]", path)[-1].strip(_AROUND_A_NAME) for path in match.group(1, 2, 3))
     return (center, left, right), match.group(4)
 
 
@@ -156,7 +239,7 @@ def _decimal_comma_readings(cells: list[str]) -> Iterator[tuple[float, float, fl
             numbers.append(float(f"{whole}.{fraction}"))
         else:
             steering, throttle, brake, speed_mph = numbers
-            if abs(steering) <= 1 and 0 <= throttle <= 1 and 0 <= brake <= 1 and speed_mph > -100:
+            if abs(steering) <= 1 and 0 <= throttle <= 1 and 0 <= brake <= 1 and -100 < speed_mph < math.inf:
                 yield steering, throttle, brake, speed_mph
 
 
@@ -171,27 +254,3 @@ def _time_ns(names: tuple[str, str, str]) -> int:
             if _EPOCH <= moment < _LAST:
                 return (moment - _EPOCH) // timedelta(microseconds=1) * 1000
     raise ValueError("no time in their pictures' names")
-
-
-def _find_pictures(folder: Path, skipped: Skipped) -> dict[str, Path]:
-    """JPEG files by name: in IMG/ beside the csv, in the csv's folder, in ../IMG; the first wins.
-
-    A link that leaves the recording is not followed: a recording is somebody else's data.
-    """
-    pictures: dict[str, Path] = {}
-    root = folder.resolve()
-    for place, allowed in ((root / "IMG", root), (root, root), (root.parent / "IMG", root.parent / "IMG")):
-        if not place.is_dir() or not place.resolve().is_relative_to(allowed):
-            continue
-        for entry in os.scandir(place):
-            if not entry.name.lower().endswith((".jpg", ".jpeg")) or entry.name in pictures:
-                continue
-            if entry.is_symlink() and not Path(entry.path).resolve().is_relative_to(allowed):
-                skipped.add("pictures that are links out of the recording", entry.name)
-            elif entry.is_file():
-                pictures[entry.name] = Path(entry.path)
-    return pictures
-
-
-def _because(skipped: Skipped) -> str:
-    return "".join(f"; {line}" for line in skipped.lines(most_names=3))

@@ -267,6 +267,16 @@ def test_an_img_folder_that_is_a_link_out_of_the_recording_is_not_followed(tmp_p
         imported(folder)
 
 
+def test_a_csv_that_is_a_link_out_of_the_recording_is_not_followed(tmp_path: Path) -> None:
+    make_recording(tmp_path / "private", three_rows())
+    folder = tmp_path / "downloaded"
+    make_recording(folder, "")
+    (folder / "driving_log.csv").unlink()
+    (folder / "driving_log.csv").symlink_to(tmp_path / "private" / "driving_log.csv")
+    with pytest.raises(RecordingError, match="a link out of the recording"):
+        imported(folder)
+
+
 def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     make_recording(folder, three_rows())

@@ -1,0 +1,251 @@
+"""Following a Udacity recording while the simulator writes it.
+
+The simulator appends rows while somebody drives, and renders their pictures one by one when the recording is
+stopped; another drive may follow. Nothing waits for anything: a row is logged when its line is complete, a picture
+when its file is whole, with the time and the number of its row.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from common import Skipped
+from common.command import stderr
+from common.progress import StatusLine
+from recorder.errors import RecordingError
+from recorder.jpeg import is_whole_jpeg
+from recorder.record import NOT_WHOLE, UNREADABLE, Imported, vehicle_state
+from recorder.tail import Tail
+from recorder.topics import CAMERAS, Camera
+from recorder.udacity import CSV_NAME, MISSING, WITHOUT_ROW, PictureFiles, RowReader, because, check_csv
+from recorder.writer import LogWriter
+
+POLL_S: Final = 0.25
+_PICTURES_A_ROUND: Final = 500  # so that signals, new rows and the status line are not kept waiting
+_SETTLING_S: Final = 2.5  # some file systems give times to 2 s: so long, a changed folder may have changed again
+_RATE_S: Final = 2.0  # over which the rate is measured
+
+_Stamp = tuple[int, int]  # size and modification time of a file
+
+
+def watch_udacity(
+    folder: Path,
+    log: Path,
+    *,
+    idle_s: float | None = None,
+    overwrite: bool = False,
+    on_started: Callable[[Path], None] | None = None,
+) -> Imported:
+    """Write the recording in `folder` to `log` while it grows; neither the folder nor its csv need be there yet.
+
+    Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last new row or picture; called outside the main
+    thread, only on the latter. `on_started` is called with the path of the growing file.
+
+    Raises RecordingError if there was no usable row, and UserError if `log` exists and `overwrite` is off, or
+    cannot be written any more.
+    """
+    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    with (
+        _stop_signals() as stopped,
+        LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
+        StatusLine() as status,
+    ):
+        watched = _Watched(folder, writer)
+        if on_started is not None:
+            on_started(writer.part)
+        if not watched.has_csv():
+            _say(f"waiting for {folder / CSV_NAME}")
+        while not stopped.is_set():
+            is_busy = watched.poll()
+            writer.flush_if_due()
+            status.show(watched.status())
+            if is_busy:
+                continue
+            if idle_s is not None and watched.idle_s() >= idle_s:
+                break
+            stopped.wait(POLL_S)
+        watched.finish()
+        if not watched.rows:
+            raise RecordingError(watched.why_nothing())
+    return Imported(log, watched.rows, watched.pictures, watched.skipped)
+
+
+class _Watched:
+    """What has come of a recording, and what is still awaited."""
+
+    def __init__(self, folder: Path, writer: LogWriter) -> None:
+        self.rows = 0
+        self.pictures = 0
+        self.skipped = Skipped()
+        self._folder = folder
+        self._writer = writer
+        self._csv = Tail(folder / CSV_NAME)
+        self._reader = RowReader(self.skipped)
+        self._files = PictureFiles(folder, self.skipped)
+        self._looked: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
+        self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
+        self._ready: dict[str, None] = {}  # awaited and there; in this order
+        self._partly: dict[str, _Stamp | None] = {}  # awaited and there, but not whole when last read
+        self._first_ns = 0
+        self._last_s: float | None = None
+        self._rate_from = (time.monotonic(), 0)
+        self._rate = 0.0
+
+    def has_csv(self) -> bool:
+        return os.path.isfile(self._folder / CSV_NAME)  # noqa: PTH113  (never raises)
+
+    def poll(self) -> bool:
+        """Log what is new; True if there is more to do at once."""
+        with contextlib.suppress(OSError):
+            check_csv(self._folder)
+        self._take_rows(self._csv.new_lines())
+        self._look(everywhere=False)
+        for name, stamp in list(self._partly.items()):
+            if self._stamp(name) != stamp:
+                del self._partly[name]
+                self._ready[name] = None
+        self._take_pictures(_PICTURES_A_ROUND)
+        return bool(self._ready)
+
+    def finish(self) -> None:
+        """Take what is there, and count what never came."""
+        self._take_rows(self._csv.new_lines())
+        self._take_rows(self._csv.rest())
+        self._look(everywhere=True)
+        self._ready |= dict.fromkeys(self._partly)
+        self._take_pictures(len(self._ready))
+        for name, uses in self._awaited.items():
+            for _ in uses:
+                self.skipped.add(self._why_not(name), name)
+        for name in sorted(self._files.paths.keys() - self._reader.named):
+            self.skipped.add(WITHOUT_ROW, name)
+        if self.rows:
+            for reason, name in self.skipped:
+                self._writer.event(self._first_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
+
+    def idle_s(self) -> float:
+        """Seconds since the last row or picture; 0 before the first."""
+        return 0.0 if self._last_s is None else time.monotonic() - self._last_s
+
+    def status(self) -> str:
+        if not self.rows and not self.has_csv():
+            return f"waiting for {self._folder / CSV_NAME}"
+        now_s = time.monotonic()
+        since_s, pictures = self._rate_from
+        if now_s - since_s >= _RATE_S:
+            self._rate = (self.pictures - pictures) / (now_s - since_s)
+            self._rate_from = (now_s, self.pictures)
+        return (
+            f"{self.rows:,} rows, {self.pictures:,} pictures, {self._writer.bytes_written / 1e6:.1f} MB,"
+            f" {self._rate:.0f} pictures/s, waiting for {len(self._awaited):,} pictures,"
+            f" {len(self.skipped):,} skipped"
+        )
+
+    def why_nothing(self) -> str:
+        csv = self._folder / CSV_NAME
+        if not self.has_csv():
+            return f"{csv}: it never came; give the folder that the simulator's training mode records into"
+        return f"{csv}: no usable row{because(self.skipped)}"
+
+    def _take_rows(self, lines: list[tuple[int, bytes]]) -> None:
+        for line, content in lines:
+            self._last_s = time.monotonic()
+            row = self._reader.read(line, content)
+            if row is None:
+                continue
+            self._first_ns = self._first_ns or row.time_ns
+            self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
+            for camera, name in zip(CAMERAS, row.names, strict=True):
+                self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
+                if name in self._files.paths:
+                    self._ready[name] = None
+            self.rows += 1
+
+    def _look(self, everywhere: bool) -> None:
+        """Look for new pictures in the folders that have changed."""
+        now_s = time.monotonic()
+        known = len(self._files.paths)
+        # A folder that vanishes meanwhile, or cannot be read now, is looked at the next time.
+        with contextlib.suppress(OSError):
+            for place in self._files.places():
+                changed_ns = place.stat().st_mtime_ns
+                last_ns, since_s = self._looked.get(place, (None, now_s))
+                if changed_ns != last_ns:
+                    since_s = now_s
+                elif not everywhere and now_s - since_s > _SETTLING_S:
+                    continue
+                self._files.look_into(place)
+                self._looked[place] = (changed_ns, since_s)
+        if len(self._files.paths) > known:
+            there = self._files.paths.keys() - self._partly.keys()
+            self._ready |= {name: None for name in self._awaited if name in there}
+
+    def _take_pictures(self, most: int) -> None:
+        for name in list(islice(self._ready, most)):
+            del self._ready[name]
+            self._partly.pop(name, None)
+            stamp = self._stamp(name)
+            jpeg = self._read(self._files.paths[name])
+            if jpeg is None or not is_whole_jpeg(jpeg):
+                self._partly[name] = stamp
+                continue
+            self._last_s = time.monotonic()
+            for camera, sequence, time_ns in self._awaited.pop(name):
+                self._writer.picture(camera, time_ns, sequence, jpeg)
+                self.pictures += 1
+
+    def _why_not(self, name: str) -> str:
+        """Why an awaited picture is not in the log."""
+        path = self._files.paths.get(name)
+        if path is None or not os.path.isfile(path):  # noqa: PTH113
+            return MISSING
+        return UNREADABLE if self._read(path) is None else NOT_WHOLE
+
+    def _stamp(self, name: str) -> _Stamp | None:
+        try:
+            status = os.stat(self._files.paths[name])  # noqa: PTH116  (a Path of each would take longer)
+        except OSError:
+            return None
+        return status.st_size, status.st_mtime_ns
+
+    def _read(self, path: str) -> bytes | None:
+        """The bytes of a picture, or None if it cannot be read now, or has become something else."""
+        if not os.path.isfile(path) or not self._files.is_inside(path):  # noqa: PTH113
+            return None
+        try:
+            with open(path, "rb", buffering=0) as file:  # noqa: PTH123
+                return file.read()
+        except OSError:
+            return None
+
+
+def _say(text: str) -> None:
+    """Print it where no status line says it."""
+    console = stderr()
+    if not console.is_interactive:
+        console.print(text, markup=False)
+
+
+@contextlib.contextmanager
+def _stop_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and `kill` set, instead of interrupting the log in the middle of a message."""
+    stopped = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stopped
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, lambda *_: stopped.set())
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
