@@ -5,10 +5,12 @@ Exit codes: 0 done, 1 failed, 2 bad usage, 3 done but something was skipped or l
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import NoReturn, TypeVar
 
@@ -45,6 +47,26 @@ def warn_skipped(skipped: Skipped) -> int:
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     """`kill` cleans up as Ctrl-C does."""
     raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def stop_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and `kill` set, instead of interrupting whatever is going on at that moment.
+
+    Outside the main thread, which alone hears signals, nothing sets it.
+    """
+    stopped = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stopped
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, lambda *_: stopped.set())
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def run_command(

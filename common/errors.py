@@ -32,8 +32,9 @@ class Skipped:
         self._items: list[tuple[str, str]] = []
 
     def add(self, reason: str, name: str) -> None:
-        """A name may come from any file system: what is not UTF-8 in it is shown escaped."""
-        self._items.append((reason, name.encode("utf-8", "backslashreplace").decode("utf-8")))
+        """A name may come from any file system: what is not UTF-8 in it is shown escaped, as are line ends."""
+        shown = name.encode("utf-8", "backslashreplace").decode("utf-8")
+        self._items.append((reason, "".join(c if c.isprintable() else ascii(c)[1:-1] for c in shown)))
 
     def __len__(self) -> int:
         return len(self._items)

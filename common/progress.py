@@ -52,6 +52,12 @@ class StatusLine:
         if self._is_shown:
             self._status.update(escape(text))
 
+    def say(self, text: str) -> None:
+        """Show what should be read also where there is no status line: there it is printed."""
+        self.show(text)
+        if not self._is_shown:
+            self._status.console.print(text, markup=False)
+
     def __enter__(self) -> Self:
         if self._is_shown:
             self._status.start()

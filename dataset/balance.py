@@ -6,9 +6,12 @@ Most driving is straight on: without balancing, a network that always predicts 0
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+PerBin = Literal["mean", "median"] | int
 
 
 def bin_of(steering: NDArray[np.float64], bins: int) -> NDArray[np.int64]:
@@ -26,32 +29,54 @@ class Balanced:
 
     chosen: NDArray[np.int64]
     is_copy: NDArray[np.bool_]
-    per_bin: int  # what every bin was brought to
+    per_bin: int  # what every bin was brought to; 0 where nothing was
     short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
 
 
-def balance(bin_index: NDArray[np.int64], bins: int, max_uses: int, random: np.random.Generator) -> Balanced:
-    """Bring every bin that is not empty to their mean count.
+def balance(
+    bin_index: NDArray[Any],
+    bins: int,
+    max_uses: int,
+    random: np.random.Generator,
+    per_bin: PerBin = "mean",
+) -> Balanced:
+    """Bring every bin that is not empty to one count: their mean, their median, or a number.
 
-    A bin above the mean is pruned at random to it. A bin below is filled up to it with copies, spread evenly
-    over its originals, of which none is used more than `max_uses` times (itself included).
+    A bin above it is pruned at random to it. A bin below is filled up to it with copies, spread evenly over its
+    originals, of which none is used more than `max_uses` times (itself included).
     """
     counts = np.bincount(bin_index, minlength=bins)
     filled = np.flatnonzero(counts)
     if not len(filled):
         return Balanced(np.zeros(0, np.int64), np.zeros(0, np.bool_), 0, {})
-    per_bin = round(float(counts[filled].mean()))
+    target = _target(counts[filled], per_bin)
     chosen: list[NDArray[np.int64]] = []
     is_copy: list[NDArray[np.bool_]] = []
     short: dict[int, int] = {}
-    order = np.argsort(bin_index, kind="stable")
-    for index, members in zip(filled, np.split(order, np.cumsum(counts[filled])[:-1]), strict=True):
-        originals = members if len(members) <= per_bin else np.sort(random.permutation(members)[:per_bin])
-        wanted = min(per_bin, len(originals) * max_uses) - len(originals)
+    # so few bins fit into 16 bits, whose stable sort takes linear time
+    order = np.argsort(bin_index.astype(np.int16), kind="stable")
+    ends = np.cumsum(counts[filled])
+    for index, start, end in zip(filled.tolist(), (ends - counts[filled]).tolist(), ends.tolist(), strict=True):
+        members = order[start:end]
+        originals = members if len(members) <= target else np.sort(random.choice(members, target, replace=False))
+        wanted = min(target, len(originals) * max_uses) - len(originals)
         rounds = [random.permutation(originals) for _ in range(-(-wanted // len(originals)))]
         copies = np.concatenate([*rounds, originals[:0]])[:wanted]
-        if len(originals) + len(copies) < per_bin:
-            short[int(index)] = per_bin - len(originals) - len(copies)
+        if len(originals) + len(copies) < target:
+            short[index] = target - len(originals) - len(copies)
         chosen += [originals, copies]
         is_copy += [np.zeros(len(originals), np.bool_), np.ones(len(copies), np.bool_)]
-    return Balanced(np.concatenate(chosen), np.concatenate(is_copy), per_bin, short)
+    return Balanced(np.concatenate(chosen), np.concatenate(is_copy), target, short)
+
+
+def unbalanced(count: int) -> Balanced:
+    """Every one of `count` candidates once."""
+    return Balanced(np.arange(count), np.zeros(count, np.bool_), 0, {})
+
+
+def _target(counts: NDArray[np.int64], per_bin: PerBin) -> int:
+    if per_bin == "mean":
+        return round(float(counts.mean()))
+    if per_bin == "median":
+        return round(float(np.median(counts)))
+    return int(per_bin)

@@ -7,20 +7,25 @@ from pathlib import Path
 from typing import Annotated
 
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import tyro
 from rich.console import Console
-from rich.table import Table
 
-from common.command import DONE, run_command, warn
+from common.command import DONE, FAILED, run_command, stderr, warn
 from dataset.config import IndexConfig
-from dataset.index import Indexed, build_index, find_logs, unfinished_recordings
+from dataset.index import SAMPLES_NAME, build_index, find_logs, unfinished_recordings
+from dataset.leaks import find_leaks
+from dataset.report import balance_table, sessions_table
 
 
 @dataclass(frozen=True)
 class Index:
     """Build the index: frames and balanced samples, as parquet, from the logs.
 
-    Only sessions that changed are read again; no picture is decoded.
+    Only sessions that changed are read again; no picture is decoded unless --look asks for it.
+
+    bc-index
+    bc-index lake mountain --where "speed_mph > 5" --figures figures
     """
 
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
@@ -29,52 +34,31 @@ class Index:
     """Where logs are kept."""
     index: Path = Path("index")
     """Where the index is written."""
+    check: bool = False
+    """Check the split for leaks between training and validation: exit code 1 if there is one."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
 
 
 def index(config: Index) -> int:
-    indexed = build_index(find_logs(config.sessions, config.folder), config.index, config.config)
+    logs = find_logs(config.sessions, config.folder)
+    indexed = build_index(logs, config.index, config.config)
     code = DONE
     for notice in [*indexed.notices, *unfinished_recordings(config.folder, indexed.sessions)]:
         code = warn(notice)
     console = Console(highlight=False)
-    console.print(_sessions(indexed))
-    console.print(_balance(indexed))
-    splits = indexed.samples["split"].value_counts().to_pylist()
-    counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in splits)
-    print(f"{indexed.path}: {len(indexed.frames):,} frames, {len(indexed.samples):,} samples ({counts})")
+    console.print(sessions_table(indexed))
+    console.print(balance_table(indexed.balance))
+    split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
+    counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
+    frames = sum(session.frames for session in indexed.counts.values())
+    print(f"{indexed.path}: {frames:,} frames, {len(split):,} samples ({counts})")
+    if config.check:
+        leaks = find_leaks(config.index)
+        for leak in leaks:
+            stderr().print(leak, markup=False)
+        print("no leak between training and validation" if not leaks else f"{len(leaks)} leaks")
+        code = FAILED if leaks else code
     return code
-
-
-def _sessions(indexed: Indexed) -> Table:
-    table = Table("session", "frames", "training", "validation", "out of range", "")
-    for session in indexed.sessions:
-        frames = indexed.frames.filter(pc.equal(indexed.frames["session"], session))
-        split = frames["split"].to_pylist()
-        bad = sum(1 for flags in frames["flags"].to_pylist() if "out_of_range" in flags)
-        state = "read" if session in indexed.read else "unchanged"
-        table.add_row(
-            session,
-            *(f"{n:,}" for n in (len(frames), split.count("train"), split.count("validation"), bad)),
-            state,
-        )
-    return table
-
-
-def _balance(indexed: Indexed) -> Table:
-    """The training split's steering, bin by bin, before and after balancing."""
-    balance = indexed.balance
-    widest = max(1, int(balance.before.max()))
-    table = Table(
-        "steering", "before", "", "after", "short", title=f"training samples; mean of the bins {balance.per_bin:,}"
-    )
-    bins = len(balance.before)
-    for i in range(bins):
-        low, high = -1 + 2 * i / bins, -1 + 2 * (i + 1) / bins
-        bar = "█" * round(30 * int(balance.before[i]) / widest)
-        short = f"{balance.short[i]:,}" if i in balance.short else ""
-        table.add_row(f"{low:+.2f} .. {high:+.2f}", f"{balance.before[i]:,}", bar, f"{balance.after[i]:,}", short)
-    return table
 
 
 def main() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from dataset.alter import Alteration
 from recorder.topics import Camera
@@ -15,6 +17,10 @@ class IndexConfig:
 
     bins: int = 25
     """Equal steering bins over -1..1."""
+    balance: bool = True
+    """Bring all steering bins to the same count; --no-balance takes every sample once."""
+    per_bin: Annotated[Literal["mean", "median"] | int, tyro.conf.arg(metavar="mean|median|N")] = "mean"
+    """What each bin is brought to: the mean or the median of the bins that are not empty, or a number."""
     max_uses: int = 10
     """Cap: how often one picture may be used to fill up its bin, itself included."""
     flip: bool = True
@@ -23,21 +29,35 @@ class IndexConfig:
     """The cameras to train on."""
     side_correction: float = 0.2
     """Added to the steering of the left camera's pictures, taken from that of the right one's."""
-    alter: tuple[Alteration, ...] = ("blur", "brightness", "shadow")
-    """What a filling copy may get, each with probability one half; empty: copies are repeated as they are."""
+    alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
+    """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""
+    where: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None
+    """Which frames to use: a condition on the columns of the frames, such as "speed_mph > 5"."""
     block_s: float = 10.0
     """Length in seconds of the blocks of time that are split between training and validation."""
-    validation: float = 0.2
+    gap_s: float = 1.0
+    """Seconds of training frames that are left out on either side of a validation block."""
+    validation_share: float = 0.2
     """Share of the frames held out for validation, in whole blocks."""
+    validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
+    """Hold out these whole sessions for validation, and no blocks of the others."""
     seed: int = 0
     """Everything random here is drawn from it: same logs, same seed, same index."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value that makes no sense."""
-        if self.bins < 1 or self.max_uses < 1 or not self.cameras:
-            raise ValueError("bins and max_uses must be at least 1, and cameras must name at least one")
-        if not 0 <= self.validation < 1 or self.block_s <= 0 or self.seed < 0:
-            raise ValueError("validation must be in 0..1 (1 excluded), block_s positive, seed not negative")
+        if not 1 <= self.bins <= 10_000 or self.max_uses < 1 or not self.cameras:
+            raise ValueError("bins must be in 1..10,000, max_uses at least 1, and cameras must name at least one")
+        if isinstance(self.per_bin, int) and self.per_bin < 1:
+            raise ValueError("per_bin must be mean, median, or a number of at least 1")
+        if not 0 <= self.validation_share < 1 or not self.block_s > 0 or not self.gap_s >= 0 or self.seed < 0:
+            raise ValueError(
+                "validation_share must be in 0..1 (1 excluded), block_s positive, gap_s and seed not negative"
+            )
+
+    @property
+    def alterations(self) -> tuple[Alteration, ...]:
+        return tuple(name for name in self.alter if name != "none")
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,13 +17,13 @@ from numpy.typing import NDArray
 from common import whole_file
 from dataset.balance import bin_of
 from dataset.config import IndexConfig
-from dataset.split import block_numbers, validation_blocks
-from recorder import Log
-from recorder.quality import drive_numbers
+from dataset.split import block_numbers, near_validation, validation_blocks
+from recorder import Log, Pictures
+from recorder.quality import States, drive_numbers
 from recorder.tags import Tag, read_tags
-from recorder.topics import CAMERAS, VEHICLE, camera_topic
+from recorder.topics import CAMERAS, Camera, camera_topic
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 METADATA_KEY: Final = b"bc.index"
 
 SCHEMA: Final = pa.schema(
@@ -42,12 +43,14 @@ SCHEMA: Final = pa.schema(
         pa.field("speed_mph", pa.float64()),
         pa.field("drive", pa.int64()),
         pa.field("block", pa.int64()),
-        pa.field("split", pa.string()),  # "train" or "validation"
+        pa.field("split", pa.string()),  # "train", "validation", or "gap": left out between the two
         pa.field("bin", pa.int64()),  # of the recorded steering; -1 where that is not in -1..1
         pa.field("flags", pa.list_(pa.string())),
         pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
     ]
 )
+REPEATING: Final = ("session", "camera", "split")
+"""Columns of few values, which are read as dictionaries: a fraction of the memory."""
 
 
 def session_name(log: Path) -> str:
@@ -63,9 +66,17 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig) -> dict[str, Any
         "log": Path(os.path.relpath(log.path.resolve(), index.resolve())).as_posix(),
         "fingerprint": fingerprint,
         "tags": [[tag.name, tag.first_row, tag.last_row] for tag in read_tags(log.path, fingerprint)],
+        "settings": frames_settings(config, session_name(log.path)),
+    }
+
+
+def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
+    """The part of the settings that changes the frames of a session."""
+    return {
         "bins": config.bins,
         "block_s": config.block_s,
-        "validation": config.validation,
+        "gap_s": config.gap_s,
+        "validation": session in config.validation if config.validation else config.validation_share,
         "seed": config.seed,
     }
 
@@ -75,7 +86,7 @@ def read_metadata(path: Path) -> dict[str, Any] | None:
     try:
         stored = pq.read_schema(path).metadata or {}
         loaded = json.loads(stored[METADATA_KEY])
-    except (OSError, ValueError, KeyError, pa.ArrowException):
+    except (OSError, ValueError, KeyError, pa.ArrowException, RecursionError):
         return None
     return loaded if isinstance(loaded, dict) else None
 
@@ -84,77 +95,109 @@ def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
     """Write a parquet file whole, or leave the old one. Same table and metadata: same bytes."""
     stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
     with whole_file(path, overwrite=True) as part:
-        pq.write_table(table.replace_schema_metadata(stored), part, compression="zstd")
+        pq.write_table(table.replace_schema_metadata(stored), part, compression="zstd", write_page_checksum=True)
 
 
-def frames_table(log: Log, session: str, config: IndexConfig) -> pa.Table:
+def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """A frames file, or some columns of it. Raises OSError or pa.ArrowException if it is missing or damaged."""
+    repeating = [name for name in REPEATING if columns is None or name in columns]
+    return pq.read_table(path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True)
+
+
+def frames_table(log: Log, config: IndexConfig) -> pa.Table:
     """One row for each camera picture that has a vehicle state, in the order of the log."""
-    tags = read_tags(log.path, log.fingerprint)
-    messages, states = zip(*log.vehicle_states(), strict=True) if log.counts.get(VEHICLE) else ((), ())
-    row = np.array([m.sequence for m in messages], np.int64)
-    time_ns = np.array([m.log_time_ns for m in messages], np.int64)
-    values = {
-        name: np.array([getattr(state, name) for state in states], np.float64)
-        for name in ("steering", "throttle", "brake", "speed_mph")
-    }
-    drive = drive_numbers(time_ns)
-    block = block_numbers(time_ns, drive, config.block_s)
-    validation = validation_blocks(block, config.validation, config.seed, session)
-    split = np.where(np.isin(block, validation), "validation", "train")
-    steering = values["steering"]
-    in_range = np.abs(steering) <= 1  # False for NaN too
-    bins = np.where(in_range, bin_of(np.where(in_range, steering, 0.0), config.bins), -1)
+    vehicle = log.vehicle()
+    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
+    return frames_of(states, pictures, session_name(log.path), config, read_tags(log.path, log.fingerprint))
+
+
+def frames_of(
+    states: States,
+    pictures: Mapping[Camera, Pictures],
+    session: str,
+    config: IndexConfig,
+    tags: Sequence[Tag] = (),
+) -> pa.Table:
+    """The frames of a session from its vehicle states and from where its pictures lie."""
+    drive = drive_numbers(states.time_ns)
+    block = block_numbers(states.time_ns, drive, config.block_s)
+    split = _split_of(states, drive, block, session, config)
+    in_range = np.abs(states.steering) <= 1  # False for NaN too
+    bins = np.where(in_range, bin_of(np.where(in_range, states.steering, 0.0), config.bins), -1)
 
     parts: list[dict[str, NDArray[Any]]] = []
-    for camera in CAMERAS:
-        pictures = log.pictures(camera_topic(camera))
-        state, found = _rows_of(pictures.sequence, pictures.log_time_ns, row, time_ns)
+    for number, camera in enumerate(CAMERAS):
+        state, found = _rows_of(pictures[camera], states)
         parts.append(
             {
-                "row": row[state],
-                "camera": np.full(len(state), camera, dtype=object),
-                "log_time_ns": time_ns[state],
-                "offset": pictures.offset[found],
-                "length": pictures.length[found],
-                "chunk": pictures.chunk[found],
-                **{name: value[state] for name, value in values.items()},
-                "drive": drive[state],
-                "block": block[state],
-                "split": split[state],
-                "bin": bins[state],
-                "out_of_range": ~in_range[state],
+                "state": state,
+                "camera": np.full(len(state), number, np.int8),
+                **{name: getattr(pictures[camera], name)[found] for name in ("offset", "length", "chunk")},
             }
         )
-    columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    order = np.lexsort((columns["offset"], columns["chunk"]))
-    columns = {name: column[order] for name, column in columns.items()}
-    columns["session"] = np.full(len(order), session, dtype=object)
-    columns["flags"] = [["out_of_range"] if bad else [] for bad in columns.pop("out_of_range")]
-    columns["tags"] = _tags_of(columns["row"], tags)
-    return pa.table({field.name: pa.array(columns[field.name], field.type) for field in SCHEMA}, schema=SCHEMA)
+    places = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.lexsort((places["offset"], places["chunk"]))
+    state, camera_number, offset, length, chunk = (column[order] for column in places.values())
+    columns = {
+        "session": pa.DictionaryArray.from_arrays(np.zeros(len(order), np.int8), [session]),
+        "row": states.row[state],
+        "camera": pa.DictionaryArray.from_arrays(camera_number, list(CAMERAS)),
+        "log_time_ns": states.time_ns[state],
+        "offset": offset,
+        "length": length,
+        "chunk": chunk,
+        **{name: getattr(states, name)[state] for name in ("steering", "throttle", "brake", "speed_mph")},
+        "drive": drive[state],
+        "block": block[state],
+        "split": pa.DictionaryArray.from_arrays(split[state], ["train", "validation", "gap"]),
+        "bin": bins[state],
+        "flags": [["out_of_range"] if bad else [] for bad in (~in_range)[state]],
+        "tags": _tags_of(states.row[state], tags),
+    }
+    return pa.table({name: pa.array(column) for name, column in columns.items()}).cast(SCHEMA)
 
 
-def _tags_of(row: NDArray[np.int64], tags: list[Tag]) -> list[list[str]]:
+def _split_of(
+    states: States, drive: NDArray[np.int64], block: NDArray[np.int64], session: str, config: IndexConfig
+) -> NDArray[np.int8]:
+    """0 for training, 1 for validation, 2 for the gap between them."""
+    if config.validation:
+        return np.full(len(block), int(session in config.validation), np.int8)
+    chosen = validation_blocks(block, config.validation_share, config.seed, session)
+    is_validation = np.isin(block, chosen)
+    near = near_validation(states.time_ns, drive, is_validation, config.gap_s)
+    return np.where(near, 2, is_validation).astype(np.int8)
+
+
+def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
+    """For each row the names of the tags that cover it."""
+    if not tags:
+        return pa.ListArray.from_arrays(np.zeros(len(row) + 1, np.int32), pa.array([], pa.string()))
     names: list[list[str]] = [[] for _ in row]
     for tag in tags:
         for at in np.flatnonzero((row >= tag.first_row) & (row <= tag.last_row)).tolist():
             if tag.name not in names[at]:
                 names[at].append(tag.name)
-    return names
+    return pa.array(names, pa.list_(pa.string()))
 
 
-def _rows_of(
-    sequence: NDArray[np.int64],
-    log_time_ns: NDArray[np.int64],
-    row: NDArray[np.int64],
-    row_time_ns: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs pictures with vehicle states by sequence number and log time: (positions of states, of pictures)."""
-    by_key = {key: i for i, key in enumerate(zip(row.tolist(), row_time_ns.tolist(), strict=True))}
-    pairs = [
-        (by_key[key], i)
-        for i, key in enumerate(zip(sequence.tolist(), log_time_ns.tolist(), strict=True))
-        if key in by_key
-    ]
-    states, pictures = np.array(pairs, np.int64).reshape(len(pairs), 2).T
-    return states, pictures
+def _rows_of(pictures: Pictures, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs pictures with vehicle states by row number and log time: (positions of states, of pictures)."""
+    if not len(states.row) or not len(pictures.sequence):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    order = np.lexsort((states.time_ns, states.row))
+    keys = np.stack([states.row[order], states.time_ns[order]], axis=1)
+    is_new = np.concatenate([[True], (np.diff(keys, axis=0) != 0).any(axis=1)])
+    order, keys = order[is_new], keys[is_new]  # of two states of one row and time, the first
+    at = np.searchsorted(keys[:, 0], pictures.sequence)
+    state = np.full(len(at), -1, np.int64)
+    # rows are numbered once in every log of ours; elsewhere a number may occur at several times
+    for _ in range(int(np.unique(keys[:, 0], return_counts=True)[1].max())):
+        inside = at < len(keys)
+        clipped = np.where(inside, at, 0)
+        same = inside & (keys[clipped, 0] == pictures.sequence) & (keys[clipped, 1] == pictures.log_time_ns)
+        state[same] = order[clipped[same]]
+        at = at + 1
+    found = np.flatnonzero(state >= 0)
+    return state[found], found

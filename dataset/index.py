@@ -1,29 +1,49 @@
 """Building the index: `index/frames/*.parquet` and `index/samples.parquet`, from logs.
 
-Only what changed is read again: a frames file says which log, which content (fingerprint) and which
-settings it was made from.
+Only what changed is read again: a frames file says which log, which content (fingerprint), which tags and which
+settings it was made from. `index/state.json` remembers sizes and times of files, so that unchanged ones need not
+even be opened; it may be deleted at any time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import json
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from common import whole_file
 from common.progress import track
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.frames import frames_metadata, frames_table, read_metadata, session_name, write_table
-from dataset.samples import Balance, samples_table
+from dataset.frames import (
+    FORMAT,
+    frames_metadata,
+    frames_settings,
+    frames_table,
+    read_frames,
+    read_metadata,
+    session_name,
+    write_table,
+)
+from dataset.samples import Balance, SessionCounts, write_samples
 from dataset.shared import refuse_shared_pictures
 from recorder import Log
+from recorder.tags import tags_path
 
-SAMPLES_NAME = "samples.parquet"
-FRAMES_FOLDER = "frames"
+SAMPLES_NAME: Final = "samples.parquet"
+FRAMES_FOLDER: Final = "frames"
+STATE_NAME: Final = "state.json"
+
+Stat = list[int] | None
+"""Size and modification time of a file; None where there is none."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +53,19 @@ class Indexed:
     path: Path
     sessions: list[str]
     read: list[str]  # those that were read again
-    frames: pa.Table
-    samples: pa.Table
     balance: Balance
+    counts: dict[str, SessionCounts]
     notices: list[str]  # logs that were never finished: what is complete in them is indexed
+
+    @cached_property
+    def frames(self) -> pa.Table:
+        return pa.concat_tables(
+            pq.read_table(self.path / FRAMES_FOLDER / f"{session}.parquet") for session in self.sessions
+        )
+
+    @cached_property
+    def samples(self) -> pa.Table:
+        return pq.read_table(self.path / SAMPLES_NAME)
 
 
 def find_logs(sessions: Sequence[str], folder: Path) -> list[Path]:
@@ -78,49 +107,128 @@ def unfinished_recordings(folder: Path, sessions: Sequence[str]) -> list[str]:
 
 
 def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = None) -> Indexed:
-    """Bring `index` up to date: it then holds the sessions of `logs`, and only those."""
+    """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
+
+    Raises LogError if a log cannot be read, DatasetError if nothing in them can be used, if a picture is in two
+    of them, or if `config` names a session that is not among them.
+    """
     config = config or IndexConfig()
+    by_name = {session_name(path): path for path in logs}
+    if missing := set(config.validation) - by_name.keys():
+        raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(by_name)}")
+    state = _read_state(index)
+    if (unchanged := _unchanged(by_name, index, config, state)) is not None:
+        return unchanged
     frames_folder = index / FRAMES_FOLDER
     frames_folder.mkdir(parents=True, exist_ok=True)
-    tables: list[pa.Table] = []
     read: list[str] = []
+    notices: dict[str, str] = {}
     sources: dict[str, dict[str, str]] = {}
-    notices: list[str] = []
-    for path in track(logs, "indexing", len(logs)):
-        name = session_name(path)
-        with Log(path) as log:
-            metadata = frames_metadata(log, index, config)
-            if log.notice:
-                notices.append(log.notice)
-            sources[name] = {key: metadata[key] for key in ("log", "fingerprint")}
-            file = frames_folder / f"{name}.parquet"
-            table = _stored_frames(file, metadata)
-            if table is None:
-                table = frames_table(log, name, config)
-                write_table(file, table, metadata)
-                read.append(name)
-        tables.append(table)
+    for name, path in track(by_name.items(), "indexing", len(by_name)):
+        file = frames_folder / f"{name}.parquet"
+        known = _known_frames(name, path, file, config, state)
+        if known is None:
+            with Log(path) as log:
+                known = frames_metadata(log, index, config)
+                if not _is_current(file, known):
+                    write_table(file, frames_table(log, config), known)
+                    read.append(name)
+                if log.notice:
+                    notices[name] = log.notice
+        sources[name] = {key: known[key] for key in ("log", "fingerprint")}
     for stale in frames_folder.glob("*.parquet"):
         if stale.stem not in sources and read_metadata(stale) is not None:
             stale.unlink()  # ours, and made anew whenever its session is indexed again
-    frames = pa.concat_tables(tables)
-    if not len(frames):
-        raise DatasetError(f"{', '.join(map(str, logs))}: no frame with a vehicle state in it; nothing to index")
-    refuse_shared_pictures(frames, {session_name(path): path for path in logs})
-    samples, balance = samples_table(frames, config)
-    if not len(samples):
-        raise DatasetError(
-            f"no frame can be used: no picture of {', '.join(config.cameras)} with steering in -1..1"
-        )
-    write_table(index / SAMPLES_NAME, samples, {"format": 1, "settings": config.as_dict(), "logs": sources})
-    return Indexed(index, list(sources), read, frames, samples, balance, notices)
+    files = {name: frames_folder / f"{name}.parquet" for name in by_name}
+    refuse_shared_pictures(files, by_name)
+    balance, counts = write_samples(files, index / SAMPLES_NAME, config, sources)
+    _write_state(index, by_name, files, notices)
+    return Indexed(index, list(by_name), read, balance, counts, list(notices.values()))
 
 
-def _stored_frames(file: Path, metadata: dict[str, Any]) -> pa.Table | None:
-    """The frames in `file`; None if they are of another log or other settings, missing or damaged."""
+def _is_current(file: Path, metadata: dict[str, Any]) -> bool:
+    """Whether the frames in `file` are of this log and these settings, and can be read."""
     if read_metadata(file) != metadata:
-        return None
+        return False
     try:
-        return pq.read_table(file)
+        read_frames(file)
     except (OSError, pa.ArrowException):
+        return False
+    return True
+
+
+def _unchanged(
+    logs: Mapping[str, Path], index: Path, config: IndexConfig, state: Mapping[str, Any]
+) -> Indexed | None:
+    """The index as it is, if no log, no tag, no setting and no file of it has changed."""
+    samples = index / SAMPLES_NAME
+    stored = read_metadata(samples)
+    if stored is None or state.get("samples") != _stat(samples):
         return None
+    if json.dumps(stored.get("settings")) != json.dumps(config.as_dict(), sort_keys=True):
+        return None
+    if set(stored.get("logs", ())) != logs.keys():
+        return None
+    for name, path in logs.items():
+        if not _is_known(name, path, index / FRAMES_FOLDER / f"{name}.parquet", state):
+            return None
+    with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
+        counts = {name: SessionCounts(**stored["counts"][name]) for name in logs}
+        notices = [state["logs"][name]["notice"] for name in logs if state["logs"][name]["notice"]]
+        return Indexed(index, list(logs), [], Balance.from_dict(stored["balance"]), counts, notices)
+    return None
+
+
+def _known_frames(
+    name: str, log: Path, file: Path, config: IndexConfig, state: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """The metadata of a frames file that is up to date, if that can be told without opening the log."""
+    if not _is_known(name, log, file, state) or state["logs"][name]["notice"]:
+        return None
+    stored = read_metadata(file)
+    if stored is None or stored.get("format") != FORMAT or stored.get("settings") != frames_settings(config, name):
+        return None
+    return stored
+
+
+def _is_known(name: str, log: Path, file: Path, state: Mapping[str, Any]) -> bool:
+    """Whether a session's log, tags and frames are the files that they were."""
+    try:
+        entry = state["logs"][name]
+        return bool(entry["files"] == _files_of(log, file) and isinstance(entry["notice"], str))
+    except (KeyError, TypeError):
+        return False
+
+
+def _files_of(log: Path, frames: Path) -> list[Any]:
+    return [os.path.realpath(log), _stat(log), _stat(tags_path(log)), _stat(frames)]
+
+
+def _stat(path: Path) -> Stat:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return [status.st_size, status.st_mtime_ns]
+
+
+def _read_state(index: Path) -> dict[str, Any]:
+    try:
+        state = json.loads((index / STATE_NAME).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return state if isinstance(state, dict) else {}
+
+
+def _write_state(
+    index: Path, logs: Mapping[str, Path], files: Mapping[str, Path], notices: Mapping[str, str]
+) -> None:
+    state = {
+        "samples": _stat(index / SAMPLES_NAME),
+        "logs": {
+            name: {"files": _files_of(path, files[name]), "notice": notices.get(name, "")}
+            for name, path in logs.items()
+        },
+    }
+    with whole_file(index / STATE_NAME, overwrite=True) as part:
+        part.write_text(json.dumps(state, indent=1, sort_keys=True) + "\n", encoding="utf-8")

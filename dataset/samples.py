@@ -1,18 +1,33 @@
-"""`index/samples.parquet`: the balanced index that training reads, one row a sample."""
+"""`index/samples.parquet`: the balanced index that training reads, one row a sample.
+
+Built from the frames files without holding them all: what is balanced is one number a frame, and the samples are
+written session by session.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dataset.balance import balance, bin_of
+from common import whole_file
+from dataset.balance import balance, bin_of, unbalanced
 from dataset.config import IndexConfig
+from dataset.errors import DatasetError
+from dataset.frames import METADATA_KEY, read_frames
+from dataset.where import Condition
 from recorder.tags import EXCLUDE
+from recorder.topics import CAMERAS
+
+FORMAT: Final = 2
 
 SCHEMA: Final = pa.schema(
     [
@@ -32,8 +47,6 @@ SCHEMA: Final = pa.schema(
         pa.field("copy", pa.bool_()),  # added to fill up its bin
     ]
 )
-
-
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
 
 
@@ -43,74 +56,223 @@ class Balance:
 
     before: NDArray[np.int64]
     after: NDArray[np.int64]
-    per_bin: int
-    short: dict[int, int]
+    per_bin: int  # what the bins were brought to; 0 where nothing was balanced
+    short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
+
+    def as_dict(self) -> dict[str, Any]:
+        return {**asdict(self), "before": self.before.tolist(), "after": self.after.tolist()}
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
+        """Raises KeyError, TypeError or ValueError if it is none."""
+        before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
+        short = {int(key): int(value) for key, value in stored["short"].items()}
+        return cls(before, after, int(stored["per_bin"]), short)
 
 
-def is_excluded(frames: pa.Table) -> pa.ChunkedArray:
-    """Which frames somebody has tagged `exclude`."""
-    tagged = pc.list_parent_indices(frames["tags"].combine_chunks())
-    names = pc.list_flatten(frames["tags"].combine_chunks())
-    mask = np.zeros(len(frames), np.bool_)
-    mask[tagged.filter(pc.equal(names, EXCLUDE)).to_numpy()] = True
-    return pa.chunked_array([pa.array(mask)])
+@dataclass(frozen=True)
+class SessionCounts:
+    """Frames of a session, by what becomes of them."""
+
+    frames: int
+    training: int
+    validation: int
+    gap: int  # between the two
+    excluded: int  # tagged so
+    unusable: int  # steering out of range, no picture
+    not_asked_for: int  # another camera, or not what --where chooses
 
 
-def samples_table(frames: pa.Table, config: IndexConfig) -> tuple[pa.Table, Balance]:
-    """Frames (see `frames.SCHEMA`) as samples: mirrored, labelled, and the training split balanced.
+@dataclass(frozen=True)
+class _Session:
+    """The frames of a session that can be used; arrays of one length."""
 
-    Validation holds every picture and its mirror image once, unaltered. A frame whose steering is out of
-    range cannot be binned and is left out; so is one that somebody has tagged `exclude`.
+    position: NDArray[np.int32]  # in its frames file
+    label: NDArray[np.float64]  # the camera's, unmirrored
+    is_training: NDArray[np.bool_]
+
+
+def write_samples(
+    frames: Mapping[str, Path], path: Path, config: IndexConfig, logs: Mapping[str, Mapping[str, str]]
+) -> tuple[Balance, dict[str, SessionCounts]]:
+    """Write the samples of some sessions' frames files: mirrored, labelled, and the training split balanced.
+
+    Validation holds every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint) is
+    kept in the file's metadata. Raises DatasetError if no frame can be used.
     """
-    usable = pc.and_(pc.is_in(frames["camera"], pa.array(config.cameras)), pc.greater_equal(frames["bin"], 0))
-    frames = frames.filter(pc.and_(usable, pc.invert(is_excluded(frames)))).combine_chunks()
-    camera = frames["camera"].to_numpy()
-    correction = config.side_correction * ((camera == "left").astype(float) - (camera == "right"))
-    straight = np.clip(frames["steering"].to_numpy() + correction, -1.0, 1.0)
+    condition = Condition(config.where) if config.where is not None else None
+    sessions: list[_Session] = []
+    counts: dict[str, SessionCounts] = {}
+    for name, file in frames.items():
+        session, counts[name] = _usable(read_frames(file), config, condition)
+        sessions.append(session)
+    sizes = np.array([len(session.position) for session in sessions], np.int64)
+    if not sizes.sum():
+        raise DatasetError(
+            f"no frame can be used: no picture of {', '.join(config.cameras)} with steering in -1..1"
+            f"{' that --where chooses' if config.where is not None else ''}, none that is not tagged {EXCLUDE}"
+        )
+    label = np.concatenate([session.label for session in sessions])
+    is_training = np.concatenate([session.is_training for session in sessions])
+    chosen, balanced = _choose(label, is_training, config)
+    del label, is_training
+    metadata = {
+        "format": FORMAT,
+        "settings": config.as_dict(),
+        "logs": {name: dict(source) for name, source in logs.items()},
+        "balance": balanced.as_dict(),
+        "counts": {name: asdict(count) for name, count in counts.items()},
+    }
+    stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
+    ends = np.searchsorted(chosen.frame, np.cumsum(sizes))
+    starts = np.concatenate([[0], ends[:-1]])
+    with (
+        whole_file(path, overwrite=True) as part,
+        pq.ParquetWriter(
+            part, SCHEMA.with_metadata(stored), compression="zstd", write_page_checksum=True
+        ) as writer,
+    ):
+        for file, session, first_frame, start, end in zip(
+            frames.values(), sessions, np.cumsum(sizes) - sizes, starts.tolist(), ends.tolist(), strict=True
+        ):
+            if end > start:
+                part_of = chosen.between(start, end)
+                position = session.position[part_of.frame - first_frame]
+                taken = read_frames(file, FROM_FRAMES).take(pa.array(position))
+                writer.write_table(_table(taken, session.label[part_of.frame - first_frame], part_of, config))
+    return balanced, counts
 
-    flips = (False, True) if config.flip else (False,)
-    frame = np.tile(np.arange(len(frames)), len(flips))
-    flip = np.repeat(flips, len(frames))
-    label = np.concatenate([-straight if flipped else straight for flipped in flips]) + 0.0  # no -0.0
-    bins = bin_of(label, config.bins)
-    is_training = frames["split"].to_numpy()[frame] == "train"
 
+def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
+    """Which frames somebody has tagged `exclude`."""
+    return lists_with(frames["tags"], EXCLUDE)
+
+
+def lists_with(lists: pa.ChunkedArray, name: str) -> NDArray[np.bool_]:
+    """Which lists of strings hold `name`."""
+    combined = lists.combine_chunks()
+    mask = np.zeros(len(combined), np.bool_)
+    at = pc.list_parent_indices(combined).filter(pc.equal(pc.list_flatten(combined), name))
+    mask[at.to_numpy()] = True
+    return mask
+
+
+def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) -> tuple[_Session, SessionCounts]:
+    camera = _codes(frames["camera"], CAMERAS)
+    split = _codes(frames["split"], ("train", "validation", "gap"))
+    is_bad = frames["bin"].to_numpy() < 0
+    is_tagged = is_excluded(frames)
+    is_wanted = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
+    if condition is not None:
+        is_wanted &= condition.holds(frames)
+    usable = is_wanted & ~is_bad & ~is_tagged
+    chosen = usable & (split != 2)
+    correction = np.select([camera == CAMERAS.index("left"), camera == CAMERAS.index("right")], [1.0, -1.0], 0.0)
+    label = (
+        np.clip(frames["steering"].to_numpy() + config.side_correction * correction, -1.0, 1.0) + 0.0
+    )  # no -0.0
+    at = np.flatnonzero(chosen)
+    counts = SessionCounts(
+        frames=len(frames),
+        training=int((usable & (split == 0)).sum()),
+        validation=int((usable & (split == 1)).sum()),
+        gap=int((usable & (split == 2)).sum()),
+        excluded=int((is_wanted & is_tagged).sum()),
+        unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
+        not_asked_for=int((~is_wanted).sum()),
+    )
+    return _Session(at.astype(np.int32), label[at], split[at] == 0), counts
+
+
+def _codes(column: pa.ChunkedArray, names: tuple[str, ...]) -> NDArray[np.int8]:
+    """The position of each string among `names`; -1 for others."""
+    found = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
+    codes: NDArray[np.int8] = pc.fill_null(found, -1).to_numpy().astype(np.int8)
+    return codes
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Samples in the order of the file; arrays of one length."""
+
+    frame: NDArray[np.int64]  # among the usable frames of all sessions
+    flip: NDArray[np.bool_]
+    is_copy: NDArray[np.bool_]
+    alteration: NDArray[np.int8]  # a bit for each of the config's
+    seed: NDArray[np.int64]
+
+    def between(self, start: int, end: int) -> _Chosen:
+        return _Chosen(
+            self.frame[start:end],
+            self.flip[start:end],
+            self.is_copy[start:end],
+            self.alteration[start:end],
+            self.seed[start:end],
+        )
+
+
+def _choose(
+    label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
+) -> tuple[_Chosen, Balance]:
+    """Which frames become samples, how often, and what the copies get.
+
+    A candidate is a frame, or its mirror image: number frame + flip * frames.
+    """
+    frames = len(label)
+    straight = bin_of(label, config.bins).astype(np.int16)
+    bins = np.concatenate([straight, config.bins - 1 - straight]) if config.flip else straight
+    if config.flip:
+        is_training = np.concatenate([is_training, is_training])
+        middle = np.concatenate([label == 0, label == 0])
+        bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
     random = np.random.default_rng(config.seed)
     training = np.flatnonzero(is_training)
-    balanced = balance(bins[training], config.bins, config.max_uses, random)
+    if config.balance:
+        balanced = balance(bins[training], config.bins, config.max_uses, random, config.per_bin)
+    else:
+        balanced = unbalanced(len(training))
+    before = np.bincount(bins[training], minlength=config.bins)
+    candidate = training[balanced.chosen]
+    after = np.bincount(bins[candidate], minlength=config.bins)
     validation = np.flatnonzero(~is_training)
-    chosen = np.concatenate([training[balanced.chosen], validation])
+    candidate = np.concatenate([candidate, validation])
     is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
-    order = np.lexsort((is_copy, flip[chosen], frame[chosen]))
-    chosen, is_copy = chosen[order], is_copy[order]
-    alteration, seed = _alterations(is_copy, config, random)
-
-    taken = frames.take(pa.array(frame[chosen]))
-    columns = {
-        **{name: taken[name] for name in FROM_FRAMES},
-        "flip": flip[chosen],
-        "alteration": alteration,
-        "seed": seed,
-        "label": label[chosen],
-        "bin": bins[chosen],
-        "copy": is_copy,
-    }
-    table = pa.table({field.name: columns[field.name] for field in SCHEMA}, schema=SCHEMA)
-    return table, Balance(
-        np.bincount(bins[training], minlength=config.bins),
-        np.bincount(bins[training][balanced.chosen], minlength=config.bins),
-        balanced.per_bin,
-        balanced.short,
-    )
+    # by frame, then original before mirror image, then copies
+    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    alteration, seed = _alterations(is_copy[order], config, random)
+    chosen = _Chosen(key >> 2, (key & 2) > 0, (key & 1) > 0, alteration, seed)
+    return chosen, Balance(before, after, balanced.per_bin, balanced.short)
 
 
 def _alterations(
     is_copy: NDArray[np.bool_], config: IndexConfig, random: np.random.Generator
-) -> tuple[NDArray[np.object_], NDArray[np.int64]]:
-    """For each sample the names of its alterations and their seed; an original has none."""
-    drawn = random.random((len(is_copy), len(config.alter))) < 0.5
-    seed = random.integers(0, 2**32, len(is_copy))
-    names = [
-        "+".join(np.array(config.alter)[row]) if copy else "" for row, copy in zip(drawn, is_copy, strict=True)
+) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+    """For each sample the bits of its alterations, and their seed; an original has none."""
+    copies = np.flatnonzero(is_copy)
+    alteration = np.zeros(len(is_copy), np.int8)
+    for bit in range(len(config.alterations)):
+        alteration[copies[random.random(len(copies)) < 0.5]] |= 1 << bit
+    seed = np.zeros(len(is_copy), np.int64)
+    seed[copies] = random.integers(0, 2**32, len(copies))
+    return alteration, seed
+
+
+def _table(frames: pa.Table, label: NDArray[np.float64], chosen: _Chosen, config: IndexConfig) -> pa.Table:
+    """The samples of one session: `frames` and `label` are those of each sample."""
+    names = config.alterations
+    combinations = [
+        "+".join(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1 << len(names))
     ]
-    return np.array(names, dtype=object), np.where(is_copy, seed, 0)
+    label = np.where(chosen.flip, -label, label) + 0.0  # no -0.0
+    columns = {
+        **{name: frames[name] for name in FROM_FRAMES},
+        "flip": chosen.flip,
+        "alteration": pa.DictionaryArray.from_arrays(chosen.alteration, combinations),
+        "seed": chosen.seed,
+        "label": label,
+        "bin": bin_of(label, config.bins),
+        "copy": chosen.is_copy,
+    }
+    return pa.table({field.name: columns[field.name] for field in SCHEMA}).cast(SCHEMA)

@@ -38,3 +38,24 @@ def validation_blocks(block: NDArray[np.int64], share: float, seed: int, session
     # the number of blocks that comes closest to the share; at least one, and never all
     count = int(np.argmin(np.abs(taken[:-1] - share * len(block)))) + 1
     return np.sort(numbers[order[:count]])
+
+
+def near_validation(
+    time_ns: NDArray[np.int64], drive: NDArray[np.int64], is_validation: NDArray[np.bool_], gap_s: float
+) -> NDArray[np.bool_]:
+    """Rows for training that lie within `gap_s` of one for validation in the same drive.
+
+    A picture just before the edge of a block is nearly the one just behind it; these are left out of both.
+    """
+    before = _nearest_before(time_ns, drive, is_validation)
+    after = _nearest_before(-time_ns[::-1], drive[::-1], is_validation[::-1])[::-1]
+    return (np.minimum(before, after) <= gap_s * 1e9) & ~is_validation
+
+
+def _nearest_before(
+    time_ns: NDArray[np.int64], drive: NDArray[np.int64], mask: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """For each row the time in ns to the last marked row at or before it in its drive; infinite without one."""
+    last = np.maximum.accumulate(np.where(mask, np.arange(len(mask)), -1))
+    since = (time_ns - time_ns[last]).astype(np.float64) if len(mask) else np.zeros(0)
+    return np.where((last >= 0) & (drive[last] == drive), since, np.inf) if len(mask) else since

@@ -77,7 +77,7 @@ def _train(
     seen = samples.driving_view("validation")
     validation = Loader(samples, seen, batch=config.batch, budget_bytes=budget)
     if not len(training):
-        raise RunError(f"{samples.path}: no training samples in it; record more, or use a smaller --validation")
+        raise RunError(f"{samples.path}: no training samples in it; record more, or use a smaller --validation-share")
     recorded = seen["label"].to_numpy()
     mean = float(np.mean(recorded)) if len(recorded) else float("nan")
 

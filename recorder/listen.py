@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from common import Skipped
-from common.command import stderr
+from common.command import stop_signals
 from common.files import refuse_existing
 from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
@@ -43,7 +41,7 @@ def listen_for_telemetry(
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
     refuse_existing(log, overwrite)
-    with _stop_signals() as stopped, contextlib.ExitStack() as writing:
+    with stop_signals() as stopped, contextlib.ExitStack() as writing:
         writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
         with StatusLine() as status:
             session = _Session(writer, status)
@@ -107,9 +105,7 @@ class _Session:
     def say(self, text: str) -> None:
         """Show it in the status line; where there is none, print it."""
         self._text = text
-        console = stderr()
-        if not console.is_interactive:
-            console.print(text, markup=False)
+        self._status.say(text)
 
     def is_idle_for(self, idle_s: float) -> bool:
         """Whether the last telemetry came so long ago; False before the first."""
@@ -154,20 +150,3 @@ class _Session:
     def _unique_ns(self, time_ns: int) -> int:
         self._last_ns = max(time_ns, self._last_ns + 1)
         return self._last_ns
-
-
-@contextlib.contextmanager
-def _stop_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and `kill` set, instead of what they do otherwise."""
-    stopped = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stopped
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in before:
-        signal.signal(number, lambda *_: stopped.set())
-    try:
-        yield stopped
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
 from common import Skipped
-from common.command import stderr
+from common.command import stop_signals
 from common.progress import StatusLine
 from recorder.errors import RecordingError
 from recorder.jpeg import is_whole_jpeg
@@ -54,7 +52,7 @@ def watch_udacity(
     """
     metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
     with (
-        _stop_signals() as stopped,
+        stop_signals() as stopped,
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
         StatusLine() as status,
     ):
@@ -62,7 +60,7 @@ def watch_udacity(
         if on_started is not None:
             on_started(writer.part)
         if not watched.has_csv():
-            _say(f"waiting for {folder / CSV_NAME}")
+            status.say(f"waiting for {folder / CSV_NAME}")
         while not stopped.is_set():
             is_busy = watched.poll()
             writer.flush_if_due()
@@ -225,27 +223,3 @@ class _Watched:
                 return file.read()
         except OSError:
             return None
-
-
-def _say(text: str) -> None:
-    """Print it where no status line says it."""
-    console = stderr()
-    if not console.is_interactive:
-        console.print(text, markup=False)
-
-
-@contextlib.contextmanager
-def _stop_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and `kill` set, instead of interrupting the log in the middle of a message."""
-    stopped = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stopped
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in before:
-        signal.signal(number, lambda *_: stopped.set())
-    try:
-        yield stopped
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

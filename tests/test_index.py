@@ -119,7 +119,7 @@ def test_only_the_training_split_is_balanced(tmp_path: Path) -> None:
 
 
 def test_a_bin_that_the_cap_leaves_short_is_reported(tmp_path: Path) -> None:
-    config = IndexConfig(max_uses=3, cameras=("center",), flip=False, validation=0.0)
+    config = IndexConfig(max_uses=3, cameras=("center",), flip=False, validation_share=0.0)
     indexed = index_of(tmp_path, config, a=[0.0] * 98 + [0.5] * 2)
     assert indexed.balance.per_bin == 50
     assert indexed.balance.short == {18: 50 - 3 * 2}  # (0.5 + 1) / 0.08 = 18.75
@@ -141,7 +141,7 @@ def test_labels_of_cameras_and_mirror_images(tmp_path: Path) -> None:
 
 
 def test_the_correction_the_cameras_and_the_flip_are_options(tmp_path: Path) -> None:
-    config = IndexConfig(cameras=("left",), side_correction=0.3, flip=False, validation=0.0)
+    config = IndexConfig(cameras=("left",), side_correction=0.3, flip=False, validation_share=0.0)
     samples = index_of(tmp_path, config, a=[0.1, 0.4]).samples.to_pylist()
     assert [(row["camera"], row["flip"], row["label"]) for row in samples] == [
         ("left", False, pytest.approx(0.4)),
@@ -150,14 +150,14 @@ def test_the_correction_the_cameras_and_the_flip_are_options(tmp_path: Path) -> 
 
 
 def test_only_copies_are_altered_each_alteration_in_half_of_them(tmp_path: Path) -> None:
-    samples = index_of(tmp_path, IndexConfig(validation=0.0), a=STEERING).samples.to_pylist()
+    samples = index_of(tmp_path, IndexConfig(validation_share=0.0), a=STEERING).samples.to_pylist()
     copies = [row for row in samples if row["copy"]]
     assert {row["alteration"] for row in samples if not row["copy"]} == {""}
     assert len(copies) > 500
     for name in ("blur", "brightness", "shadow"):
         share = sum(name in row["alteration"].split("+") for row in copies) / len(copies)
         assert share == pytest.approx(0.5, abs=4 * 0.5 / len(copies) ** 0.5)  # four standard deviations
-    unaltered = index_of(tmp_path, IndexConfig(validation=0.0, alter=()), a=STEERING).samples.to_pylist()
+    unaltered = index_of(tmp_path, IndexConfig(validation_share=0.0, alter=()), a=STEERING).samples.to_pylist()
     assert {row["alteration"] for row in unaltered} == {""}
     assert sum(row["copy"] for row in unaltered) == len(copies)
 
@@ -190,8 +190,20 @@ def test_no_picture_sibling_mirror_image_or_copy_is_on_both_sides(tmp_path: Path
 def test_the_split_is_by_blocks_of_time(tmp_path: Path) -> None:
     frames = [row for row in index_of(tmp_path, a=STEERING).frames.to_pylist() if row["camera"] == "center"]
     assert [row["block"] for row in frames] == [row["row"] // 20 for row in frames]  # 2 s of 0.1 s each
-    assert len({(row["block"], row["split"]) for row in frames}) == 15
     assert sum(row["split"] == "validation" for row in frames) == 60  # a fifth of 300
+    held_out = {row["row"] for row in frames if row["split"] == "validation"}
+    assert {row["block"] for row in frames if row["row"] in held_out} == {row // 20 for row in held_out}
+    for row in frames:  # a second is left out on either side of a block that is held out
+        near = min(abs(row["row"] - other) for other in held_out) <= 10
+        assert row["split"] == ("validation" if row["row"] in held_out else "gap" if near else "train")
+
+
+def test_whole_sessions_are_held_out_if_they_are_named(tmp_path: Path) -> None:
+    indexed = index_of(tmp_path, IndexConfig(validation=("b",)), a=STEERING, b=STEERING[::-1], c=STEERING[1:])
+    split = {(row["session"], row["split"]) for row in indexed.samples.to_pylist()}
+    assert split == {("a", "train"), ("b", "validation"), ("c", "train")}
+    with pytest.raises(DatasetError, match=r"--validation d: no such session among a, b, c"):
+        index_of(tmp_path, IndexConfig(validation=("b", "d")), a=STEERING, b=STEERING[::-1], c=STEERING[1:])
 
 
 @given(st.lists(st.integers(-3_000, 3_000), min_size=1, max_size=200), st.integers(1, 20))
@@ -365,7 +377,9 @@ def test_bc_index_prints_sessions_balance_and_totals(
     assert f"{split['train']:,} train" in told[-1]
     assert f"{split['validation']:,} validation" in told[-1]
     [session] = [text.strip("│ ").replace("│", " ").split() for text in told if "lake" in text and "│" in text]
-    assert session == ["lake", "900", "720", "180", "0", "read"]
+    frames = Counter(row["split"] for row in rows_of(tmp_path / "index" / "frames" / "lake.parquet"))
+    counted = [frames["train"], frames["validation"], frames["gap"]]
+    assert session == ["lake", "900", *map(str, counted), "0", "read"]
     assert sum("-0.04 .. +0.04" in text for text in told) == 1
     assert call(main, *line) == 0
     assert "unchanged" in capsys.readouterr().out

@@ -268,7 +268,7 @@ def test_other_data_has_another_fingerprint(
         return found
 
     log = write_log(tmp_path / "toy.mcap", STEERING[:4], road, cameras=["center"])
-    other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation=0.0)).path
+    other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation_share=0.0)).path
     [epoch] = train(other, tmp_path / "run", TrainConfig(epochs=1, batch=4, precision="float32", threads=1))
     assert math.isnan(epoch.validation.mae_deg)  # nothing was held out
     assert fingerprint(tmp_path / "run") != fingerprint(trained[0])

@@ -1,0 +1,49 @@
+"""What bc-index prints: the sessions, and the steering's distribution before and after balancing."""
+
+from __future__ import annotations
+
+from rich.markup import escape
+from rich.table import Table
+
+from dataset.index import Indexed
+from dataset.samples import Balance
+
+BAR_CELLS = 24
+
+
+def sessions_table(indexed: Indexed) -> Table:
+    """Frames of each session, by what becomes of them."""
+    table = Table("session", *(["frames", "training", "validation", "gap", "left out"]), "", title="frames")
+    for session in indexed.sessions:
+        counts = indexed.counts[session]
+        left_out = counts.excluded + counts.unusable + counts.not_asked_for
+        numbers = (counts.frames, counts.training, counts.validation, counts.gap, left_out)
+        state = "read" if session in indexed.read else "unchanged"
+        table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
+    return table
+
+
+def balance_table(balance: Balance) -> Table:
+    """The training split's steering, bin by bin."""
+    target = f"; each bin brought to {balance.per_bin:,}" if balance.per_bin else "; not balanced"
+    table = Table("steering", "before", "", "after", "", "", title=f"training samples{target}")
+    widest = max(1, int(balance.before.max()), int(balance.after.max()))
+    bins = len(balance.before)
+    for i, (before, after) in enumerate(zip(balance.before.tolist(), balance.after.tolist(), strict=True)):
+        low, high = -1 + 2 * i / bins, -1 + 2 * (i + 1) / bins
+        note = f"{balance.short[i]:,} short" if i in balance.short else "" if before else "empty"
+        table.add_row(
+            f"{low:+.2f} .. {high:+.2f}",
+            f"{before:,}",
+            _bar(before, widest),
+            f"{after:,}",
+            _bar(after, widest),
+            note,
+        )
+    return table
+
+
+def _bar(count: int, widest: int) -> str:
+    """A bar of eighths of a cell; something is never drawn as nothing."""
+    eighths = max(round(BAR_CELLS * 8 * count / widest), int(count > 0))
+    return "█" * (eighths // 8) + ("", "▏", "▎", "▍", "▌", "▋", "▊", "▉")[eighths % 8]
