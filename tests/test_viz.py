@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import socket
 import time
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
-import pyarrow as pa
 import pytest
-from rerun.chunk import RrdReader
 
 from common import UserError
 from driving import PATIENCE_S, Process, command, one_line_of, road_jpeg, run
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.simulated import SimulatedDrive, record_simulated
+from rrd import contents, free_ports, listening, view_names
 from viz import save_rrd, viewer
 
 ROWS = 40
@@ -46,36 +42,6 @@ def write_log(path: Path, *, is_drive: bool) -> Path:
         if is_drive:
             log.event(START_NS, "connected")
     return path
-
-
-def contents(rrd: Path) -> dict[str, dict[str, list[Any]]]:
-    """Values by entity and column, in the order of time."""
-    reader = RrdReader(rrd)
-    result: dict[str, dict[str, list[Any]]] = {}
-    for chunk in reader.stream().to_chunks():
-        batch = chunk.to_record_batch()
-        entity = result.setdefault(str(chunk.entity_path), {})
-        for name in batch.schema.names:
-            values = batch.column(name)
-            in_ns = values.cast("int64") if pa.types.is_timestamp(values.type) else values
-            entity.setdefault(name, []).extend(in_ns.to_pylist())
-    for columns in result.values():
-        times = columns.get("message_log_time", [])
-        for name, values in columns.items():
-            if len(values) == len(times) and name != "message_log_time":
-                columns[name] = [values[i] for i in np.argsort(np.array(times), kind="stable")]
-    return result
-
-
-def view_names(rrd: Path) -> set[str]:
-    reader = RrdReader(rrd)
-    (blueprint,) = reader.blueprints()
-    names: set[str] = set()
-    for chunk in reader.stream(store=blueprint).to_chunks():
-        batch = chunk.to_record_batch()
-        if "ViewBlueprint:display_name" in batch.schema.names:
-            names.update(value[0] for value in batch.column("ViewBlueprint:display_name").to_pylist() if value)
-    return names
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +116,67 @@ def test_an_existing_file_is_kept_unless_it_is_forced(drive: Path, tmp_path: Pat
     assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == ROWS
 
 
-def test_a_damaged_log_is_one_line(drive: Path, tmp_path: Path) -> None:
-    log = tmp_path / "cut.mcap"
-    log.write_bytes(drive.with_suffix(".mcap").read_bytes()[:-1000])
+def unfinished(path: Path, *, messages_kept: float) -> Path:
+    """What a killed recording leaves: the log's first part, up to the middle of a chunk."""
+    whole = write_log(path.with_name("whole.mcap"), is_drive=False).read_bytes()
+    path.write_bytes(whole[: int(messages_kept * len(whole))])
+    return path
+
+
+def test_an_unfinished_log_shows_what_is_whole_in_it_and_says_so(folder: Path, tmp_path: Path) -> None:
+    log = unfinished(tmp_path / "killed.mcap.ab12cd.part", messages_kept=0.8)
+    done = run("bc-play", log, "--save", tmp_path / "x.rrd")
+    assert done.returncode == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert f"{log}: unfinished" in done.stderr
+    found, whole = contents(tmp_path / "x.rrd"), contents(folder / "session.rrd")
+    rows = len(found["/vehicle"]["message_log_time"])
+    assert 10 < rows < ROWS
+    assert found["/steering/recorded"]["Scalars:scalars"] == whole["/steering/recorded"]["Scalars:scalars"][:rows]
+    shown = found["/camera/center"]["EncodedImage:blob"]
+    assert shown == whole["/camera/center"]["EncodedImage:blob"][: len(shown)]
+    assert len(shown) >= rows
+    assert log.stat().st_size == int(0.8 * (tmp_path / "whole.mcap").stat().st_size)
+    assert {path.name for path in tmp_path.iterdir()} == {log.name, "whole.mcap", "x.rrd"}
+
+
+def test_an_unfinished_log_has_the_layout_and_the_name_of_its_own(tmp_path: Path) -> None:
+    log = unfinished(tmp_path / "killed.mcap", messages_kept=0.8)
+    assert "unfinished" in save_rrd(log, tmp_path / "x.rrd")
+    plots = {"steering, -1 left .. 1 right", "speed, mph", "throttle and brake"}
+    assert view_names(tmp_path / "x.rrd") == plots | {"centre camera", "left camera", "right camera"}
+    assert contents(tmp_path / "x.rrd")["/__properties"]["RecordingInfo:name"] == [["killed.mcap"]]
+
+
+def test_a_finished_log_has_no_notice(drive: Path, tmp_path: Path) -> None:
+    assert save_rrd(drive.with_suffix(".mcap"), tmp_path / "x.rrd") == ""
+
+
+def test_a_log_of_nothing_is_shown_empty(tmp_path: Path) -> None:
+    LogWriter(tmp_path / "empty.mcap", {}).close()
+    save_rrd(tmp_path / "empty.mcap", tmp_path / "x.rrd")
+    assert not [entity for entity in contents(tmp_path / "x.rrd") if not entity.startswith("/__")]
+
+
+def test_a_log_shows_what_it_has(tmp_path: Path) -> None:
+    """Pictures without vehicle states, states without pictures."""
+    with LogWriter(tmp_path / "pictures.mcap", {}) as log:
+        log.picture("left", 1, 0, road_jpeg(0))
+    with LogWriter(tmp_path / "states.mcap", {}) as log:
+        log.vehicle(1, 0, VehicleState(steering=0.5))
+    for name in ("pictures", "states"):
+        save_rrd(tmp_path / f"{name}.mcap", tmp_path / f"{name}.rrd")
+    pictures, states = contents(tmp_path / "pictures.rrd"), contents(tmp_path / "states.rrd")
+    assert [bytes(blob[0]) for blob in pictures["/camera/left"]["EncodedImage:blob"]] == [road_jpeg(0)]
+    assert "/steering/recorded" not in pictures
+    assert states["/steering/recorded"]["Scalars:scalars"] == [[0.5]]
+    assert "left camera" in view_names(tmp_path / "pictures.rrd")
+    assert not {name for name in view_names(tmp_path / "states.rrd") if "camera" in name}
+
+
+def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:
+    log = tmp_path / "photo.mcap"
+    log.write_bytes(road_jpeg(0))
     with pytest.raises(LogError):
         save_rrd(log, tmp_path / "x.rrd")
     done = run("bc-play", log, "--save", tmp_path / "x.rrd")
@@ -181,21 +205,6 @@ def test_there_is_a_display_where_a_window_can_open(
         monkeypatch.setenv(name, value)
     monkeypatch.setattr("sys.platform", platform)
     assert viewer.has_display() is expected
-
-
-def free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        taken = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [each.getsockname()[1] for each in taken]
-
-
-def listening(process: psutil.Process) -> dict[int, str]:
-    """Address by port of what a process listens on."""
-    return {
-        connection.laddr.port: connection.laddr.ip
-        for connection in process.net_connections("tcp")
-        if connection.status == psutil.CONN_LISTEN
-    }
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one process alone")
@@ -231,3 +240,11 @@ def test_a_log_damaged_in_the_middle_is_one_line_and_an_end(tmp_path: Path) -> N
     assert done.returncode == 1
     assert "damaged" in one_line_of(done)
     assert not list(tmp_path.glob("*.rrd*"))
+
+
+def test_a_port_that_is_taken_is_one_line(drive: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = run("bc-play", drive.with_suffix(".mcap"), "--web", "--port", port, "--web-port", *free_ports(1))
+    assert done.returncode == 1
+    assert f"port {port}" in one_line_of(done)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.markup import escape
 
-from common.command import DONE, run_command, stderr
+from common.command import DONE, DONE_BUT_SKIPPED, run_command, stderr, warn_skipped
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,9 @@ class Play:
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to open."""
+    """The log to open, finished or not."""
+    follow: bool = False
+    """Show a log that is being written, as it grows."""
     save: Path | None = None
     """Write an .rrd file for the Rerun viewer, and open nothing."""
     web: bool = False
@@ -34,23 +38,59 @@ class Play:
 
 
 def play(config: Play) -> int:
-    from viz.playback import save_rrd
-    from viz.viewer import has_display, open_viewer, web_address
+    if config.follow:
+        # A viewer that is closed while it gets data is no error; Rerun would write some on the terminal.
+        os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
+    from viz.growing import find_log, is_finished
 
+    log = find_log(config.log) if config.follow else config.log
+    is_growing = config.follow and not is_finished(log)
     if config.save is not None:
-        save_rrd(config.log, config.save, overwrite=config.force)
-        print(f"{config.save}: written; open it with `rerun {config.save}`")
-        return DONE
+        return save(config, log, config.save, is_growing=is_growing)
+    return show(config, log, is_growing=is_growing)
+
+
+def save(config: Play, log: Path, rrd: Path, *, is_growing: bool) -> int:
+    from viz.follow import save_growing
+    from viz.playback import save_rrd
+
+    if is_growing:
+        code = warn_skipped(save_growing(log, rrd, overwrite=config.force))
+    else:
+        code = tell(save_rrd(log, rrd, overwrite=config.force))
+    print(f"{rrd}: written; open it with `rerun {rrd}`")
+    return code
+
+
+def show(config: Play, log: Path, *, is_growing: bool) -> int:
+    from viz.follow import VIEWER_MEMORY, follow
+    from viz.playback import save_rrd
+    from viz.viewer import Ports, free_port, has_display, open_viewer
+
     web = config.web or not has_display()
+    # A window gets a port of its own: several may be open beside each other.
+    ports = Ports(config.web_port, config.port if web else free_port())
     with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
-        rrd = Path(folder) / f"{config.log.name}.rrd"
-        save_rrd(config.log, rrd)
-        with open_viewer(rrd, web=web, web_port=config.web_port, port=config.port) as viewer:
+        rrd = None if is_growing else Path(folder) / f"{log.name}.rrd"
+        code = DONE if rrd is None else tell(save_rrd(log, rrd))
+        with open_viewer(rrd, ports, web=web, memory=VIEWER_MEMORY if is_growing else None) as viewer:
             if web:
-                print(web_address(config.web_port, config.port), flush=True)
+                print(ports.web_address, flush=True)
                 stderr().print("bc-play: open that address in a browser; Ctrl-C ends")
-            return viewer.wait()
+            return follow(log, viewer, ports) if is_growing else viewer.wait() or code
+
+
+def tell(notice: str) -> int:
+    """Print what a log that was never finished has to say; the exit code that says so."""
+    if not notice:
+        return DONE
+    stderr().print(f"[yellow]bc-play:[/] {escape(notice)}")
+    return DONE_BUT_SKIPPED
 
 
 def main() -> None:
     run_command("bc-play", Play, play)
+
+
+if __name__ == "__main__":  # how bc-record starts it
+    main()

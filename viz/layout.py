@@ -8,36 +8,29 @@ from typing import Final
 
 import rerun.blueprint as rrb
 
-from recorder.topics import CAMERAS, EVENTS, PILOT_INPUT, camera_topic
+from recorder.topics import CAMERAS, EVENTS, PILOT_COMMAND, PILOT_INPUT, VEHICLE, camera_topic
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot."""
+    """One line of a plot: a field of the messages on a topic."""
 
     entity: str
     name: str
     color: tuple[int, int, int]
+    topic: str
+    field: str
 
-
-STEERING_RECORDED: Final = Curve("/steering/recorded", "recorded", (120, 160, 255))
-STEERING_PREDICTED: Final = Curve("/steering/predicted", "predicted", (255, 160, 60))
-STEERING_SENT: Final = Curve("/steering/sent", "sent", (110, 210, 110))
-SPEED_DRIVEN: Final = Curve("/speed_mph/driven", "driven", (120, 160, 255))
-SPEED_SET: Final = Curve("/speed_mph/set", "set", (160, 160, 160))
-THROTTLE: Final = Curve("/pedals/throttle", "throttle", (110, 210, 110))
-BRAKE: Final = Curve("/pedals/brake", "brake", (230, 90, 90))
-LATENCY: Final = Curve("/latency_ms/total", "telemetry to answer", (200, 140, 230))
 
 CURVES: Final = (
-    STEERING_RECORDED,
-    STEERING_PREDICTED,
-    STEERING_SENT,
-    SPEED_DRIVEN,
-    SPEED_SET,
-    THROTTLE,
-    BRAKE,
-    LATENCY,
+    Curve("/steering/recorded", "recorded", (120, 160, 255), VEHICLE, "steering"),
+    Curve("/steering/predicted", "predicted", (255, 160, 60), PILOT_COMMAND, "predicted_steering"),
+    Curve("/steering/sent", "sent", (110, 210, 110), PILOT_COMMAND, "steering"),
+    Curve("/speed_mph/driven", "driven", (120, 160, 255), VEHICLE, "speed_mph"),
+    Curve("/speed_mph/set", "set", (160, 160, 160), PILOT_COMMAND, "set_speed_mph"),
+    Curve("/pedals/throttle", "throttle", (110, 210, 110), VEHICLE, "throttle"),
+    Curve("/pedals/brake", "brake", (230, 90, 90), VEHICLE, "brake"),
+    Curve("/latency_ms/total", "telemetry to answer", (200, 140, 230), PILOT_COMMAND, "total_ms"),
 )
 
 

@@ -4,15 +4,40 @@ from __future__ import annotations
 
 import contextlib
 import os
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import rerun_cli
 
+from common import UserError
+
 LOCAL: Final = "127.0.0.1"
+
+_PATIENCE_S: Final = 30.0  # for a window to open on a busy machine
+_GRACE_S: Final = 1.0  # a frozen process does not hear that it shall end
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Where the viewer is found on this machine."""
+
+    web: int  # of the page
+    data: int
+
+    @property
+    def data_address(self) -> str:
+        return f"rerun+http://{LOCAL}:{self.data}/proxy"
+
+    @property
+    def web_address(self) -> str:
+        """What to open in a browser."""
+        return f"http://{LOCAL}:{self.web}/?url=rerun%2Bhttp://{LOCAL}:{self.data}/proxy"
 
 
 def has_display() -> bool:
@@ -28,22 +53,58 @@ def viewer_program() -> Path:
     return Path(rerun_cli.__file__).parent / name
 
 
+def free_port() -> int:
+    with socket.create_server((LOCAL, 0)) as server:
+        port: int = server.getsockname()[1]
+        return port
+
+
 @contextlib.contextmanager
-def open_viewer(rrd: Path, *, web: bool, web_port: int, port: int) -> Iterator[subprocess.Popen[bytes]]:
-    """Open `rrd` in a window, or serve it to browsers on this machine; the viewer ends with the context."""
-    command = [str(viewer_program()), str(rrd), "--bind", LOCAL]
+def open_viewer(
+    rrd: Path | None, ports: Ports, *, web: bool, memory: str | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Open `rrd`, or nothing yet, in a window, or serve it to browsers on this machine.
+
+    The viewer ends with the context. `memory` limits what it holds ("1GB"). Raises UserError if a port is taken.
+    """
+    for port in (ports.web, ports.data) if web else (ports.data,):
+        _refuse_taken(port)
+    command = [str(viewer_program()), "--bind", LOCAL, "--port", str(ports.data)]
+    if rrd is not None:
+        command.append(str(rrd))
     if web:
-        command += ["--serve-web", "--web-viewer-port", str(web_port), "--port", str(port)]
-    else:
-        command += ["--port", "auto"]  # a window of its own, also beside another viewer
-    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        command += ["--serve-web", "--web-viewer-port", str(ports.web)]
+    if memory is not None:
+        command += ["--memory-limit", memory, "--server-memory-limit", memory]
+    environment = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
+    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
     try:
         yield viewer
     finally:
         viewer.terminate()
-        viewer.wait()
+        try:
+            viewer.wait(_GRACE_S)
+        except subprocess.TimeoutExpired:
+            viewer.kill()
+            viewer.wait()
 
 
-def web_address(web_port: int, port: int) -> str:
-    """What to open in a browser."""
-    return f"http://{LOCAL}:{web_port}/?url=rerun%2Bhttp://{LOCAL}:{port}/proxy"
+def wait_until_it_listens(viewer: subprocess.Popen[bytes], ports: Ports) -> None:
+    """Until data can be sent to it; before that, Rerun waits seconds. Raises UserError if it does not start."""
+    deadline_s = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < deadline_s:
+        if viewer.poll() is not None:
+            break
+        with contextlib.suppress(OSError), socket.create_connection((LOCAL, ports.data), _PATIENCE_S):
+            return
+        time.sleep(0.05)
+    raise UserError("the Rerun viewer did not start; give --web to use a browser instead, or --save FILE.rrd")
+
+
+def _refuse_taken(port: int) -> None:
+    try:
+        socket.create_server((LOCAL, port)).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(
+            f"port {port} cannot be listened on ({error}); give another one: --port, --web-port"
+        ) from None

@@ -1,0 +1,119 @@
+"""A log shown while it is being written: by a process of its own, which may freeze or die and harm nobody."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Final
+
+import rerun as rr
+from rich.markup import escape
+
+from common import Skipped, UserError, whole_file
+from common.command import DONE, FAILED, stderr, warn_skipped
+from viz.growing import GrowingLog, final_name
+from viz.messages import MessageSender
+from viz.playback import APPLICATION
+from viz.viewer import Ports, wait_until_it_listens
+
+POLL_S: Final = 0.2
+BEHIND_S: Final = 2.0
+"""Held up for longer than that, pictures older than that are skipped."""
+HISTORY_S: Final = 60.0
+"""Pictures from before the viewer was opened are skipped if they are older than that."""
+VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
+
+_GRACE_S: Final = 0.5
+
+
+def save_growing(path: Path, rrd: Path, *, overwrite: bool = False) -> Skipped:
+    """Write the log at `path` to the file `rrd` as it grows, until it is finished; what could not be shown.
+
+    Raises LogError if the log cannot be read or is deleted before its end, UserError if `rrd` exists and may
+    not be overwritten.
+    """
+    _refuse_windows()
+    with whole_file(rrd, overwrite=overwrite) as part, GrowingLog(path) as log:
+        part.touch()  # of a folder that cannot be written, Rerun makes a hang
+        recording = rr.RecordingStream(APPLICATION)
+        recording.save(part)
+        recording.send_recording_name(final_name(path))
+        _send(log, recording, threading.Event(), keep_up=False)
+        recording.disconnect()
+        return log.skipped
+
+
+def follow(path: Path, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
+    """Show the log at `path` in an open, empty viewer as it grows, until the viewer is closed; the exit code.
+
+    What goes wrong with the log is told on stderr when it happens, and the viewer stays open. Raises UserError
+    if the viewer does not start.
+    """
+    _refuse_windows()
+    wait_until_it_listens(viewer, ports)
+    follower = _Follower(path, ports)
+    follower.start()
+    try:
+        code = viewer.wait()
+    finally:
+        follower.stop.set()
+        follower.join(_GRACE_S)  # a frozen viewer holds it up until that is killed
+    return code or follower.code
+
+
+class _Follower(threading.Thread):
+    """Sends a log to the viewer, on a thread: a frozen viewer holds up whoever sends to it."""
+
+    def __init__(self, path: Path, ports: Ports) -> None:
+        super().__init__(name="follower", daemon=True)
+        self.stop = threading.Event()
+        self.code = DONE
+        self._path = path
+        self._ports = ports
+
+    def run(self) -> None:
+        recording = rr.RecordingStream(APPLICATION)
+        recording.connect_grpc(self._ports.data_address)
+        recording.send_recording_name(final_name(self._path))
+        with GrowingLog(self._path) as log:
+            try:
+                _send(log, recording, self.stop, keep_up=True)
+                if log.is_finished:
+                    stderr().print(f"bc-play: {escape(final_name(self._path))} is finished, all of it is shown")
+                elif not self.stop.wait(_GRACE_S):
+                    raise UserError("the viewer has lost its connection and shows nothing new; open it again")
+            except UserError as error:
+                stderr().print(f"[red]bc-play:[/] {escape(str(error))}")
+                self.code = FAILED
+            self.code = self.code or warn_skipped(log.skipped)
+        with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
+            recording.disconnect()
+
+
+def _send(log: GrowingLog, recording: rr.RecordingStream, stop: threading.Event, *, keep_up: bool) -> None:
+    """Send the log as it grows, until it is finished, `stop` is set or nobody takes it any more."""
+    sender = MessageSender(recording)
+    pictures_of_last_s = HISTORY_S if keep_up else None
+    last_s = time.monotonic()
+    while not stop.is_set():
+        for messages in log.read(pictures_of_last_s):
+            sender.send(messages)
+        try:
+            recording.flush()  # what the viewer does not take must not pile up here
+        except RuntimeError:
+            return  # the viewer is gone
+        if log.is_finished:
+            return
+        stop.wait(POLL_S)
+        now_s = time.monotonic()
+        pictures_of_last_s = BEHIND_S if keep_up and now_s - last_s > BEHIND_S else None
+        last_s = now_s
+
+
+def _refuse_windows() -> None:
+    if sys.platform == "win32":
+        raise UserError("--follow does not work on Windows: a file that is open there cannot get its final name")

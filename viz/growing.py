@@ -1,0 +1,161 @@
+"""A log that is being written, read by complete chunks as it grows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from google.protobuf.message import DecodeError
+from mcap.records import Channel
+
+from common import Skipped
+from common.files import PART_SUFFIX
+from recorder.chunks import MAGIC, Chunk, McapFile, StoredMessage, Structure
+from recorder.errors import LogError
+from viz.messages import KINDS, PICTURE_TOPICS, Shown
+
+LATE: Final = "pictures not shown, to keep up (the log has them)"
+_PART: Final = r"\.[0-9a-f]{6}" + re.escape(PART_SUFFIX)  # what `common.files` adds to a name
+_LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, Rerun's are not
+
+
+def find_log(path: Path) -> Path:
+    """Where a log is now that was at `path`, or will be: it has another name until its writer closes it."""
+    final = path.with_name(final_name(path))
+    for place in (path, final):
+        if place.exists():
+            return place
+    name = re.compile(re.escape(path.name) + _PART)
+    try:
+        parts = [part for part in path.parent.iterdir() if name.fullmatch(part.name) and not part.is_symlink()]
+        return max(parts, key=lambda part: part.stat().st_mtime_ns, default=path)
+    except OSError:  # no such folder, or it has just been given its final name
+        return final if final.exists() else path
+
+
+def final_name(path: Path) -> str:
+    """The name that a log has, or will have, when it is finished."""
+    return re.sub(_PART + "$", "", path.name)
+
+
+def is_finished(path: Path) -> bool:
+    """Whether there is a finished log at `path`. Raises LogError if it cannot be opened or is no log."""
+    if not _has_begun(path):
+        return False
+    file = McapFile(path)
+    try:
+        return file.is_finished()
+    finally:
+        file.close()
+
+
+class GrowingLog:
+    """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
+
+    Raises LogError if it cannot be opened, is no log, or is deleted before it is finished.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.skipped = Skipped()
+        self.is_finished = False
+        self._file: McapFile | None = None
+        self._position = len(MAGIC)
+        self._found = Structure()
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[Shown]]:
+        """What has been completed since the last call, a list for each chunk.
+
+        With `pictures_of_last_s`, pictures that are older than that before the newest message are skipped.
+        """
+        self._file = self._file or self._opened()
+        if self._file is None:
+            return
+        before = len(self._found.chunks), len(self._found.lost)
+        self._position, self.is_finished = self._file.walk_on(self._position, self._found)
+        for start, end in self._found.lost[before[1] :]:
+            self.skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
+        chunks = self._found.chunks[before[0] :]
+        since_ns = 0
+        if pictures_of_last_s is not None and chunks:
+            since_ns = _newest_ns(self._file, chunks[-1]) - round(pictures_of_last_s * 1e9)
+        for chunk in chunks:
+            yield list(self._shown_of(self._file, chunk, since_ns))
+
+    def _opened(self) -> McapFile | None:
+        path = find_log(self.path)
+        if not _has_begun(path):
+            return None
+        try:
+            return McapFile(path)
+        except LogError:
+            if find_log(self.path) != path:
+                return None  # it was just given its final name
+            raise
+
+    def _shown_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[Shown]:
+        records = file.records(chunk)
+        try:
+            messages = list(file.messages(records))
+        except LogError:
+            self.skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
+            return
+        for stored in messages:
+            channel = self._found.channels.get(stored.channel)
+            if channel is None:
+                self.skipped.add("messages whose description is lost", f"channel {stored.channel}")
+            elif self._can_be_shown(channel):
+                shown = self._shown(stored, channel, records, since_ns)
+                if shown is not None:
+                    yield shown
+
+    def _can_be_shown(self, channel: Channel) -> bool:
+        kind, schema = KINDS.get(channel.topic), self._found.schemas.get(channel.schema_id)
+        if kind is None or schema is None:
+            return False
+        return (channel.message_encoding, schema.name) == ("protobuf", kind.DESCRIPTOR.full_name)
+
+    def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> Shown | None:
+        name = f"{channel.topic} row {stored.sequence}"
+        if channel.topic in PICTURE_TOPICS and stored.log_time_ns < since_ns:
+            self.skipped.add(LATE, name)
+            return None
+        try:
+            content = KINDS[channel.topic].FromString(records[stored.offset : stored.offset + stored.length])
+        except DecodeError:
+            self.skipped.add("messages that cannot be decoded", name)
+            return None
+        if stored.log_time_ns > _LAST_TIME_NS:
+            self.skipped.add("messages of a time that cannot be", name)
+            return None
+        return Shown(channel.topic, stored.log_time_ns, content)
+
+
+def _newest_ns(file: McapFile, chunk: Chunk) -> int:
+    try:
+        return max((stored.log_time_ns for stored in file.messages(file.records(chunk))), default=0)
+    except LogError:
+        return 0  # what is damaged is counted where it is read
+
+
+def _has_begun(path: Path) -> bool:
+    """A log that has just been created is empty until its first chunk is written."""
+    try:
+        return not path.is_file() or path.stat().st_size >= len(MAGIC)
+    except OSError:
+        return True  # opening it tells what is wrong
