@@ -11,7 +11,6 @@ from common.progress import track
 from recorder.check_contents import Contents, Finding
 from recorder.check_structure import sound_chunks
 from recorder.chunks import McapFile
-from recorder.errors import LogError
 
 
 @dataclass(frozen=True)
@@ -38,12 +37,9 @@ def check(path: Path, *, look: bool = True) -> Checked:
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             contents = Contents(structure, findings, pool if look else None)
             chunks = sound_chunks(file, structure, findings)
-            for records in track(chunks, f"checking {path.name}", len(structure.chunks)):
-                try:
-                    for message in file.messages(records):
-                        contents.take(records, message)
-                except LogError as error:
-                    findings.append(Finding("damaged chunks", str(error)))
+            for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
+                for message in messages:
+                    contents.take(records, message)
             contents.judge()
     finally:
         file.close()

@@ -15,23 +15,27 @@ from recorder.errors import LogError
 _OP_MESSAGE_INDEX: Final = 7
 _OP_DATA_END: Final = 15
 
+Found = tuple[bytes, list[StoredMessage]]
+"""The records of a chunk, and the messages among them."""
 
-def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[bytes]:
-    """The records of every sound chunk, in the order of the file; what is wrong is added to `findings`."""
+
+def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+    """Every sound chunk, in the order of the file; what is wrong is added to `findings`."""
     return (_without_end if structure.problem else _walk)(file, structure, findings)
 
 
-def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[bytes]:
+def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
     """The chunks of a log without a readable end: those that were found have been checked."""
     findings.append(Finding("no readable end", structure.problem))
     for start, end in structure.lost:
         findings.append(Finding("bytes without anything whole", f"{start:,} to {end:,}"))
     for chunk in structure.chunks:
-        yield file.records(chunk)
+        records = file.records(chunk)
+        yield records, list(file.messages(records))
 
 
-def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[bytes]:
-    """Reads a finished log from its start, record by record, and yields the records of its sound chunks."""
+def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+    """Reads a finished log from its start, record by record, and yields its sound chunks."""
     position, crc = len(MAGIC), zlib.crc32(MAGIC)
     indexed = {chunk.start: chunk for chunk in structure.chunks}
     counts: Counter[int] = Counter()
@@ -68,7 +72,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 times = [message.log_time_ns for message in messages] or [0]
                 if (min(times), max(times)) != (first_ns, last_ns):
                     findings.append(Finding("chunks of other times than they tell", f"at byte {position:,}"))
-                yield records
+                yield records, messages
         elif opcode == _OP_MESSAGE_INDEX and expected:
             channel, found = _message_index(record)
             if sorted(found) != sorted(expected.pop(channel, [])):
