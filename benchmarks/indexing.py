@@ -31,12 +31,12 @@ RUNS = 5
 STEP_NS = 100_000_000
 
 
-def index_log(path: Path) -> None:
+def index_log(path: Path, name: str) -> None:
     rates = []
     for _ in range(RUNS + 1):
         start_s = time.perf_counter()
         with Log(path) as log:
-            frames = frames_table(log, IndexConfig())
+            frames = frames_table(log, Path(name), IndexConfig())
         rates.append(len(frames) / (time.perf_counter() - start_s))
     rates = sorted(rates[1:])  # the first reads the log from the disk
     size_mb = path.stat().st_size / 1e6
@@ -113,8 +113,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10_000_000)
     parser.add_argument("--sessions", type=int, default=1000)
     chosen = parser.parse_args()
-    index_log(chosen.log)
     with tempfile.TemporaryDirectory() as name:
+        index_log(chosen.log, name)
         unchanged_sessions(Path(name), chosen.sessions)
     for frames in (chosen.frames // 10, chosen.frames):  # the memory is that of the largest until then
         with tempfile.TemporaryDirectory() as name:

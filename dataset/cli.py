@@ -13,8 +13,11 @@ from rich.console import Console
 
 from common.command import DONE, FAILED, run_command, stderr, warn
 from dataset.config import IndexConfig
+from dataset.frames import session_name
 from dataset.index import SAMPLES_NAME, build_index, find_logs, unfinished_recordings
 from dataset.leaks import find_leaks
+from dataset.looks import look_at_all
+from dataset.oddities import print_report, report
 from dataset.report import balance_table, sessions_table
 
 
@@ -34,6 +37,10 @@ class Index:
     """Where logs are kept."""
     index: Path = Path("index")
     """Where the index is written."""
+    look: bool = False
+    """Decode every picture once, on all cores, and flag those that do not decode, and frozen ones."""
+    report: bool = False
+    """List every stretch of odd frames: gaps, stuck steering, standing still and so on, with their times."""
     check: bool = False
     """Check the split for leaks between training and validation: exit code 1 if there is one."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
@@ -41,6 +48,8 @@ class Index:
 
 def index(config: Index) -> int:
     logs = find_logs(config.sessions, config.folder)
+    if config.look:
+        look_at_all({session_name(log): log for log in logs}, config.index)
     indexed = build_index(logs, config.index, config.config)
     code = DONE
     for notice in [*indexed.notices, *unfinished_recordings(config.folder, indexed.sessions)]:
@@ -52,6 +61,8 @@ def index(config: Index) -> int:
     counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
     frames = sum(session.frames for session in indexed.counts.values())
     print(f"{indexed.path}: {frames:,} frames, {len(split):,} samples ({counts})")
+    if config.report:
+        print_report(report(config.index))
     if config.check:
         leaks = find_leaks(config.index)
         for leak in leaks:

@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 from common import whole_file
 from dataset.balance import bin_of
 from dataset.config import IndexConfig
+from dataset.looks import read_look
+from dataset.quality import Looked, Paired, frame_flags
 from dataset.split import block_numbers, near_validation, validation_blocks
 from recorder import Log, Pictures
 from recorder.quality import States, drive_numbers
 from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, Camera, camera_topic
 
-FORMAT: Final = 3
+FORMAT: Final = 4
 METADATA_KEY: Final = b"bc.index"
 
 SCHEMA: Final = pa.schema(
@@ -66,6 +68,7 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig) -> dict[str, Any
         "log": Path(os.path.relpath(log.path.resolve(), index.resolve())).as_posix(),
         "fingerprint": fingerprint,
         "tags": [[tag.name, tag.first_row, tag.last_row] for tag in read_tags(log.path, fingerprint)],
+        "looked": read_look(index, session_name(log.path), fingerprint) is not None,
         "settings": frames_settings(config, session_name(log.path)),
     }
 
@@ -101,15 +104,22 @@ def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
 def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """A frames file, or some columns of it. Raises OSError or pa.ArrowException if it is missing or damaged."""
     repeating = [name for name in REPEATING if columns is None or name in columns]
-    return pq.read_table(path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True)
+    return pq.read_table(
+        path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True
+    )
 
 
-def frames_table(log: Log, config: IndexConfig) -> pa.Table:
-    """One row for each camera picture that has a vehicle state, in the order of the log."""
+def frames_table(log: Log, index: Path, config: IndexConfig) -> pa.Table:
+    """One row for each camera picture that has a vehicle state, in the order of the log.
+
+    `index` is the index's folder, which holds what was seen when its pictures were looked at.
+    """
     vehicle = log.vehicle()
     states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
-    return frames_of(states, pictures, session_name(log.path), config, read_tags(log.path, log.fingerprint))
+    session, fingerprint = session_name(log.path), log.fingerprint
+    looked = read_look(index, session, fingerprint)
+    return frames_of(states, pictures, session, config, read_tags(log.path, fingerprint), looked)
 
 
 def frames_of(
@@ -118,6 +128,7 @@ def frames_of(
     session: str,
     config: IndexConfig,
     tags: Sequence[Tag] = (),
+    looked: Looked | None = None,
 ) -> pa.Table:
     """The frames of a session from its vehicle states and from where its pictures lie."""
     drive = drive_numbers(states.time_ns)
@@ -127,8 +138,10 @@ def frames_of(
     bins = np.where(in_range, bin_of(np.where(in_range, states.steering, 0.0), config.bins), -1)
 
     parts: list[dict[str, NDArray[Any]]] = []
+    paired: dict[Camera, Paired] = {}
     for number, camera in enumerate(CAMERAS):
         state, found = _rows_of(pictures[camera], states)
+        paired[camera] = Paired(state, found)
         parts.append(
             {
                 "state": state,
@@ -152,7 +165,7 @@ def frames_of(
         "block": block[state],
         "split": pa.DictionaryArray.from_arrays(split[state], ["train", "validation", "gap"]),
         "bin": bins[state],
-        "flags": [["out_of_range"] if bad else [] for bad in (~in_range)[state]],
+        "flags": frame_flags(states, paired, looked).take(pa.array(order)),
         "tags": _tags_of(states.row[state], tags),
     }
     return pa.table({name: pa.array(column) for name, column in columns.items()}).cast(SCHEMA)

@@ -33,6 +33,7 @@ from dataset.frames import (
     session_name,
     write_table,
 )
+from dataset.looks import LOOKS_FOLDER
 from dataset.samples import Balance, SessionCounts, write_samples
 from dataset.shared import refuse_shared_pictures
 from recorder import Log
@@ -126,23 +127,23 @@ def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = 
     sources: dict[str, dict[str, str]] = {}
     for name, path in track(by_name.items(), "indexing", len(by_name)):
         file = frames_folder / f"{name}.parquet"
-        known = _known_frames(name, path, file, config, state)
+        known = _known_frames(name, path, index, config, state)
         if known is None:
             with Log(path) as log:
                 known = frames_metadata(log, index, config)
                 if not _is_current(file, known):
-                    write_table(file, frames_table(log, config), known)
+                    write_table(file, frames_table(log, index, config), known)
                     read.append(name)
                 if log.notice:
                     notices[name] = log.notice
         sources[name] = {key: known[key] for key in ("log", "fingerprint")}
     for stale in frames_folder.glob("*.parquet"):
         if stale.stem not in sources and read_metadata(stale) is not None:
-            stale.unlink()  # ours, and made anew whenever its session is indexed again
+            stale.unlink()  # ours, and quickly made anew; a look takes longer: it stays
     files = {name: frames_folder / f"{name}.parquet" for name in by_name}
     refuse_shared_pictures(files, by_name)
     balance, counts = write_samples(files, index / SAMPLES_NAME, config, sources)
-    _write_state(index, by_name, files, notices)
+    _write_state(index, by_name, notices)
     return Indexed(index, list(by_name), read, balance, counts, list(notices.values()))
 
 
@@ -169,9 +170,8 @@ def _unchanged(
         return None
     if set(stored.get("logs", ())) != logs.keys():
         return None
-    for name, path in logs.items():
-        if not _is_known(name, path, index / FRAMES_FOLDER / f"{name}.parquet", state):
-            return None
+    if not all(_is_known(name, path, index, state) for name, path in logs.items()):
+        return None
     with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
         counts = {name: SessionCounts(**stored["counts"][name]) for name in logs}
         notices = [state["logs"][name]["notice"] for name in logs if state["logs"][name]["notice"]]
@@ -180,28 +180,29 @@ def _unchanged(
 
 
 def _known_frames(
-    name: str, log: Path, file: Path, config: IndexConfig, state: Mapping[str, Any]
+    name: str, log: Path, index: Path, config: IndexConfig, state: Mapping[str, Any]
 ) -> dict[str, Any] | None:
     """The metadata of a frames file that is up to date, if that can be told without opening the log."""
-    if not _is_known(name, log, file, state) or state["logs"][name]["notice"]:
+    if not _is_known(name, log, index, state) or state["logs"][name]["notice"]:
         return None
-    stored = read_metadata(file)
+    stored = read_metadata(index / FRAMES_FOLDER / f"{name}.parquet")
     if stored is None or stored.get("format") != FORMAT or stored.get("settings") != frames_settings(config, name):
         return None
     return stored
 
 
-def _is_known(name: str, log: Path, file: Path, state: Mapping[str, Any]) -> bool:
-    """Whether a session's log, tags and frames are the files that they were."""
+def _is_known(name: str, log: Path, index: Path, state: Mapping[str, Any]) -> bool:
+    """Whether a session's log, tags, look and frames are the files that they were."""
     try:
         entry = state["logs"][name]
-        return bool(entry["files"] == _files_of(log, file) and isinstance(entry["notice"], str))
+        return bool(entry["files"] == _files_of(name, log, index) and isinstance(entry["notice"], str))
     except (KeyError, TypeError):
         return False
 
 
-def _files_of(log: Path, frames: Path) -> list[Any]:
-    return [os.path.realpath(log), _stat(log), _stat(tags_path(log)), _stat(frames)]
+def _files_of(name: str, log: Path, index: Path) -> list[Any]:
+    beside = (index / FRAMES_FOLDER / f"{name}.parquet", index / LOOKS_FOLDER / f"{name}.json")
+    return [os.path.realpath(log), *map(_stat, (log, tags_path(log), *beside))]
 
 
 def _stat(path: Path) -> Stat:
@@ -220,13 +221,11 @@ def _read_state(index: Path) -> dict[str, Any]:
     return state if isinstance(state, dict) else {}
 
 
-def _write_state(
-    index: Path, logs: Mapping[str, Path], files: Mapping[str, Path], notices: Mapping[str, str]
-) -> None:
+def _write_state(index: Path, logs: Mapping[str, Path], notices: Mapping[str, str]) -> None:
     state = {
         "samples": _stat(index / SAMPLES_NAME),
         "logs": {
-            name: {"files": _files_of(path, files[name]), "notice": notices.get(name, "")}
+            name: {"files": _files_of(name, path, index), "notice": notices.get(name, "")}
             for name, path in logs.items()
         },
     }

@@ -23,6 +23,7 @@ from dataset.balance import balance, bin_of, unbalanced
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames import METADATA_KEY, read_frames
+from dataset.quality import is_unusable
 from dataset.where import Condition
 from recorder.tags import EXCLUDE
 from recorder.topics import CAMERAS
@@ -79,7 +80,7 @@ class SessionCounts:
     validation: int
     gap: int  # between the two
     excluded: int  # tagged so
-    unusable: int  # steering out of range, no picture
+    unusable: int  # steering out of range, or a broken picture
     not_asked_for: int  # another camera, or not what --where chooses
 
 
@@ -109,7 +110,7 @@ def write_samples(
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
         raise DatasetError(
-            f"no frame can be used: no picture of {', '.join(config.cameras)} with steering in -1..1"
+            f"no frame can be used: no whole picture of {', '.join(config.cameras)} with steering in -1..1"
             f"{' that --where chooses' if config.where is not None else ''}, none that is not tagged {EXCLUDE}"
         )
     label = np.concatenate([session.label for session in sessions])
@@ -160,7 +161,7 @@ def lists_with(lists: pa.ChunkedArray, name: str) -> NDArray[np.bool_]:
 def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) -> tuple[_Session, SessionCounts]:
     camera = _codes(frames["camera"], CAMERAS)
     split = _codes(frames["split"], ("train", "validation", "gap"))
-    is_bad = frames["bin"].to_numpy() < 0
+    is_bad = is_unusable(frames)
     is_tagged = is_excluded(frames)
     is_wanted = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
     if condition is not None:

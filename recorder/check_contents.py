@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
+from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
-import cv2
-import numpy as np
 from google.protobuf.message import DecodeError
 
 from recorder import compressed_image, topics
@@ -17,18 +14,15 @@ from recorder.bc_pb2 import VehicleState
 from recorder.chunks import StoredMessage, Structure
 from recorder.compressed_image import image_data
 from recorder.edit import ROW_TOPICS
+from recorder.look import Look, Seen
 from recorder.quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
-
-FROZEN_PICTURES: Final = 3
-"""So many equal pictures in a row from a moving car are a frozen camera: a slow one may repeat a picture once."""
-
-_MOST_WAITING: Final = 1500  # pictures that wait to be decoded, some 16 MB
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "gap": "gaps in time",
     "stuck_steering": "stuck steering",
     "out_of_range": "values out of range",
 }
+_LAST_TIME_NS: Final = 2**63 - 1  # the year 2262
 _MISFIT: Final = "messages that are not what their schema says"
 
 
@@ -39,19 +33,10 @@ class Finding(NamedTuple):
     where: str
 
 
-@dataclass
-class _Pictures:
-    """The pictures of one topic until now."""
-
-    keys: list[tuple[int, int]] = field(default_factory=list)  # row and time
-    is_repeated: list[bool] = field(default_factory=list)
-    last: bytes = b""
-
-
 class Contents:
     """What the messages say, taken in one by one."""
 
-    def __init__(self, structure: Structure, findings: list[Finding], pool: ThreadPoolExecutor | None) -> None:
+    def __init__(self, structure: Structure, findings: list[Finding], pool: Executor | None) -> None:
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
         schemas = {
             number: structure.schemas[channel.schema_id].name if channel.schema_id in structure.schemas else ""
@@ -64,13 +49,15 @@ class Contents:
             if name == topics.VEHICLE_SCHEMA and self._topics[number] == topics.VEHICLE
         }
         self._findings = findings
-        self._pool = pool
-        self._waiting: deque[tuple[str, Future[bool]]] = deque()
+        self._look = Look(pool)
         self._states = StatesWritten()
-        self._pictures: dict[str, _Pictures] = defaultdict(_Pictures)
         self._last_row: dict[str, int] = {}
         self.counts: Counter[str] = Counter()
-        self.pictures = 0
+
+    @property
+    def pictures(self) -> int:
+        """How many were decoded."""
+        return self._look.decoded
 
     def take(self, records: bytes, message: StoredMessage) -> None:
         topic = self._topics.get(message.channel)
@@ -78,6 +65,9 @@ class Contents:
             self._findings.append(Finding("messages of unknown channels", f"channel {message.channel}"))
             return
         self.counts[topic] += 1
+        if message.log_time_ns > _LAST_TIME_NS:
+            self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
+            return
         if topic in ROW_TOPICS:
             if message.sequence <= self._last_row.get(topic, -1):
                 self._findings.append(Finding("rows out of order", f"{topic} row {message.sequence}"))
@@ -94,67 +84,41 @@ class Contents:
 
     def _take_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
         at, length = image_data(records, message.offset, message.length)
-        where = f"{topic} row {message.sequence}"
         if at < 0:
-            self._findings.append(Finding(_MISFIT, where))
+            self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
             return
-        data = records[at : at + length]
-        pictures = self._pictures[topic]
-        pictures.keys.append((message.sequence, message.log_time_ns))
-        pictures.is_repeated.append(data == pictures.last)
-        pictures.last = data
-        if self._pool is not None:
-            self._waiting.append((where, self._pool.submit(_decodes, data)))
-            self._settle(_MOST_WAITING)
-
-    def _settle(self, most: int) -> None:
-        """Wait until at most so many pictures are left to be decoded."""
-        while len(self._waiting) > most:
-            where, decoded = self._waiting.popleft()
-            self.pictures += 1
-            if not decoded.result():
-                self._findings.append(Finding("pictures that do not decode", where))
+        self._look.take(topic, message.sequence, message.log_time_ns, records[at : at + length])
 
     def judge(self) -> None:
         """What can only be said when everything was seen."""
-        self._settle(0)
+        self._look.finish()
+        for topic, at in self._look.broken:
+            where = f"{topic} row {self._look.seen[topic].rows[at]}"
+            self._findings.append(Finding("pictures that do not decode", where))
         states = self._states.states()
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
-        for topic, pictures in sorted(self._pictures.items()):
+        for topic, seen in sorted(self._look.seen.items()):
             if topic != topics.PILOT_INPUT:
-                self._judge_pictures(topic, pictures, speed_mph)
+                self._judge_pictures(topic, seen, speed_mph)
         flags = row_flags(states)
         for flag, kind in _ROW_FINDINGS.items():
             for begin, end in stretches(flags[flag]):
                 where = _rows(int(states.row[begin]), int(states.row[end]))
                 self._findings.append(Finding(kind, f"before {where}" if flag == "gap" else where))
 
-    def _judge_pictures(self, topic: str, pictures: _Pictures, speed_mph: dict[tuple[int, int], float]) -> None:
-        seen = set(pictures.keys)
+    def _judge_pictures(self, topic: str, seen: Seen, speed_mph: dict[tuple[int, int], float]) -> None:
+        held = set(zip(seen.rows, seen.times_ns, strict=True))
         for kind, keys in (
-            ("rows without a picture", speed_mph.keys() - seen),
-            ("pictures without a row", seen - speed_mph.keys() if speed_mph else set()),
+            ("rows without a picture", speed_mph.keys() - held),
+            ("pictures without a row", held - speed_mph.keys() if speed_mph else set()),
         ):
             for first, last in _together(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {_rows(first, last)}"))
-        # NaN, an unknown speed, is not below it
-        moving = np.array([not speed_mph.get(key, np.nan) < STANDING_MPH for key in pictures.keys], np.bool_)
-        repeated = np.array(pictures.is_repeated, np.bool_)
-        for begin, end in stretches(repeated & moving):
-            if end - begin + 2 >= FROZEN_PICTURES:
-                where = _rows(pictures.keys[begin - 1][0], pictures.keys[end][0])
-                self._findings.append(Finding("frozen pictures", f"{topic} {where}"))
-
-
-def _decodes(data: bytes) -> bool:
-    """At an eighth of the size: a fraction of the time, and the whole picture is still read through."""
-    if not data:
-        return False
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
-    except cv2.error:
-        return False
+        standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
+        for first, last in seen.frozen(standing):
+            where = _rows(seen.rows[first], seen.rows[last])
+            self._findings.append(Finding("frozen pictures", f"{topic} {where}"))
 
 
 def _rows(first: int, last: int) -> str:

@@ -111,13 +111,13 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
 
 
 def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    stuck = np.zeros(len(drive), np.bool_)
-    changes = (np.diff(states.steering) != 0) | (np.diff(drive) != 0) | (np.diff(standing) != 0)
-    for first, last in _runs(changes, len(drive)):
-        limit_s = STUCK_AT_ZERO_S if states.steering[first] == 0 else STUCK_S
-        if not standing[first] and states.time_ns[last] - states.time_ns[first] >= limit_s * 1e9:
-            stuck[first : last + 1] = True
-    return stuck
+    changes = (states.steering[1:] != states.steering[:-1]) | (np.diff(drive) != 0) | (np.diff(standing) != 0)
+    edges = np.flatnonzero(changes)
+    first = np.concatenate([[0], edges + 1])[: len(drive)]
+    last = np.append(edges, len(drive) - 1)[: len(first)]
+    limit_s = np.where(states.steering[first] == 0, STUCK_AT_ZERO_S, STUCK_S)
+    held_ns = states.time_ns[last] - states.time_ns[first]
+    return np.repeat(~standing[first] & (held_ns >= limit_s * 1e9), last - first + 1)
 
 
 def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

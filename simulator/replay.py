@@ -25,6 +25,7 @@ def replay(client: SimulatorClient, jpegs: Iterable[bytes], speed_mph: float = 9
         waiting, lost = waiting - (client.bad_steers - lost), client.bad_steers
         if isinstance(answer, Steer):
             commands.append(answer)
+        if answer is not None:  # also `manual`, which whoever only listens gives
             waiting -= 1
         jpeg = next(pictures, None)
         if jpeg is None:
