@@ -209,7 +209,7 @@ Command = (
 
 def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
     if len(logs) < least:
-        raise UserError(f"give at least {least} logs, such as sessions/lake.mcap")
+        raise UserError(f"give at least {least} log{'s' if least > 1 else ''}, such as sessions/lake.mcap")
     return logs
 
 
@@ -277,7 +277,8 @@ def _print_checked(checked: Checked) -> None:
 
 
 def _verdict(checked: Checked) -> str:
-    return f"{len(checked.findings):,} findings" if checked.findings else "nothing wrong"
+    count = len(checked.findings)
+    return f"{count:,} finding{'s' if count > 1 else ''}" if count else "nothing wrong"
 
 
 ABOUT = """Look after logs: what is in one, is it sound, make new ones of it, name stretches of it.
