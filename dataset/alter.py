@@ -11,6 +11,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
+from dataset.errors import DatasetError
 from dataset.preprocess import Image
 
 Alteration = Literal["blur", "brightness", "shadow"]
@@ -48,8 +49,14 @@ ALTERATIONS: Final[dict[Alteration, Callable[[Image, np.random.Generator], Image
 
 
 def alter(picture: Image, names: str, seed: int) -> Image:
-    """Apply the alterations called `names` ("blur+shadow"; "" for none), drawing from `seed`."""
+    """Apply the alterations called `names` ("blur+shadow"; "" for none), drawing from `seed` (not negative).
+
+    Raises DatasetError for a name or a seed that no index of ours has.
+    """
+    wanted = names.split("+") if names else []
+    if seed < 0 or not set(wanted) <= ALTERATIONS.keys():
+        raise DatasetError(f"{names!r} with seed {seed} is no alteration; build the index again with `bc-index`")
     random = np.random.default_rng(seed)
-    for name in filter(None, names.split("+")):
+    for name in wanted:
         picture = ALTERATIONS[name](picture, random)  # type: ignore[index]
     return picture

@@ -43,6 +43,10 @@ class Index:
     """List every stretch of odd frames: gaps, stuck steering, standing still and so on, with their times."""
     check: bool = False
     """Check the split for leaks between training and validation: exit code 1 if there is one."""
+    figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Write three figures for a paper: preprocessing, augmentation, the steering before and after balancing."""
+    force: bool = False
+    """Replace figures of the same names."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
 
 
@@ -61,6 +65,11 @@ def index(config: Index) -> int:
     counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
     frames = sum(session.frames for session in indexed.counts.values())
     print(f"{indexed.path}: {frames:,} frames, {len(split):,} samples ({counts})")
+    if config.figures is not None:
+        from dataset.figures import write_figures
+
+        for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
+            print(path)
     if config.report:
         print_report(report(config.index))
     if config.check:

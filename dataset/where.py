@@ -17,6 +17,9 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
 }
 
 
+_NUMBER = "position_in_session"
+
+
 class Condition:
     """A condition on the columns of the frames, such as "speed_mph > 5 and 'recovery' in tags"."""
 
@@ -34,11 +37,11 @@ class Condition:
 
     def holds(self, frames: pa.Table) -> NDArray[np.bool_]:
         """For which rows of `frames` (N,) it is true. Raises DatasetError if it is no condition on them."""
-        numbered = frames.append_column("position_in_session", pa.array(np.arange(len(frames))))
+        numbered = frames.append_column(_NUMBER, pa.array(np.arange(len(frames))))
         try:
-            self._connection.register("frames", numbered)
-            query = f"SELECT position_in_session FROM frames WHERE ({self._where}\n)"
-            found = self._connection.execute(query).fetchnumpy()["position_in_session"]
+            # a filter takes one expression: no second statement, no ORDER BY or UNION behind it
+            chosen = self._connection.from_arrow(numbered).filter(self._where).project(_NUMBER)
+            found = chosen.fetchnumpy()[_NUMBER]
         except (self._error, KeyError) as error:
             what = str(error).splitlines()[0]
             columns = ", ".join(frames.column_names)

@@ -92,11 +92,20 @@ def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) 
     assert indexed.counts["a"].not_asked_for == 900 - len(indexed.samples) // 2
 
 
-@pytest.mark.parametrize("where", ["speed >", "nonsense = 1", "1) or (1", "steering", "'x'", "row in (select 1"])
+@pytest.mark.parametrize(
+    "where",
+    [
+        "speed >",
+        "nonsense = 1",
+        "1) or (1",
+        "'x'",
+        "row in (select 1",
+        "1=1) union all select 1 from (select 1",
+        "row = 1; drop table frames",
+        "row = 1 limit 3",
+    ],
+)
 def test_what_is_no_condition_is_an_error_that_names_the_columns(tmp_path: Path, where: str) -> None:
-    if where in ("1) or (1", "steering"):  # strange, but a condition
-        build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where=where))
-        return
     with pytest.raises(DatasetError, match=r"--where .*columns are session, row, camera"):
         build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where=where))
 
