@@ -55,7 +55,9 @@ def print_report(reported: Sequence[Reported]) -> None:
     if not reported:
         console.print("no frame has a flag")
         return
-    table = Table("session", "flag", "rows", "seconds", "begins (UTC)", "frames")
+    table = Table("session", box=None, pad_edge=False)
+    for name in ("flag", "rows", "seconds", "begins (UTC)", "frames"):
+        table.add_column(name, no_wrap=True)
     frames: dict[str, int] = {}
     for one in reported:
         frames[one.flag] = frames.get(one.flag, 0) + one.frames

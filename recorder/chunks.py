@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 import lz4.frame
 import zstandard
-from mcap.data_stream import ReadDataStream
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, MetadataIndex, Schema, Statistics
 from mcap.records import Metadata as MetadataRecord
@@ -36,18 +36,20 @@ RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
-_HEADER, _FOOTER_OP, _SCHEMA, _CHANNEL, OP_MESSAGE, OP_CHUNK = 1, 2, 3, 4, 5, 6
-_MESSAGE_INDEX, _ATTACHMENT, _METADATA, _DATA_END, _FIRST_PRIVATE = 7, 9, 12, 15, 0x80
+_FOOTER_OP, _SCHEMA, _CHANNEL, OP_MESSAGE, OP_CHUNK = 2, 3, 4, 5, 6
+_MESSAGE_INDEX, _ATTACHMENT, _METADATA, _DATA_END = 7, 9, 12, 15
 
 MAX_CHUNK_BYTES: Final = 1 << 28
 """What a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
+MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
+"""What is read at once: the largest chunk, with its header."""
 
 # A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
 _CHUNK_START: Final = re.compile(
     rb"\x06.{3}\x00{5}.{16}.{3}\x00{5}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)", re.DOTALL
 )
 _SEARCH_BYTES: Final = 1 << 16
-_MOST_WASTE: Final = 16  # times the file's size that a search may read in vain
+_MOST_WASTE: Final = 16  # times the file's size that a search may read or unpack in vain
 _LEAST_BUDGET: Final = 1 << 24
 
 # What mcap's parsers raise on bytes that are no record.
@@ -61,6 +63,7 @@ class Chunk:
     start: int
     end: int
     compression: str = ""
+    is_message: bool = False
 
 
 class StoredMessage(NamedTuple):
@@ -110,27 +113,31 @@ class McapFile:
         self._stream.close()
 
     def read(self, offset: int, length: int) -> bytes:
-        """Raises LogError for what lies outside the file."""
+        """Raises LogError for what lies outside the file, is too long for any record, or is not readable."""
         if offset < 0 or length < 0 or offset + length > self.size:
             raise self.damaged(f"bytes {offset} to {offset + length} lie outside the file")
-        if sys.platform == "win32":  # no pread there
-            with self._lock:
-                self._stream.seek(offset)
-                data = self._stream.read(length)
-        else:
-            data = os.pread(self._stream.fileno(), length, offset)
+        if length > MAX_RECORD_BYTES:
+            raise self.damaged(f"a record of {length} bytes")
+        try:
+            if sys.platform == "win32":  # no pread there
+                with self._lock:
+                    self._stream.seek(offset)
+                    data = self._stream.read(length)
+            else:
+                data = os.pread(self._stream.fileno(), length, offset)
+        except OSError as error:  # a failing disk
+            raise self.damaged(f"bytes {offset} to {offset + length} cannot be read ({error.strerror})") from None
         if len(data) != length:
             raise self.damaged("it has become shorter while it was read")
         return data
 
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
-        return self.unpacked(self.read(chunk.start, chunk.end - chunk.start), chunk.start)
+        record = self.read(chunk.start, chunk.end - chunk.start)
+        return record if chunk.is_message else self.unpacked(record, chunk.start)
 
     def unpacked(self, record: bytes, start: int) -> bytes:
         """The records within a chunk's `record`, which begins at byte `start`. Raises what `records` does."""
-        if record[:1] == bytes([OP_MESSAGE]):
-            return record
         where = f"the chunk at byte {start}"
         try:
             opcode, length, _, _, size, crc = CHUNK_HEADER.unpack_from(record)
@@ -156,7 +163,7 @@ class McapFile:
 
     def records_at(self, chunk: Chunk) -> int:
         """Where in the file the records of an uncompressed chunk begin."""
-        return chunk.start if self.read(chunk.start, 1)[0] == OP_MESSAGE else chunk.start + CHUNK_HEADER.size + 12
+        return chunk.start if chunk.is_message else chunk.start + CHUNK_HEADER.size + 12
 
     def messages(self, records: bytes) -> Iterator[StoredMessage]:
         """The messages in a chunk's records, in their order."""
@@ -207,10 +214,12 @@ class McapFile:
         """Take into `found` what has been completed behind `position` of a file that grows.
 
         Where to go on next time, and whether there is nothing more to come. Start at `len(MAGIC)`, and know the
-        file's new size after it. Raises LogError where the file was deleted before its end was written.
+        file's new size after it. Raises LogError where the file was deleted before its end was written, or is
+        damaged all over.
         """
         status = os.fstat(self._stream.fileno())
         self.size = status.st_size
+        wasted, most_waste = 0, _MOST_WASTE * self.size + _LEAST_BUDGET
         while self.size - position >= RECORD.size:
             opcode, length = RECORD.unpack(self.read(position, RECORD.size))
             end = position + RECORD.size + length
@@ -223,6 +232,9 @@ class McapFile:
                     raise self.damaged("no record")
                 self._take(opcode, position, end, found)
             except LogError:
+                wasted += min(end, self.size) - position
+                if wasted > most_waste:
+                    raise
                 end = self._next_chunk(position + 1)
                 if end == self.size:
                     break  # the next chunk may still come
@@ -239,7 +251,7 @@ class McapFile:
         footer = self.read(self.size - tail, tail)
         opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
         is_footer = opcode == _FOOTER_OP and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
-        if not is_footer or not 0 < start <= self.size - tail:
+        if not is_footer or not 0 < start <= self.size - tail or self.size - start > MAX_RECORD_BYTES:
             return None
         summary = self.read(start, self.size - start)
         if crc and zlib.crc32(summary[: len(summary) - len(MAGIC) - 4]) != crc:
@@ -247,7 +259,10 @@ class McapFile:
         found = Structure()
         try:
             for record in StreamReader(
-                io.BytesIO(summary), skip_magic=True, record_size_limit=len(summary)
+                io.BytesIO(summary),
+                skip_magic=True,
+                emit_chunks=True,  # it would unpack one, to whatever size
+                record_size_limit=len(summary),
             ).records:
                 match record:
                     case Schema():
@@ -276,6 +291,7 @@ class McapFile:
     def _walk(self) -> Structure:
         found = Structure(problem="unfinished (its recording was killed, or is still going on)")
         position, wasted, most_waste = len(MAGIC), 0, _MOST_WASTE * self.size + _LEAST_BUDGET
+        unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
         while self.size - position >= RECORD.size:
             opcode, length = RECORD.unpack(self.read(position, RECORD.size))
             end = position + RECORD.size + length
@@ -283,19 +299,24 @@ class McapFile:
                 if end > self.size:
                     raise self.damaged("no record")
                 if opcode == _DATA_END and length == 4:
-                    found.problem = "its end is damaged"
+                    found.problem = "its end is damaged, or has no index of chunks"
                     break
                 self._take(opcode, position, end, found)
             except LogError:
-                following = self._next_chunk(position + 1) if wasted < most_waste else self.size
-                wasted += following - position + _SEARCH_BYTES + (end - position if end <= self.size else 0)
-                if found.lost and found.lost[-1][1] == position:
+                following = self._next_chunk(unsure + 1) if wasted < most_waste else self.size
+                if following == position:
+                    following = self._next_chunk(position + 1)
+                wasted += following - unsure + _SEARCH_BYTES + self._cost(position, end)
+                lost_from = position if following > position else unsure
+                if found.lost and found.lost[-1][1] == lost_from:
                     found.lost[-1] = (found.lost[-1][0], following)
                 else:
-                    found.lost.append((position, following))
-                position = following
+                    found.lost.append((lost_from, following))
+                position = unsure = following
             else:
                 position = end
+                if opcode in (OP_CHUNK, OP_MESSAGE):
+                    unsure = end
         if position < self.size and not found.problem.startswith("its end"):
             found.lost.append((position, self.size))  # a few bytes of a record that was being written
         return found
@@ -306,23 +327,36 @@ class McapFile:
             compression = _prefixed(self.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
             found.chunks.append(Chunk(start, end, compression.decode()))
         elif opcode == OP_MESSAGE and self._is_message(start, end, found):
-            found.chunks.append(Chunk(start, end))
+            found.chunks.append(Chunk(start, end, is_message=True))
         elif opcode in (_SCHEMA, _CHANNEL):
-            self._define(opcode, self.read(start + RECORD.size, end - start - RECORD.size), found)
+            self._define(opcode, self.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True)
         elif opcode == _METADATA:
             self.metadata(start)
             found.metadata_at.append(start)
         elif opcode == _ATTACHMENT:
             self.attachment(start)
             found.attachments_at.append(start)
-        elif not (opcode in (_HEADER, _MESSAGE_INDEX) or opcode >= _FIRST_PRIVATE):
-            raise self.damaged("no record of a data section")
+        elif not (opcode == _MESSAGE_INDEX and self._is_index(start, end)) and start != len(MAGIC):
+            raise self.damaged("no record of a data section")  # but the header, which is the first
 
     def _is_message(self, start: int, end: int, found: Structure) -> bool:
         """Files without chunks exist; no file has both, and a damaged chunk may look like a message."""
-        if end - start < _MESSAGE.size or (found.chunks and self.read(found.chunks[0].start, 1)[0] == OP_CHUNK):
+        if end - start < _MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
             return False
         return _MESSAGE.unpack(self.read(start, _MESSAGE.size))[2] in found.channels
+
+    def _cost(self, start: int, end: int) -> int:
+        """Bytes that were read, and at most unpacked, to find out that a record is damaged."""
+        if end > self.size:
+            return 0
+        told = self.read(start, min(CHUNK_HEADER.size, end - start))
+        size = CHUNK_HEADER.unpack(told)[4] if told[0] == OP_CHUNK and len(told) == CHUNK_HEADER.size else 0
+        return end - start + (size if size <= MAX_CHUNK_BYTES else 0)
+
+    def _is_index(self, start: int, end: int) -> bool:
+        """A chunk whose first byte is damaged may look like its index too."""
+        length = end - start - RECORD.size
+        return length >= 6 and struct.unpack("<I", self.read(start + RECORD.size + 2, 4))[0] == length - 6
 
     def _next_chunk(self, position: int) -> int:
         """Where the next bytes are that look like a chunk; the file's size if nowhere."""
@@ -333,16 +367,20 @@ class McapFile:
             position += _SEARCH_BYTES
         return self.size
 
-    def _define(self, opcode: int, content: bytes, structure: Structure) -> None:
+    def _define(self, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False) -> None:
+        """Outside of chunks no CRC tells a schema from other bytes, but that it is written `exactly` as it was."""
         try:
-            if opcode == _SCHEMA:
-                schema = Schema.read(ReadDataStream(io.BytesIO(content)))
-                structure.schemas.setdefault(schema.id, schema)
-            else:
-                channel = Channel.read(ReadDataStream(io.BytesIO(content)))
-                structure.channels.setdefault(channel.id, channel)
+            record: Schema | Channel = (Schema if opcode == _SCHEMA else Channel).read(
+                ReadDataStream(io.BytesIO(content))
+            )
         except _UNREADABLE:
             raise self.damaged("a schema or channel cannot be read") from None
+        if exactly and _written(record) != RECORD.pack(opcode, len(content)) + content:
+            raise self.damaged("no schema or channel")
+        if isinstance(record, Schema):
+            structure.schemas.setdefault(record.id, record)
+        else:
+            structure.channels.setdefault(record.id, record)
 
     def _content(self, offset: int, opcode: int) -> bytes:
         found, length = RECORD.unpack(self.read(offset, RECORD.size))
@@ -365,6 +403,13 @@ class McapFile:
 
     def damaged(self, what: str) -> LogError:
         return LogError(f"{self.path}: damaged: {what}; `bc-log recover {self.path}` saves the rest")
+
+
+def _written(record: Schema | Channel) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    written: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return written
 
 
 def _prefixed(data: bytes, at: int) -> bytes:

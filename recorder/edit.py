@@ -39,6 +39,9 @@ ROW_TOPICS: Final = frozenset(
 )
 """Their messages carry their row's number as sequence number."""
 
+_LAST_ROW: Final = 2**32 - 1  # sequence numbers of MCAP have 32 bits
+_MOST_DRIVES: Final = 500  # a log of each is open at once
+
 Copied = tuple[Schema | None, Channel, McapMessage]
 
 
@@ -63,26 +66,29 @@ def recovered_name(path: Path) -> Path:
 def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
 
-    A chunk is taken if its CRC holds; what is left out is in `skipped`.
+    A chunk is taken if its CRC holds; what is left out is in `skipped`. Raises LogError if nothing is whole.
     """
     skipped = Skipped()
-    refuse_existing(to, overwrite)  # before a long log is read
+    _refuse(to, [path], overwrite)  # before a long log is read
     with Log(path) as log:
         expected = sum(log.counts.values()) if not log.problem else None
-        session = log.metadata
-        metadata = {**session, "recovered_from": path.name} if session else None
+        records = _sound_metadata(log, skipped)
+        session = next((values for name, values in reversed(records) if name == topics.SESSION_METADATA), None)
+        metadata = {**session, "recovered_from": _name(path)} if session else None
         profile = topics.PROFILE if session else ""
         count = rows = 0
         with LogWriter(to, metadata, overwrite=overwrite, profile=profile) as writer:
             for chunk in track(log.chunks, f"recovering {path.name}", len(log.chunks)):
                 try:
-                    for schema, channel, message in log.messages_of(chunk):
+                    for schema, channel, message in log.messages_of(chunk, skipped):
                         writer.copy(schema, channel, message, message.sequence)
                         count += 1
                         rows += channel.topic == topics.VEHICLE
                 except LogError:
                     skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
-            _copy_rest(log, writer, skipped)
+            if not count:
+                raise LogError(f"{path}: not one whole message in it: there is nothing to recover")
+            _copy_rest(log, records, writer, skipped)
     for start, end in log.lost:
         skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
     if expected is not None and count < expected:
@@ -95,13 +101,14 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
 
     Messages without a row (events) are taken if they are of the same time. Raises LogError without such rows.
     """
-    refuse_existing(to, overwrite)
+    _refuse(to, [path], overwrite)
+    skipped = Skipped()
     with Log(path) as log:
         number, time_ns = _rows(log)
         chosen = time_ns[(number >= rows[0]) & (number <= rows[1])]
         if not len(chosen):
             raise LogError(f"{path}: no row from {rows[0]} to {rows[1]}; {_range(number)}")
-        metadata = {**log.metadata, "trimmed_from": path.name, "rows": f"{rows[0]}-{rows[1]}"}
+        metadata = {**log.metadata, "trimmed_from": _name(path), "rows": f"{rows[0]}-{rows[1]}"}
         first_ns, last_ns = int(chosen.min()), int(chosen.max())
         count = 0
         with LogWriter(to, metadata, overwrite=overwrite) as writer:
@@ -113,17 +120,21 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
                 if is_in:
                     writer.copy(schema, channel, message, message.sequence)
                     count += 1
-            _copy_rest(log, writer, Skipped())
-    return Written(to, count, len(chosen), Skipped())
+            _copy_rest(log, log.all_metadata(), writer, skipped)
+    return Written(to, count, len(chosen), skipped)
 
 
 def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Written:
-    """Write several logs into one, in the order given: the rows of each are numbered on from those before."""
-    refuse_existing(to, overwrite)
+    """Write several logs into one, in the order given: the rows of each are numbered on from those before.
+
+    Raises LogError if the numbers do not suffice.
+    """
+    _refuse(to, paths, overwrite)
+    skipped = Skipped()
     count = rows = following = 0
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context(Log(path)) for path in paths]
-        metadata = {"source": "merged", "merged_from": ", ".join(path.name for path in paths)}
+        metadata = {"source": "merged", "merged_from": ", ".join(map(_name, paths))}
         writer = stack.enter_context(LogWriter(to, metadata, overwrite=overwrite))
         for log in logs:
             first = following
@@ -131,13 +142,15 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
                 sequence = message.sequence
                 if channel.topic in ROW_TOPICS:
                     sequence += first
+                    if sequence > _LAST_ROW:
+                        raise LogError(f"{log.path}: row {message.sequence} would have a number above {_LAST_ROW}")
                     following = max(following, sequence + 1)
                 writer.copy(schema, channel, message, sequence)
                 count += 1
                 rows += channel.topic == topics.VEHICLE
-            writer.add_metadata(f"{topics.SESSION_METADATA} of {log.path.name}", log.metadata)
-            _copy_rest(log, writer, Skipped())
-    return Written(to, count, rows, Skipped())
+            writer.add_metadata(f"{topics.SESSION_METADATA} of {_name(log.path)}", log.metadata)
+            _copy_rest(log, log.all_metadata(), writer, skipped)
+    return Written(to, count, rows, skipped)
 
 
 def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]:
@@ -151,11 +164,13 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
         drives = drive_numbers(time_ns)
         if not len(drives) or drives[-1] == 0:
             raise LogError(f"{path}: a single drive, nothing to split")
+        if drives[-1] >= _MOST_DRIVES:
+            raise LogError(f"{path}: {drives[-1] + 1:,} drives are too many files; trim the parts that you want")
         name = path.name.removesuffix(".mcap")
         targets = [folder / f"{name}-{drive + 1}.mcap" for drive in range(int(drives[-1]) + 1)]
         for target in targets:
             refuse_existing(target, overwrite)
-        metadata = {**log.metadata, "split_from": path.name}
+        metadata = {**log.metadata, "split_from": _name(path)}
         writers = [
             stack.enter_context(LogWriter(target, {**metadata, "drive": str(drive)}, overwrite=overwrite))
             for drive, target in enumerate(targets)
@@ -167,10 +182,11 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
                 at = drive_of.get(message.sequence, at)
             writers[at].copy(schema, channel, message, message.sequence)
             counts[at] += 1
-        for writer in writers:
-            _copy_rest(log, writer, Skipped())
+        skipped = [Skipped() for _ in writers]
+        for writer, left_out in zip(writers, skipped, strict=True):
+            _copy_rest(log, log.all_metadata(), writer, left_out)
     rows = np.bincount(drives).tolist()
-    return [Written(*parts, Skipped()) for parts in zip(targets, counts, rows, strict=True)]
+    return [Written(*parts) for parts in zip(targets, counts, rows, skipped, strict=True)]
 
 
 def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
@@ -211,9 +227,32 @@ def _messages(log: Log, doing: str) -> Iterator[Copied]:
         yield from log.messages_of(chunk)
 
 
-def _copy_rest(log: Log, writer: LogWriter, skipped: Skipped) -> None:
+def _refuse(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
+    refuse_existing(to, overwrite)
+    if to.exists() and any(path.exists() and to.samefile(path) for path in originals):
+        raise LogError(f"{to}: the log itself, which stays as it is; give another name")
+
+
+def _name(path: Path) -> str:
+    """Its name, what is not UTF-8 in it escaped: a log's text is UTF-8."""
+    return path.name.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str]]]:
+    records = []
+    for offset in log.metadata_records:
+        try:
+            records.append(log.metadata_record(offset))
+        except LogError:
+            skipped.add("damaged metadata records", f"at byte {offset:,}")
+    return records
+
+
+def _copy_rest(
+    log: Log, metadata: Sequence[tuple[str, dict[str, str]]], writer: LogWriter, skipped: Skipped
+) -> None:
     """Metadata (but what the new log says itself) and attachments."""
-    for name, values in log.all_metadata():
+    for name, values in metadata:
         if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA):
             writer.add_metadata(name, values)
     for offset in log.attachments:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import bisect
 import hashlib
 import struct
+import threading
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from mcap.records import Attachment, Channel, Schema
 from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
+from common import Skipped
 from recorder import compressed_image, topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
@@ -35,7 +37,8 @@ UNCOMPRESSED: Final = -1
 """In the place of a chunk's offset: the bytes lie in the file as they are."""
 
 _LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, but those of files, tables and NumPy are not
-_CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each
+_CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
+_CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
 Decoded = TypeVar("Decoded", VehicleState, PilotCommand)
 
@@ -79,6 +82,7 @@ class Log:
         self._chunk_starts = [chunk.start for chunk in self.chunks]
         self._is_verified = bytearray(len(self.chunks))
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
+        self._lock = threading.Lock()
 
     def close(self) -> None:
         self._file.close()
@@ -144,8 +148,17 @@ class Log:
 
     def all_metadata(self) -> list[tuple[str, dict[str, str]]]:
         """Every metadata record, by name and in the order of the file."""
-        records = [self._file.metadata(offset) for offset in sorted(self._structure.metadata_at)]
-        return [(record.name, dict(record.metadata)) for record in records]
+        return [self.metadata_record(offset) for offset in self.metadata_records]
+
+    @property
+    def metadata_records(self) -> list[int]:
+        """Where the metadata records begin."""
+        return sorted(self._structure.metadata_at)
+
+    def metadata_record(self, offset: int) -> tuple[str, dict[str, str]]:
+        """Name and values of a metadata record. No CRC covers it."""
+        record = self._file.metadata(offset)
+        return record.name, dict(record.metadata)
 
     @property
     def attachments(self) -> list[int]:
@@ -184,7 +197,7 @@ class Log:
         digest = hashlib.sha256(struct.pack("<Q", self.size))
         for chunk in self.chunks:
             header = self._file.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start))
-            has_crc = len(header) == CHUNK_HEADER.size and any(header[-4:])
+            has_crc = not chunk.is_message and any(header[-4:])
             digest.update(header if has_crc else self._file.read(chunk.start, chunk.end - chunk.start))
         return digest.hexdigest()
 
@@ -262,13 +275,22 @@ class Log:
     def commands(self) -> Iterator[tuple[Message, PilotCommand]]:
         return self._decoded(topics.PILOT_COMMAND, PilotCommand)
 
-    def messages_of(self, chunk: Chunk) -> Iterator[tuple[Schema | None, Channel, McapMessage]]:
-        """The messages of one chunk with what describes them, for copying them into another log."""
+    def messages_of(
+        self, chunk: Chunk, skipped: Skipped | None = None
+    ) -> Iterator[tuple[Schema | None, Channel, McapMessage]]:
+        """The messages of one chunk with what describes them, for copying them into another log.
+
+        Those that no log can hold are added to `skipped`; without it, they raise LogError.
+        """
         records = self._file.records(chunk)
         for stored in self._file.messages(records):
             channel = self.channels.get(stored.channel)
-            if channel is None:
-                raise self._file.damaged(f"a message of the unknown channel {stored.channel}")
+            if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > _LAST_TIME_NS:
+                what = "a topic that is not known" if channel is None else "a time that cannot be"
+                if skipped is None:
+                    raise self._file.damaged(f"a message of {what}")
+                skipped.add(f"messages of {what}", f"channel {stored.channel}, number {stored.sequence}")
+                continue
             data = records[stored.offset : stored.offset + stored.length]
             message = McapMessage(
                 stored.channel, stored.log_time_ns, data, stored.publish_time_ns, stored.sequence
@@ -339,9 +361,12 @@ class Log:
             if number == len(self.chunks) or self.chunks[number].start != start:
                 raise self._file.damaged(f"no chunk begins at byte {start}")
             records = self._file.records(self.chunks[number])
-            self._unpacked[start] = records
-            while len(self._unpacked) > _CACHED_CHUNKS:
-                self._unpacked.popitem(last=False)
+            with self._lock:
+                self._unpacked[start] = records
+                kept = list(self._unpacked.values())
+                while len(kept) > _CACHED_CHUNKS or sum(map(len, kept)) > _CACHED_BYTES:
+                    kept.pop(0)
+                    self._unpacked.popitem(last=False)
         return records
 
 

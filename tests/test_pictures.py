@@ -284,7 +284,7 @@ def test_a_flipped_sample_is_the_mirror_image_of_its_original(tmp_path: Path) ->
 
 def test_a_copy_is_altered_as_the_index_says(tmp_path: Path) -> None:
     log = write_log(tmp_path / "a.mcap", [0.0] * 20 + [0.5], half_bright, cameras=["center"])
-    build_index([log], tmp_path / "index", IndexConfig(validation=0.0))
+    build_index([log], tmp_path / "index", IndexConfig(validation_share=0.0))
     samples = Samples(tmp_path / "index")
     try:
         rows = samples.table.to_pylist()
