@@ -1,0 +1,129 @@
+"""MCAP files as mcap's own package reads and writes them: what ours are held against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.schema import register_schema
+
+from recorder.bc_pb2 import VehicleState
+
+
+class Stored(NamedTuple):
+    """A message with all that a log knows of it."""
+
+    topic: str
+    schema: str
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+class StoredChunk(NamedTuple):
+    """A chunk, where in the file it lies, and its messages in their order."""
+
+    start: int
+    end: int
+    messages: list[Stored]
+
+
+class Contents(NamedTuple):
+    """All that is in a file."""
+
+    profile: str
+    chunks: list[StoredChunk]
+    metadata: list[tuple[str, dict[str, str]]]
+    attachments: list[tuple[str, bytes]]
+
+    @property
+    def messages(self) -> list[Stored]:
+        return [message for chunk in self.chunks for message in chunk.messages]
+
+    def of(self, *topics: str) -> list[Stored]:
+        return [message for message in self.messages if message.topic in topics]
+
+
+def contents(path: Path) -> Contents:
+    """Every record from the first byte to the last, in the order of the file, with every CRC checked.
+
+    Raises McapError or ValueError where anything is wrong.
+    """
+    found = Contents("", [], [], [])
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+
+    def stored(message: Message) -> Stored:
+        channel = channels[message.channel_id]
+        schema = schemas[channel.schema_id].name if channel.schema_id else ""
+        return Stored(
+            channel.topic, schema, message.sequence, message.log_time, message.publish_time, message.data
+        )
+
+    data, position = path.read_bytes(), 8
+    with path.open("rb") as stream:
+        reader = StreamReader(stream, emit_chunks=True, validate_crcs=True)
+        for record in reader.records:
+            if isinstance(record, Header):
+                found = found._replace(profile=record.profile)
+            elif isinstance(record, Chunk):
+                messages = []
+                for inner in breakup_chunk(record, validate_crc=True):
+                    if isinstance(inner, Schema):
+                        schemas[inner.id] = inner
+                    elif isinstance(inner, Channel):
+                        channels[inner.id] = inner
+                    elif isinstance(inner, Message):
+                        messages.append(stored(inner))
+                position = data.index(_chunk_start(record), position)
+                end = position + 9 + 40 + len(record.compression) + len(record.data)
+                found.chunks.append(StoredChunk(position, end, messages))
+                position = end
+            elif isinstance(record, Metadata):
+                found.metadata.append((record.name, record.metadata))
+            elif isinstance(record, Attachment):
+                found.attachments.append((record.name, record.data))
+    return found
+
+
+def _chunk_start(chunk: Chunk) -> bytes:
+    length = 40 + len(chunk.compression) + len(chunk.data)
+    return b"\x06" + length.to_bytes(8, "little") + chunk.message_start_time.to_bytes(8, "little")
+
+
+def write_plain(
+    path: Path,
+    compression: CompressionType,
+    rows: Iterable[int],
+    *,
+    chunk_bytes: int = 1024,
+    use_chunking: bool = True,
+    picture: bytes = b"picture of row %d, " * 20,
+) -> Path:
+    """A log of centre pictures and vehicle states, written by mcap alone."""
+    with path.open("wb") as stream:
+        writer = McapWriter(
+            stream,
+            chunk_size=chunk_bytes,
+            compression=compression,
+            use_chunking=use_chunking,
+            enable_data_crcs=True,
+        )
+        writer.start()
+        image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))
+        state = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
+        for row in rows:
+            time_ns = 1_720_880_000_000_000_000 + row * 100_000_000
+            data = picture.replace(b"%d", b"%d" % row)
+            message = CompressedImage(data=data, format="jpeg").SerializeToString()
+            writer.add_message(image, time_ns, message, time_ns, row)
+            writer.add_message(state, time_ns, VehicleState(steering=row / 10).SerializeToString(), time_ns, row)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path

@@ -1,0 +1,350 @@
+"""New logs out of old ones hold what they should, message by message, and other programs find nothing wrong."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from common import UserError
+from logs import START_NS, STEP_NS, not_a_picture, write_log
+from plain_mcap import Contents, Stored, contents, write_plain
+from recorder import Log, LogError, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.edit import ROW_TOPICS, merge, recover, rows_between, split, trim
+from recorder.topics import CAMERAS
+from udacity import jpeg
+
+SECOND_NS = 1_000_000_000
+
+
+def drive(path: Path, rows: Iterable[int], *, gap_after: int | None = None, name: str = "") -> Path:
+    """A drive with every kind of message; the events `begin` and `end` lie outside of its rows' time."""
+    with LogWriter(path, {"source": "test", "driver": name or path.stem}) as writer:
+        writer.event(START_NS - 1, f"begin {name}")
+        for row in rows:
+            time_ns = START_NS + row * STEP_NS
+            if gap_after is not None and row > gap_after:
+                time_ns += 10 * SECOND_NS
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, f"{name} {not_a_picture(camera, row)!r}".encode())
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 100, throttle=0.5, speed_mph=9.0))
+            writer.crop(time_ns, row, b"\x89PNG\r\n\x1a\n" + bytes([row]))
+            writer.command(time_ns, row, PilotCommand(steering=row / 50))
+            writer.pose(time_ns, row, PoseInFrame(frame_id="world"))
+            writer.event(time_ns, f"at row {row}")
+        writer.event(time_ns + 1, f"end {name}")
+        writer.add_metadata("bc.run", {"sha256": "abc"})
+    return path
+
+
+def killed(whole: Path) -> tuple[Path, list[Stored]]:
+    """What a kill leaves of this log, and the messages that are in it."""
+    found = contents(whole)
+    path = whole.with_name(f"{whole.name}.0a1b2c.part")
+    last = found.chunks[-1]
+    path.write_bytes(whole.read_bytes()[: last.end - 1])
+    return path, [message for chunk in found.chunks[:-1] for message in chunk.messages]
+
+
+def events_in(found: Contents) -> list[str]:
+    return [LogMessage.FromString(message.data).message for message in found.of("/events")]
+
+
+def numbered_on(messages: list[Stored], first: int) -> list[Stored]:
+    return [m._replace(sequence=m.sequence + first) if m.topic in ROW_TOPICS else m for m in messages]
+
+
+@pytest.fixture(autouse=True)
+def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.writer.CHUNK_BYTES", 2048)
+
+
+# Recover
+
+
+def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20))
+    done = recover(whole, tmp_path / "b.mcap")
+    original, found = contents(whole), contents(done.path)
+    assert found.messages == original.messages
+    assert (done.messages, done.rows, list(done.skipped)) == (len(original.messages), 20, [])
+    assert found.profile == "bc"
+    session = {**dict(original.metadata)["bc.session"], "recovered_from": "a.mcap"}
+    assert sorted(found.metadata) == sorted({**dict(original.metadata), "bc.session": session}.items())
+
+
+def test_an_unfinished_log_is_recovered_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
+    part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
+    done = recover(part, tmp_path / "b.mcap")
+    assert contents(done.path).messages == complete
+    assert done.rows == sum(message.topic == "/vehicle" for message in complete)
+    [(reason, where)] = done.skipped
+    assert reason.startswith("stretches of bytes")
+    assert where.endswith(f" to {part.stat().st_size:,}")
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_compressed_log_of_another_program_is_recovered_uncompressed(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    path = write_plain(tmp_path / "a.mcap", compression, range(20))
+    done = recover(path, tmp_path / "b.mcap")
+    assert contents(done.path).messages == contents(path).messages
+    assert contents(done.path).profile == ""
+    with Log(done.path) as log:
+        assert {chunk.compression for chunk in log.chunks} == {""}
+
+
+def test_attachments_and_messages_without_a_schema_are_recovered_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        channel = writer.register_channel("/json", "json", 0)
+        writer.add_message(channel, 1, b"{}", 2, 3)
+        writer.add_attachment(4, 5, "notes.txt", "text/plain", b"hello")
+        writer.finish()  # type: ignore[no-untyped-call]
+    found = contents(recover(path, tmp_path / "b.mcap").path)
+    assert found.messages == [Stored("/json", "", 3, 1, 2, b"{}")]
+    assert found.attachments == [("notes.txt", b"hello")]
+
+
+def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_path: Path) -> None:
+    plain = tmp_path / "plain.mcap"
+    with plain.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        schema = writer.register_schema("bc.VehicleState", "protobuf", b"")
+        channel = writer.register_channel("/vehicle", "protobuf", schema)
+        for row, log_time in enumerate([START_NS, 2**64 - 1, START_NS + 1]):
+            writer.add_message(channel, log_time, b"", log_time, row)
+        writer.finish()  # type: ignore[no-untyped-call]
+    done = recover(plain, tmp_path / "b.mcap")
+    assert [message.sequence for message in contents(done.path).messages] == [0, 2]
+    assert "messages of a time that cannot be" in done.skipped.counts
+    with pytest.raises(LogError, match=r"plain\.mcap: .*time"):
+        merge([plain, done.path], tmp_path / "c.mcap")
+
+
+# Trim
+
+
+def test_a_trimmed_log_holds_its_rows_and_the_events_between_them(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20))
+    done = trim(whole, tmp_path / "b.mcap", (5, 8))
+    found = contents(done.path)
+    times = range(START_NS + 5 * STEP_NS, START_NS + 8 * STEP_NS + 1)
+    assert found.messages == [message for message in contents(whole).messages if message.log_time in times]
+    assert (done.messages, done.rows) == (4 * 8, 4)
+    assert events_in(found) == [f"at row {row}" for row in range(5, 9)]
+    assert dict(found.metadata)["bc.session"].items() >= {"trimmed_from": "a.mcap", "rows": "5-8"}.items()
+    assert dict(found.metadata)["bc.quality"]["rows"] == "4"
+
+
+def test_an_unfinished_log_can_be_trimmed(tmp_path: Path) -> None:
+    part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
+    done = trim(part, tmp_path / "b.mcap", (2, 4))
+    expected = [m for m in complete if m.topic in ROW_TOPICS and 2 <= m.sequence <= 4]
+    assert [m for m in contents(done.path).messages if m.topic in ROW_TOPICS] == expected
+
+
+def test_rows_that_are_not_there_are_told_with_those_that_are(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(3, 9))
+    with pytest.raises(LogError, match=r"a\.mcap: no row from 9 to 12; its rows are 3 to 8"):
+        trim(whole, tmp_path / "b.mcap", (9, 12))
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_seconds_count_from_the_first_row(tmp_path: Path) -> None:
+    with Log(drive(tmp_path / "a.mcap", range(3, 20))) as log:
+        assert rows_between(log, 0.0, 0.5) == (3, 8)
+        assert rows_between(log, 0.45, 1e9) == (8, 19)
+        with pytest.raises(LogError, match=r"no row between 7 and 9 s; it lasts 1\.6 s"):
+            rows_between(log, 7, 9)
+        with pytest.raises(LogError, match="no row between nan"):
+            rows_between(log, float("nan"), 9)
+
+
+def test_a_time_that_comes_twice_is_no_stretch(tmp_path: Path) -> None:
+    path = merge([drive(tmp_path / "a.mcap", range(5)), drive(tmp_path / "b.mcap", range(5))], tmp_path / "c.mcap")
+    with Log(path.path) as log, pytest.raises(LogError, match=r"time goes back .* --rows"):
+        rows_between(log, 0.1, 0.3)
+
+
+# Merge
+
+
+def test_a_merged_log_holds_all_messages_in_order_and_every_row_has_its_own_number(tmp_path: Path) -> None:
+    logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
+    done = merge(logs, tmp_path / "all.mcap")
+    one, two, three = (contents(log).messages for log in logs)
+    found = contents(done.path)
+    assert found.messages == [*one, *numbered_on(two, 20), *numbered_on(three, 35)]
+    numbers = [message.sequence for message in found.of("/vehicle")]
+    assert len(set(numbers)) == len(numbers) == done.rows == 20 + 10 + 5
+    assert {name for name, _ in found.metadata} >= {"bc.session of one.mcap", "bc.session of three.mcap"}
+    with Log(done.path) as log:
+        for name, row in (("one", 0), ("two", 25), ("three", 35)):
+            own = row - {"one": 0, "two": 20, "three": 35}[name]
+            assert log.picture(row, "left") == f"{name} {not_a_picture('left', own)!r}".encode()
+
+
+NAMED_ROWS = {"one": range(20), "two": range(5, 15), "three": range(5)}
+
+
+def test_a_log_is_merged_with_itself_and_with_an_unfinished_one(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(8))
+    part, complete = killed(whole)
+    done = merge([whole, part, whole], tmp_path / "b.mcap")
+    messages = contents(whole).messages
+    second = 1 + max(m.sequence for m in complete if m.topic in ROW_TOPICS)
+    assert contents(done.path).messages == [
+        *messages,
+        *numbered_on(complete, 8),
+        *numbered_on(messages, 8 + second),
+    ]
+
+
+def test_rows_beyond_the_largest_number_are_a_log_error(tmp_path: Path) -> None:
+    last = tmp_path / "last.mcap"
+    with LogWriter(last, {}) as writer:
+        writer.vehicle(1, 2**32 - 1, VehicleState())
+    with pytest.raises(LogError, match=r"a\.mcap: row 0 would have a number above 4294967295"):
+        merge([last, drive(tmp_path / "a.mcap", range(2))], tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+# Split
+
+
+def test_each_drive_becomes_a_log_and_no_message_is_lost(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
+    done = split(whole, tmp_path / "drives")
+    assert [written.path.name for written in done] == ["a-1.mcap", "a-2.mcap"]
+    first, second = (contents(written.path) for written in done)
+    assert first.messages + second.messages == contents(whole).messages
+    assert [message.sequence for message in first.of("/vehicle")] == list(range(12))
+    assert (events_in(first)[0], events_in(second)[-1]) == ("begin ", "end ")
+    assert [(w.rows, w.messages) for w in done] == [(12, len(first.messages)), (8, len(second.messages))]
+    assert dict(second.metadata)["bc.session"].items() >= {"split_from": "a.mcap", "drive": "1"}.items()
+
+
+def test_what_was_merged_is_split_again_where_time_goes_back(tmp_path: Path) -> None:
+    logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
+    parts = split(merge(logs, tmp_path / "all.mcap").path, tmp_path)
+    assert [part.rows for part in parts] == [20, 10, 5]
+    found = Counter(message for part in parts for message in contents(part.path).messages)
+    assert found == Counter(contents(tmp_path / "all.mcap").messages)
+
+
+def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"a\.mcap: a single drive"):
+        split(drive(tmp_path / "a.mcap", range(5)), tmp_path / "drives")
+    path = write_log(tmp_path / "b.mcap", [0.0] * 600, cameras=(), step_ns=-1)
+    with pytest.raises(LogError, match=r"b\.mcap: 600 drives are too many"):
+        split(path, tmp_path / "drives")
+    assert not (tmp_path / "drives").exists()
+
+
+# All of them
+
+Edit = Callable[[Path, Path, bool], object]
+EDITS: dict[str, Edit] = {
+    "recover": lambda path, to, force: recover(path, to, overwrite=force),
+    "trim": lambda path, to, force: trim(path, to, (0, 3), overwrite=force),
+    "merge": lambda path, to, force: merge([path, path], to, overwrite=force),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_nothing_is_overwritten_and_the_original_never_changes(tmp_path: Path, edit: Edit) -> None:
+    whole, other = drive(tmp_path / "a.mcap", range(5)), tmp_path / "b.mcap"
+    before = whole.read_bytes()
+    other.write_bytes(b"somebody's work")
+    with pytest.raises(UserError, match=r"b\.mcap exists already.*--force"):
+        edit(whole, other, False)
+    assert other.read_bytes() == b"somebody's work"
+    with pytest.raises(LogError, match=r"a\.mcap: the log itself"):
+        edit(whole, whole, True)
+    link = tmp_path / "link.mcap"
+    link.symlink_to(whole)
+    with pytest.raises(LogError, match=r"link\.mcap: the log itself"):
+        edit(whole, link, True)
+    edit(whole, other, True)
+    assert contents(other).messages
+    assert whole.read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "link.mcap"]
+
+
+def test_split_overwrites_nothing_either(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
+    before = whole.read_bytes()
+    (tmp_path / "a-2.mcap").write_bytes(b"somebody's work")
+    with pytest.raises(UserError, match=r"a-2\.mcap exists already"):
+        split(whole, tmp_path)
+    assert (tmp_path / "a-2.mcap").read_bytes() == b"somebody's work"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
+    assert len(split(whole, tmp_path, overwrite=True)) == 2
+    assert whole.read_bytes() == before
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_a_name_that_is_not_utf8_is_told_escaped(tmp_path: Path, edit: Edit) -> None:
+    whole = drive(tmp_path / os.fsdecode(b"caf\xe9.mcap"), range(5), name="x")
+    edit(whole, tmp_path / "b.mcap", False)
+    told = contents(tmp_path / "b.mcap").metadata
+    assert any("caf\\udce9.mcap" in value for _, values in told for value in values.values())
+
+
+@pytest.mark.parametrize("edit", [EDITS["trim"], EDITS["merge"]], ids=["trim", "merge"])
+def test_a_damaged_log_is_not_edited_by_halves(tmp_path: Path, edit: Edit) -> None:
+    path = drive(tmp_path / "a.mcap", range(20))
+    data = bytearray(path.read_bytes())
+    data[contents(path).chunks[3].end - 1] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=r"a\.mcap: damaged.*bc-log recover"):
+        edit(path, tmp_path / "b.mcap", False)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def picture_drive(path: Path) -> Path:
+    with LogWriter(path, {"source": "test"}) as writer:
+        writer.event(START_NS, "begin")
+        for row in range(10):
+            time_ns = START_NS + row * STEP_NS + (5 * SECOND_NS if row > 5 else 0)
+            for level, camera in enumerate(CAMERAS):
+                writer.picture(camera, time_ns, row, jpeg(20 * level + row))
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 100, throttle=0.5, speed_mph=9.0))
+    return path
+
+
+def test_rerun_finds_nothing_wrong_with_any_of_them(tmp_path: Path) -> None:
+    """It does with a merged log in which time goes back, of which the drives were given in that order."""
+    recorded = picture_drive(tmp_path / "recorded.mcap")
+    part, _ = killed(recorded)
+    recover(part, tmp_path / "recovered.mcap")
+    trim(recorded, tmp_path / "trimmed.mcap", (2, 7))
+    merge([written.path for written in split(recorded, tmp_path)], tmp_path / "merged.mcap")
+    complaints = []
+    for name in ("recorded", "recovered", "trimmed", "merged"):
+        path = tmp_path / f"{name}.mcap"
+        done = subprocess.run(
+            [sys.executable, "-m", "rerun", "mcap", "check", "--full", str(path)],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        if done.returncode or done.stderr or "PROBLEM" in done.stdout or "/camera/left" not in done.stdout:
+            complaints.append(f"{path.name}: {done.stdout} {done.stderr}")
+    assert complaints == []
