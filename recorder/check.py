@@ -11,6 +11,7 @@ from common.progress import track
 from recorder.check_contents import Contents, Finding
 from recorder.check_structure import sound_chunks
 from recorder.chunks import McapFile
+from recorder.structure import read_structure
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ def check(path: Path, *, look: bool = True) -> Checked:
     file = McapFile(path)
     findings: list[Finding] = []
     try:
-        structure = file.structure()
+        structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             contents = Contents(structure, findings, pool if look else None)
             chunks = sound_chunks(file, structure, findings)

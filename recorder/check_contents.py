@@ -11,11 +11,12 @@ from google.protobuf.message import DecodeError
 
 from recorder import compressed_image, topics
 from recorder.bc_pb2 import VehicleState
-from recorder.chunks import StoredMessage, Structure
+from recorder.chunks import StoredMessage
 from recorder.compressed_image import image_data
 from recorder.edit import ROW_TOPICS
 from recorder.look import Look, Seen
 from recorder.quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
+from recorder.structure import Structure
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "gap": "gaps in time",

@@ -6,14 +6,13 @@ import struct
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from typing import Final
+
+from mcap.opcode import Opcode
 
 from recorder.check_contents import Finding
-from recorder.chunks import CHUNK_HEADER, MAGIC, OP_CHUNK, RECORD, Chunk, McapFile, StoredMessage, Structure
+from recorder.chunks import CHUNK_HEADER, MAGIC, RECORD, Chunk, McapFile, StoredMessage
 from recorder.errors import LogError
-
-_OP_MESSAGE_INDEX: Final = 7
-_OP_DATA_END: Final = 15
+from recorder.structure import Structure
 
 Found = tuple[bytes, list[StoredMessage]]
 """The records of a chunk, and the messages among them."""
@@ -47,16 +46,16 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
         except LogError:
             findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             break
-        if opcode != _OP_MESSAGE_INDEX and expected:
+        if opcode != Opcode.MESSAGE_INDEX and expected:
             findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
             expected = {}
-        if opcode == _OP_DATA_END:
+        if opcode == Opcode.DATA_END:
             (told,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
             if told and told != crc:
                 findings.append(Finding("CRC of all data does not hold", f"{told:08x}, found {crc:08x}"))
             break
         crc = zlib.crc32(record, crc)
-        if opcode == OP_CHUNK:
+        if opcode == Opcode.CHUNK:
             chunk = Chunk(position, position + len(record))
             if indexed.pop(position, chunk).end != chunk.end:
                 findings.append(Finding("chunks that are not where the summary says", f"at byte {position:,}"))
@@ -73,7 +72,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 if (min(times), max(times)) != (first_ns, last_ns):
                     findings.append(Finding("chunks of other times than they tell", f"at byte {position:,}"))
                 yield records, messages
-        elif opcode == _OP_MESSAGE_INDEX and expected:
+        elif opcode == Opcode.MESSAGE_INDEX and expected:
             channel, found = _message_index(record)
             if sorted(found) != sorted(expected.pop(channel, [])):
                 findings.append(Finding("indexes that do not fit their chunk", f"at byte {position:,}"))

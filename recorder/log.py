@@ -31,6 +31,7 @@ from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
 from recorder.compressed_image import image_data
 from recorder.errors import LogError
+from recorder.structure import read_structure
 from recorder.topics import CAMERAS, Camera, camera_topic
 
 UNCOMPRESSED: Final = -1
@@ -75,7 +76,7 @@ class Log:
         self.path = Path(path)
         self._file = McapFile(self.path)
         try:
-            self._structure = self._file.structure()
+            self._structure = read_structure(self._file)
         except BaseException:
             self._file.close()
             raise

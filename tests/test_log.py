@@ -9,12 +9,13 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
@@ -387,3 +388,33 @@ def test_what_was_made_stays_if_its_name_is_taken_meanwhile(tmp_path: Path) -> N
         write()
     assert sorted(file.read_text() for file in tmp_path.iterdir()) == ["mine", "theirs"]
     assert path.read_text() == "theirs"
+
+
+# Finished logs of other programs, whose summary leaves out what the specification lets them
+
+
+@pytest.mark.parametrize(
+    "left_out",
+    [
+        {"use_chunking": False},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+        {"index_types": IndexType.NONE},
+    ],
+    ids=str,
+)
+def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(tmp_path: Path, left_out: dict[str, Any]) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, **left_out)
+        writer.start()
+        schema = register_schema(writer, CompressedImage)
+        channel = writer.register_channel("/camera/center", "protobuf", schema)
+        for number in range(3):
+            writer.add_message(channel, number, CompressedImage(data=bytes([number])).SerializeToString(), number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with Log(path) as log:
+        assert (log.problem, log.notice, log.lost) == ("", "", [])
+        pictures = log.pictures("/camera/center")
+        places = zip(pictures.offset.tolist(), pictures.length.tolist(), pictures.chunk.tolist(), strict=True)
+        assert [log.read(*place) for place in places] == [b"\0", b"\1", b"\2"]

@@ -13,8 +13,9 @@ from mcap.records import Channel
 
 from common import Skipped
 from common.files import PART_SUFFIX
-from recorder.chunks import MAGIC, Chunk, McapFile, StoredMessage, Structure
+from recorder.chunks import MAGIC, Chunk, McapFile, StoredMessage
 from recorder.errors import LogError
+from recorder.structure import Structure, has_summary, walk_on
 from viz.messages import KINDS, PICTURE_TOPICS, Shown
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
@@ -47,7 +48,7 @@ def is_finished(path: Path) -> bool:
         return False
     file = McapFile(path)
     try:
-        return file.is_finished()
+        return has_summary(file)
     finally:
         file.close()
 
@@ -87,7 +88,7 @@ class GrowingLog:
         if self._file is None:
             return
         before = len(self._found.chunks), len(self._found.lost)
-        self._position, self.is_finished = self._file.walk_on(self._position, self._found)
+        self._position, self.is_finished = walk_on(self._file, self._position, self._found)
         for start, end in self._found.lost[before[1] :]:
             self.skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
         chunks = self._found.chunks[before[0] :]
