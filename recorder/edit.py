@@ -205,9 +205,7 @@ def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
     return int(number[at[0]]), int(number[at[-1]])
 
 
-def _rows(
-    log: Log,
-) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], np.ndarray[tuple[int], np.dtype[np.int64]]]:
+def _rows(log: Log) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number and time of every row, in the order of the log."""
     messages = log.messages(topics.VEHICLE)
     if not messages:

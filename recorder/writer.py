@@ -84,6 +84,7 @@ class LogWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._copied: dict[int, tuple[Channel, int]] = {}
+        self._copied_channels: dict[tuple[object, ...], int] = {}
         self._copied_schemas: dict[tuple[str, str, bytes], int] = {}
         self._states = StatesWritten()
         self._stream = self.part.open("xb")
@@ -127,10 +128,8 @@ class LogWriter:
         """A message of another log, as it is but for its sequence number."""
         known = self._copied.get(id(channel))
         if known is None:
-            number = self._mcap.register_channel(
-                channel.topic, channel.message_encoding, self._copied_schema(schema), dict(channel.metadata)
-            )
-            known = self._copied[id(channel)] = (channel, number)  # keeping it keeps its id from being used again
+            # keeping the channel keeps its id from being used again
+            known = self._copied[id(channel)] = (channel, self._copied_channel(schema, channel))
         self._message(known[1], message.log_time, message.publish_time, sequence, message.data)
         if channel.topic == topics.VEHICLE and schema is not None and schema.name == topics.VEHICLE_SCHEMA:
             try:
@@ -219,6 +218,17 @@ class LogWriter:
             self._schemas[name] = register_schema(self._mcap, message)
         self._channels[topic] = self._mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
         return self._channels[topic]
+
+    def _copied_channel(self, schema: Schema | None, channel: Channel) -> int:
+        """Logs that are merged share the channels that are alike."""
+        metadata = dict(channel.metadata)
+        number = self._copied_schema(schema)
+        key = (channel.topic, channel.message_encoding, number, *sorted(metadata.items()))
+        if key not in self._copied_channels:
+            self._copied_channels[key] = self._mcap.register_channel(
+                channel.topic, channel.message_encoding, number, metadata
+            )
+        return self._copied_channels[key]
 
     def _copied_schema(self, schema: Schema | None) -> int:
         if schema is None:
