@@ -77,7 +77,10 @@ def _train(
     seen = samples.driving_view("validation")
     validation = Loader(samples, seen, batch=config.batch, budget_bytes=budget)
     if not len(training):
-        raise RunError(f"{samples.path}: no training samples in it; record more, or use a smaller --validation-share")
+        raise RunError(
+            f"{samples.path}: no training samples in it; record more, or give bc-index a smaller --validation-share"
+            " or --gap-s"
+        )
     recorded = seen["label"].to_numpy()
     mean = float(np.mean(recorded)) if len(recorded) else float("nan")
 

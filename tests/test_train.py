@@ -52,7 +52,7 @@ def road(camera: Camera, row: int) -> bytes:
 def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("toy")
     log = write_log(folder / "toy.mcap", STEERING, road, cameras=["center"])
-    return build_index([log], folder / "index", IndexConfig(flip=False, max_uses=1, block_s=0.5)).path
+    return build_index([log], folder / "index", IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)).path
 
 
 @pytest.fixture(scope="module")
