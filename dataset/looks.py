@@ -21,8 +21,8 @@ from common import whole_file
 from common.progress import progress_bar
 from dataset.quality import Looked, Stretches
 from recorder import Log
-from recorder.log import UNCOMPRESSED
 from recorder.look import Look
+from recorder.places import UNCOMPRESSED
 from recorder.quality import STANDING_MPH
 from recorder.topics import CAMERAS, Camera, camera_topic
 

@@ -26,18 +26,14 @@ from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
 from common import Skipped
-from recorder import compressed_image, topics
+from recorder import topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
-from recorder.compressed_image import image_data
 from recorder.errors import LogError
+from recorder.places import LAST_TIME_NS, UNCOMPRESSED, find_places
 from recorder.structure import read_structure
 from recorder.topics import CAMERAS, Camera, camera_topic
 
-UNCOMPRESSED: Final = -1
-"""In the place of a chunk's offset: the bytes lie in the file as they are."""
-
-_LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, but those of files, tables and NumPy are not
 _CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
 _CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
@@ -175,7 +171,7 @@ class Log:
         if self._structure.statistics is not None:
             by_channel = self._structure.statistics.channel_message_counts
         else:
-            found = np.unique(self._table["channel"], return_counts=True)
+            found = np.unique(self._places["channel"], return_counts=True)
             by_channel = dict(zip(*(column.tolist() for column in found), strict=True))
         counts: dict[str, int] = {}
         for number, channel in self.channels.items():
@@ -188,7 +184,7 @@ class Log:
         if self._structure.statistics is not None:
             statistics = self._structure.statistics
             return statistics.message_start_time, statistics.message_end_time
-        times = self._table["log_time_ns"]
+        times = self._places["log_time_ns"]
         return (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
     @property
@@ -286,7 +282,7 @@ class Log:
         records = self._file.records(chunk)
         for stored in self._file.messages(records):
             channel = self.channels.get(stored.channel)
-            if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > _LAST_TIME_NS:
+            if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:
                 what = "a topic that is not known" if channel is None else "a time that cannot be"
                 if skipped is None:
                     raise self._file.damaged(f"a message of {what}")
@@ -303,50 +299,14 @@ class Log:
         return {}
 
     @cached_property
-    def _table(self) -> NDArray[np.void]:
-        """One entry a message, in the order of the file."""
-        parts = [self._rows_of(number) for number in range(len(self.chunks))]
-        table = np.concatenate(parts) if parts else np.empty(0, _ROW)
-        if (table["log_time_ns"] > _LAST_TIME_NS).any():
-            raise self._file.damaged(f"a message of the time {table['log_time_ns'].max()} ns")
-        return table
-
-    def _rows_of(self, number: int) -> NDArray[np.void]:
-        chunk = self.chunks[number]
-        records = self._file.records(chunk)
-        self._is_verified[number] = True
-        base = 0 if chunk.compression else self._file.records_at(chunk)
-        place = chunk.start if chunk.compression else UNCOMPRESSED
-        rows = []
-        for stored in self._file.messages(records):
-            picture, length = -1, 0
-            if stored.channel in self._image_channels:
-                picture, length = image_data(records, stored.offset, stored.length)
-                picture += base if picture >= 0 else 0
-            rows.append(
-                (
-                    stored.channel,
-                    stored.sequence,
-                    stored.log_time_ns,
-                    stored.offset + base,
-                    stored.length,
-                    picture,
-                    length,
-                    place,
-                )
-            )
-        return np.array(rows, _ROW)
-
-    @cached_property
-    def _image_channels(self) -> frozenset[int]:
-        schemas = {
-            number for number, schema in self._structure.schemas.items() if schema.name == compressed_image.SCHEMA
-        }
-        return frozenset(number for number, channel in self.channels.items() if channel.schema_id in schemas)
+    def _places(self) -> NDArray[np.void]:
+        places = find_places(self._file, self._structure)
+        self._is_verified = bytearray(b"\1") * len(self.chunks)
+        return places
 
     def _of_topic(self, topic: str) -> NDArray[np.void]:
         channels = [number for number, channel in self.channels.items() if channel.topic == topic]
-        return self._table[np.isin(self._table["channel"], channels)] if channels else np.empty(0, _ROW)
+        return self._places[np.isin(self._places["channel"], channels)] if channels else self._places[:0]
 
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         for message in self.messages(topic):
@@ -369,17 +329,3 @@ class Log:
                     kept.pop(0)
                     self._unpacked.popitem(last=False)
         return records
-
-
-_ROW: Final = np.dtype(
-    [
-        ("channel", np.uint16),
-        ("sequence", np.uint32),
-        ("log_time_ns", np.uint64),
-        ("offset", np.int64),
-        ("length", np.int64),
-        ("picture", np.int64),  # offset of a CompressedImage's data; -1 where the message is none
-        ("picture_length", np.int64),
-        ("chunk", np.int64),
-    ]
-)
