@@ -3,8 +3,10 @@
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.index import Indexed, build_index, find_logs, sessions_not_indexed
-from dataset.loader import Batch, Loader, Samples
+from dataset.loader import Batch, Loader, load
 from dataset.preprocess import decode, preprocess
+from dataset.samples_dataset import SamplesDataset
+from dataset.samples_file import Samples
 from recorder.topics import MAX_STEERING_DEG
 
 __all__ = [
@@ -15,9 +17,11 @@ __all__ = [
     "Indexed",
     "Loader",
     "Samples",
+    "SamplesDataset",
     "build_index",
     "decode",
     "find_logs",
+    "load",
     "preprocess",
     "sessions_not_indexed",
 ]

@@ -26,8 +26,8 @@ from dataset.figure_data import (
     steering_distribution,
     two_draws,
 )
-from dataset.loader import Samples
 from dataset.preprocess import SIZE_PX, Image, preprocess
+from dataset.samples_file import Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

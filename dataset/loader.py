@@ -1,36 +1,37 @@
 """Batches for training, straight out of the logs.
 
-The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen.
-Pictures are read by byte range, decoded on threads (OpenCV releases Python's lock), and kept in memory as crops
-as long as they fit the budget; one batch is prepared while the last one is being used.
+    with load(Path("index"), batch=256) as loader:
+        for batch in loader.epoch(1):
+            batch.pictures, batch.steering
+
+The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen, and
+several processes share an epoch without a word between them. Threads decode some batches ahead.
 """
 
 from __future__ import annotations
 
-import json
 import os
+from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from types import TracebackType
+from typing import Final, Self
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dataset.alter import alter
-from dataset.errors import DatasetError
-from dataset.frames import METADATA_KEY
-from dataset.index import SAMPLES_NAME
-from dataset.preprocess import SIZE_PX, Image, decode, preprocess
-from recorder import Log
+from dataset.buffers import Buffers
+from dataset.crops import CROP_SHAPE, Crops
+from dataset.preprocess import Image
+from dataset.samples_file import LOADED, Samples, Split
 
-Split = Literal["train", "validation"]
+DEFAULT_BUDGET_BYTES: Final = 1 << 30
 
-DEFAULT_BUDGET_BYTES = 1 << 30
+_AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more fall out of the caches
+_JOBS: Final = 4  # for each thread of a batch: small enough that none waits long for the others' last one
 
 
 @dataclass(frozen=True)
@@ -39,52 +40,8 @@ class Batch:
     steering: NDArray[np.float32]  # (N,), -1..1
 
 
-class Samples:
-    """The samples of one index, and the logs that hold their pictures.
-
-    Raises DatasetError if there is no index, or if a log is not the one that was indexed.
-    """
-
-    def __init__(self, index: Path) -> None:
-        self.path = index / SAMPLES_NAME
-        try:
-            self.table: pa.Table = pq.read_table(self.path)
-            self.metadata = json.loads(self.table.schema.metadata[METADATA_KEY])
-            sources: dict[str, dict[str, str]] = self.metadata["logs"]
-        except FileNotFoundError:
-            raise DatasetError(f"{self.path}: no index; build it with `bc-index`") from None
-        except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
-            raise DatasetError(f"{self.path}: damaged ({error}); build it again with `bc-index`") from None
-        self.logs: dict[str, Log] = {}
-        try:
-            for session, source in sources.items():
-                log = self.logs[session] = Log(index / source["log"])
-                if log.fingerprint != source["fingerprint"]:
-                    raise DatasetError(f"{log.path}: has changed since it was indexed; run `bc-index` again")
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        for log in self.logs.values():
-            log.close()
-
-    def of_split(self, split: Split) -> pa.Table:
-        return self.table.filter(pc.equal(self.table["split"], split))
-
-    def driving_view(self, split: Split) -> pa.Table:
-        """What the car itself sees: the centre camera, unmirrored and unaltered, each picture once.
-
-        Without pictures of the centre camera, those of the others.
-        """
-        table = self.of_split(split)
-        table = table.filter(pc.and_(pc.invert(table["flip"]), pc.invert(table["copy"])))
-        center = table.filter(pc.equal(table["camera"], "center"))
-        return center if len(center) else table
-
-
 class Loader:
-    """Batches of some rows of `Samples.table`."""
+    """Batches of some rows of an index. Use it as a context manager, or call `close()`."""
 
     def __init__(
         self,
@@ -93,81 +50,129 @@ class Loader:
         *,
         batch: int,
         seed: int = 0,
+        rank: int = 0,
+        ranks: int = 1,
         budget_bytes: int = DEFAULT_BUDGET_BYTES,
+        threads: int = 0,
     ) -> None:
-        """``budget_bytes`` is how much memory decoded crops may take (49 KB each)."""
+        """``rows`` are of ``samples``, which `close()` closes. For the rest see `load`."""
+        if batch < 1 or threads < 0 or seed < 0 or budget_bytes < 0:
+            raise ValueError(
+                f"batch must be at least 1, seed, threads and budget_bytes at least 0:"
+                f" {batch=}, {seed=}, {threads=}, {budget_bytes=}"
+            )
+        if not 0 <= rank < ranks:
+            raise ValueError(f"rank must be one of the ranks, 0 to ranks - 1: {rank=}, {ranks=}")
         self.batch = batch
         self.seed = seed
-        self._label = rows["label"].to_numpy().astype(np.float32)
-        self._flip = rows["flip"].to_numpy()
-        self._alteration: list[str] = rows["alteration"].to_pylist()
-        self._alteration_seed = rows["seed"].to_numpy()
-        places = (rows[name].to_pylist() for name in ("session", "offset", "length", "chunk"))
-        self._where = list(zip(*places, strict=True))
-        self._logs = samples.logs
-        # Mirror images and copies share their original's picture: it is decoded and kept once.
-        slots: dict[tuple[str, int, int, int], int] = {}
-        self._slot = np.array([slots.setdefault(where, len(slots)) for where in self._where], np.int64)
-        kept = min(len(slots), budget_bytes // (SIZE_PX * SIZE_PX * 3))
-        self._crops = np.empty((kept, SIZE_PX, SIZE_PX, 3), np.uint8)
-        self._is_kept = np.zeros(kept, np.bool_)
-        self._threads = os.cpu_count() or 1
+        self.rank = rank
+        self.ranks = ranks
+        self.threads = threads or os.cpu_count() or 1
+        self._samples = samples
+        self._rows = samples.rows(rows)
+        self._crops = Crops(self._rows, samples.logs, budget_bytes)
+        self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
+        part = -(-min(batch, len(self)) // ranks)
+        self._buffers = Buffers((part, *CROP_SHAPE), self._at_once + 1)
+
+    def close(self) -> None:
+        self._samples.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def __len__(self) -> int:
-        return len(self._label)
+        """Samples in an epoch, those of all ranks together."""
+        return len(self._rows)
+
+    @property
+    def batches(self) -> int:
+        """Batches in an epoch, for every rank the same number."""
+        return -(-len(self) // self.batch)
 
     def order(self, epoch: int) -> NDArray[np.int64]:
         """Which sample comes when, in an epoch: every one once."""
         return np.random.default_rng((self.seed, epoch)).permutation(len(self))
 
-    def epoch(self, epoch: int) -> Iterator[Batch]:
-        """The batches of an epoch in their shuffled order; the last one may be smaller."""
-        return self._batches(self.order(epoch))
+    def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
+        """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller."""
+        if not 0 <= start_batch <= self.batches:
+            raise ValueError(f"start_batch must be in 0 to {self.batches}, not {start_batch}")
+        return self._batches(self.order(epoch), start_batch)
 
     def in_order(self) -> Iterator[Batch]:
         """All samples once, in the order of the index (for evaluation)."""
-        return self._batches(np.arange(len(self)))
+        return self._batches(np.arange(len(self)), 0)
 
-    def _batches(self, order: NDArray[np.int64]) -> Iterator[Batch]:
-        parts = [order[i : i + self.batch] for i in range(0, len(order), self.batch)]
-        with ThreadPoolExecutor(1) as ahead, ThreadPoolExecutor(self._threads) as pool:
-            following: Future[Batch] | None = None
-            for i in range(len(parts)):
-                current = following or ahead.submit(self._assemble, parts[i], pool)
-                following = ahead.submit(self._assemble, parts[i + 1], pool) if i + 1 < len(parts) else None
-                yield current.result()
-
-    def _assemble(self, rows: NDArray[np.int64], pool: ThreadPoolExecutor) -> Batch:
-        pictures = np.empty((len(rows), SIZE_PX, SIZE_PX, 3), np.uint8)
-        size = -(-len(rows) // self._threads)
-        jobs = [
-            pool.submit(self._fill, pictures[i : i + size], rows[i : i + size]) for i in range(0, len(rows), size)
-        ]
-        for job in jobs:
-            job.result()
-        return Batch(pictures, self._label[rows])
-
-    def _fill(self, pictures: Image, rows: NDArray[np.int64]) -> None:
-        for picture, row in zip(pictures, rows.tolist(), strict=True):
-            crop = self._crop(row)
-            if self._flip[row]:
-                crop = crop[:, ::-1]
-            if self._alteration[row]:
-                crop = alter(np.ascontiguousarray(crop), self._alteration[row], int(self._alteration_seed[row]))
-            picture[:] = crop
-
-    def _crop(self, row: int) -> Image:
-        slot = int(self._slot[row])
-        if slot < len(self._crops) and self._is_kept[slot]:
-            kept: Image = self._crops[slot]
-            return kept
-        session, offset, length, chunk = self._where[row]
-        log = self._logs[session]
+    def _batches(self, order: NDArray[np.int64], start_batch: int) -> Iterator[Batch]:
+        starts = range(start_batch * self.batch, len(order), self.batch)
+        waiting: deque[tuple[Batch, list[Future[None]]]] = deque()
+        pool = ThreadPoolExecutor(self.threads)
         try:
-            crop = preprocess(decode(log.read(offset, length, chunk)))
-        except ValueError as error:
-            raise DatasetError(f"{log.path}: the picture at byte {offset}: {error}") from None
-        if slot < len(self._crops):
-            self._crops[slot] = crop
-            self._is_kept[slot] = True  # set last: another thread may look at any moment
-        return crop
+            for start in starts:
+                together = order[start : start + self.batch]
+                waiting.append(self._begin(np.array_split(together, self.ranks)[self.rank], pool))
+                if len(waiting) == self._at_once:
+                    yield _finished(*waiting.popleft())
+            while waiting:
+                yield _finished(*waiting.popleft())
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def _begin(self, samples: NDArray[np.int64], pool: ThreadPoolExecutor) -> tuple[Batch, list[Future[None]]]:
+        """A batch, and the jobs that fill in its pictures."""
+        pictures = self._buffers.take()[: len(samples)]
+        size = max(1, -(-len(samples) // (_JOBS * self.threads)))
+        jobs = [
+            pool.submit(self._crops.fill, pictures[i : i + size], samples[i : i + size])
+            for i in range(0, len(samples), size)
+        ]
+        return Batch(pictures, self._rows.label[samples]), jobs
+
+
+def load(
+    index: Path | str,
+    split: Split = "train",
+    *,
+    batch: int = 256,
+    seed: int = 0,
+    rank: int = 0,
+    ranks: int = 1,
+    budget_bytes: int = DEFAULT_BUDGET_BYTES,
+    threads: int = 0,
+    driving_view: bool = False,
+) -> Loader:
+    """The samples of a split of `index`, in batches of `batch` over all `ranks`, of which this process is `rank`:
+    whatever their number, batch k is the same, and each takes its part of it (one may be empty in the last).
+
+    `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
+    `driving_view` leaves only what the car sees itself (`Samples.driving_view`).
+    Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
+    """
+    samples = Samples(Path(index))
+    try:
+        rows = samples.driving_view(split) if driving_view else samples.of_split(split, LOADED)
+        return Loader(
+            samples,
+            rows,
+            batch=batch,
+            seed=seed,
+            rank=rank,
+            ranks=ranks,
+            budget_bytes=budget_bytes,
+            threads=threads,
+        )
+    except BaseException:
+        samples.close()
+        raise
+
+
+def _finished(batch: Batch, jobs: list[Future[None]]) -> Batch:
+    for job in jobs:
+        job.result()
+    return batch

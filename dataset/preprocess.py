@@ -39,12 +39,14 @@ def decode(encoded: bytes) -> Image:
     return picture.astype(np.uint8, copy=False)
 
 
-def preprocess(picture: Image) -> Image:
+def preprocess(picture: Image, into: Image | None = None) -> Image:
     """A camera picture (height, width, 3) BGR uint8 as the network's input, (128, 128, 3) BGR uint8.
+
+    Written `into` an array of this shape, if one is given.
 
     The crop is a share of the height, so that pictures of another size show the same part of the world.
     """
     height = picture.shape[0]
     cropped = picture[round(height * TOP_SHARE) : height - round(height * BOTTOM_SHARE)]
-    resized = cv2.resize(cropped, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_LINEAR)
+    resized = cv2.resize(cropped, (SIZE_PX, SIZE_PX), into, interpolation=cv2.INTER_LINEAR)
     return resized.astype(np.uint8, copy=False)

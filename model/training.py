@@ -24,6 +24,7 @@ from torch.nn import functional
 
 from common.progress import progress_bar
 from dataset import Batch, Loader, Samples
+from dataset.samples_file import LOADED
 from model.config import Precision, TrainConfig
 from model.errors import RunError
 from model.measures import Errors, constant_errors, errors
@@ -72,14 +73,14 @@ def _train(
     dtype = training_dtype(config.precision)
     budget = config.picture_memory_mb << 20
     training = Loader(
-        samples, samples.of_split("train"), batch=config.batch, seed=config.seed, budget_bytes=budget
+        samples, samples.of_split("train", LOADED), batch=config.batch, seed=config.seed, budget_bytes=budget
     )
     seen = samples.driving_view("validation")
     validation = Loader(samples, seen, batch=config.batch, budget_bytes=budget)
     if not len(training):
         raise RunError(
-            f"{samples.path}: no training samples in it; record more, or give bc-index a smaller --validation-share"
-            " or --gap-s"
+            f"{samples.path}: no training samples in it; record more, or give bc-index a smaller"
+            " --validation-share or --gap-s"
         )
     recorded = seen["label"].to_numpy()
     mean = float(np.mean(recorded)) if len(recorded) else float("nan")

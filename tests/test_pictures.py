@@ -183,7 +183,7 @@ def grey(camera: Camera, row: int) -> bytes:
 def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("index")
     log = write_log(folder / "a.mcap", STEERING, grey)
-    return build_index([log], folder / "index", IndexConfig(block_s=0.5, alter=())).path
+    return build_index([log], folder / "index", IndexConfig(block_s=0.5, gap_s=0, alter=())).path
 
 
 @pytest.fixture

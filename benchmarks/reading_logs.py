@@ -1,6 +1,6 @@
 """How fast logs are read back: `bc-log info`, `check` and `recover` on a log of a given size, and memory.
 
-python benchmarks/logs.py RECORDING [--gigabytes 1]
+python benchmarks/reading_logs.py RECORDING [--gigabytes 1]
 
 RECORDING is a folder of the Udacity simulator. Its pictures are written over and over, with the rows numbered on,
 until the log has its size; everything is then read from the page cache, if that is large enough.

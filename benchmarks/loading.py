@@ -1,0 +1,247 @@
+"""How fast pictures are loaded in random order, beside OpenCV alone and beside what else is used for it.
+
+bc-index --no-balance --no-flip --gap-s 0 --index plain    # every picture once
+python benchmarks/loading.py plain
+
+Everything gives the same crops, which is checked, of the same pictures, in batches, from a warm page cache. The
+loaders that are no dependency of this project come with `pip install webdataset datasets`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import statistics
+import sys
+import tarfile
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from mcap.reader import make_reader
+from torch.utils.data import DataLoader
+
+from dataset import Loader, Samples, decode, preprocess
+from recorder import Log
+from recorder.compressed_image import image_data
+from recorder.topics import camera_topic
+
+ROUNDS, BATCH = 5, 256
+BY_TIME = 500  # pictures read through mcap's own reader: it is slow
+
+Epoch = Callable[[], Iterable[Any]]  # batches of crops
+
+
+def main() -> None:
+    """Print pictures/s (median, least to most, of several rounds) and their share of OpenCV's in each round."""
+    if len(sys.argv) != 2:
+        raise SystemExit("usage: python benchmarks/loading.py INDEX")
+    samples = Samples(Path(sys.argv[1]))
+    table = _each_picture_once(samples.table)
+    places = [
+        (samples.logs[row["session"]], row["offset"], row["length"], row["chunk"]) for row in table.to_pylist()
+    ]
+    jpegs = [log.read(*place) for log, *place in places]
+    print(f"{len(jpegs):,} pictures of {statistics.fmean(map(len, jpegs)) / 1000:.1f} KB; {ROUNDS} rounds")
+    print(f"one random JPEG by byte range: {_spread([_random_read_us(places) for _ in range(ROUNDS)], 1)} us")
+    with tempfile.TemporaryDirectory() as name:
+        limits: dict[str, tuple[int, Epoch]] = {
+            "OpenCV alone, bytes in memory, 1 thread": (1, lambda: _opencv(jpegs, 1)),
+            "OpenCV alone, bytes in memory, 2 threads": (2, lambda: _opencv(jpegs, 2)),
+        }
+        contenders: dict[str, tuple[int, Epoch]] = {
+            **_ours(samples, table),
+            **_single_files(Path(name), jpegs),
+            **_web_dataset(Path(name), jpegs),
+            **_hugging_face(Path(name), jpegs),
+            "mcap's own reader, random by time": (1, _mcap_reader(table, samples.logs)),
+        }
+        expected = sorted(zlib.crc32(preprocess(decode(jpeg)).tobytes()) for jpeg in jpegs)
+        counts = {what: _check(what, epoch, expected) for what, (_, epoch) in contenders.items()}
+        counts.update(dict.fromkeys(limits, len(jpegs)))
+        contenders = limits | contenders
+        rates: dict[str, list[float]] = {what: [] for what in contenders}
+        for _ in range(ROUNDS):
+            for what, (_, epoch) in contenders.items():
+                start = time.perf_counter()
+                for _batch in epoch():
+                    pass
+                rates[what].append(counts[what] / (time.perf_counter() - start))
+    opencv = dict(zip((1, 2), list(rates.values())[:2], strict=True))
+    for what, (threads, _) in contenders.items():
+        shares = [rate / limit for rate, limit in zip(rates[what], opencv[threads], strict=True)]
+        print(f"{what:45} {_spread(rates[what]):>28} pictures/s  {statistics.median(shares):5.2f}")
+    samples.close()
+
+
+def _opencv(jpegs: list[bytes], threads: int) -> list[None]:
+    """The limit: nothing is read, and the crops are dropped."""
+
+    def work(part: Any) -> None:
+        for i in part.tolist():
+            preprocess(decode(jpegs[i]))
+
+    order = np.random.default_rng(0).permutation(len(jpegs))
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, np.array_split(order, -(-len(jpegs) // 64))))
+
+
+def _ours(samples: Samples, table: pa.Table) -> dict[str, tuple[int, Epoch]]:
+    def first(threads: int) -> Iterator[Any]:
+        # Opening the logs is in it: they are few, and their chunks' CRCs have not been looked at.
+        with Loader(Samples(samples.path.parent), table, batch=BATCH, budget_bytes=0, threads=threads) as fresh:
+            yield from (batch.pictures for batch in fresh.epoch(0))
+
+    def later(loader: Loader) -> Iterator[Any]:
+        return (batch.pictures for batch in loader.epoch(0))
+
+    found: dict[str, tuple[int, Epoch]] = {}
+    for n, threads in ((1, "1 thread"), (2, "2 threads")):
+        for what, budget in (("nothing kept", 0), ("crops in memory", 1 << 40)):
+            loader = Loader(samples, table, batch=BATCH, budget_bytes=budget, threads=n)
+            found[f"this loader, {what}, {threads}"] = (n, lambda loader=loader: later(loader))  # type: ignore[misc]
+        found[f"this loader, first pass, {threads}"] = (n, lambda n=n: first(n))  # type: ignore[misc]
+    return found
+
+
+class _Files:
+    """A plain PyTorch data set of single files."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self.paths = paths
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, at: int) -> Any:
+        return preprocess(decode(self.paths[at].read_bytes()))
+
+
+def _single_files(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoch]]:
+    paths = [folder / f"{number:06}.jpg" for number in range(len(jpegs))]
+    for path, jpeg in zip(paths, jpegs, strict=True):
+        path.write_bytes(jpeg)
+    return _with_workers("single JPEG files, PyTorch's DataLoader", _Files(paths), shuffle=True)
+
+
+def _web_dataset(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoch]]:
+    wds = _if_installed("webdataset")
+    if wds is None:
+        return {}
+    shards = []
+    for first in range(0, len(jpegs), 500):
+        shards.append(str(folder / f"{first:06}.tar"))
+        with tarfile.open(shards[-1], "w") as shard:
+            for number, jpeg in enumerate(jpegs[first : first + 500], first):
+                entry = tarfile.TarInfo(f"{number:06}.jpg")
+                entry.size = len(jpeg)
+                shard.addfile(entry, io.BytesIO(jpeg))
+    pictures = (
+        wds.WebDataset(shards, shardshuffle=len(shards))
+        .shuffle(1000)
+        .map(_decode_entry)
+        .batched(BATCH, collation_fn=np.stack)
+    )
+    return _with_workers("WebDataset", pictures, batch_size=None)
+
+
+def _decode_entry(entry: dict[str, Any]) -> Any:
+    return preprocess(decode(entry["jpg"]))
+
+
+def _hugging_face(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoch]]:
+    datasets = _if_installed("datasets")
+    if datasets is None:
+        return {}
+    pq.write_table(pa.table({"jpeg": jpegs}), folder / "jpegs.parquet")
+    datasets.disable_progress_bars()
+    stored = datasets.Dataset.from_parquet(str(folder / "jpegs.parquet"), cache_dir=str(folder / "cache"))
+    return _with_workers(
+        "Hugging Face datasets", stored.with_transform(_decode_column), shuffle=True, collate_fn=_stack_column
+    )
+
+
+def _decode_column(rows: dict[str, Any]) -> dict[str, Any]:
+    return {"crop": [preprocess(decode(jpeg)) for jpeg in rows["jpeg"]]}
+
+
+def _stack_column(rows: list[dict[str, Any]]) -> Any:
+    return np.stack([row["crop"] for row in rows])
+
+
+def _with_workers(what: str, dataset: Any, **settings: Any) -> dict[str, tuple[int, Epoch]]:
+    """Through PyTorch's DataLoader; its two workers are started once, before the rounds."""
+    found: dict[str, tuple[int, Epoch]] = {}
+    for workers in (0, 2):
+        options = {"batch_size": BATCH, **settings, "num_workers": workers, "persistent_workers": workers > 0}
+        loader: DataLoader[Any] = DataLoader(dataset, **options)
+        found[f"{what}, {workers} workers"] = (max(1, workers), lambda loader=loader: loader)  # type: ignore[misc]
+    return found
+
+
+def _mcap_reader(table: pa.Table, logs: dict[str, Log]) -> Epoch:
+    """Some pictures, each by its camera's topic and its time."""
+    wanted = table.take(np.random.default_rng(0).permutation(len(table))[:BY_TIME]).to_pylist()
+
+    def epoch() -> Iterator[Any]:
+        streams = {session: log.path.open("rb") for session, log in logs.items()}
+        readers = {session: make_reader(stream) for session, stream in streams.items()}
+        for row in wanted:
+            time_ns = row["log_time_ns"]
+            messages = readers[row["session"]].iter_messages(
+                topics=[camera_topic(row["camera"])], starting_at=time_ns, ending_at=time_ns
+            )
+            for _, _, message in messages:
+                at, length = image_data(message.data, 0, len(message.data))
+                yield [preprocess(decode(message.data[at : at + length]))]
+        for stream in streams.values():
+            stream.close()
+
+    return epoch
+
+
+def _check(what: str, epoch: Epoch, expected: list[int]) -> int:
+    """How many crops an epoch gives: all of them, each once."""
+    found = sorted(zlib.crc32(np.asarray(crop).tobytes()) for batch in epoch() for crop in batch)
+    if found != expected and not ("by time" in what and set(found) <= set(expected)):
+        raise SystemExit(f"{what}: {len(found)} crops, not the {len(expected)} that were expected")
+    return len(found)
+
+
+def _random_read_us(places: list[Any]) -> float:
+    order = np.random.default_rng(0).permutation(len(places)).tolist()
+    start = time.perf_counter()
+    for at in order:
+        log, *place = places[at]
+        log.read(*place)
+    return 1e6 * (time.perf_counter() - start) / len(places)
+
+
+def _each_picture_once(table: pa.Table) -> pa.Table:
+    """The samples as they were recorded, whatever split they are of."""
+    return table.filter(pc.invert(pc.or_(table["flip"], table["copy"])))
+
+
+def _if_installed(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        print(f"{name} is left out: `pip install {name}` brings it")
+        return None
+
+
+def _spread(values: list[float], digits: int = 0) -> str:
+    middle, least, most = statistics.median(values), min(values), max(values)
+    return f"{middle:,.{digits}f} ({least:,.{digits}f} to {most:,.{digits}f})"
+
+
+if __name__ == "__main__":
+    main()
