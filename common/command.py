@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 failed, 2 bad usage, 3 done but something was skipped or l
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import signal
 import sys
@@ -18,7 +19,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from common.errors import Skipped, UserError
+from common.errors import Skipped, UserError, shown
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -27,13 +28,24 @@ Config = TypeVar("Config")
 
 def stderr() -> Console:
     """Progress and warnings go here; results go to stdout."""
-    return Console(stderr=True, soft_wrap=True, highlight=False)
+    return Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
+
+
+def stdout() -> Console:
+    """For tables; `:car:` in a name is no emoji."""
+    return Console(highlight=False, emoji=False)
 
 
 def warn(text: str) -> int:
     """Print what a person should know before the result is used; the exit code that says so."""
-    stderr().print(f"[yellow]{escape(text)}[/]")
+    stderr().print(f"[yellow]{escape(shown(text))}[/]")
     return DONE_BUT_SKIPPED
+
+
+def complain(prog: str, error: UserError) -> int:
+    """Print what went wrong, in one line; the exit code that says so."""
+    stderr().print(f"[red]{prog}:[/] {escape(shown(str(error)))}")
+    return FAILED
 
 
 def warn_skipped(skipped: Skipped) -> int:
@@ -45,7 +57,9 @@ def warn_skipped(skipped: Skipped) -> int:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """`kill` cleans up as Ctrl-C does."""
+    """`kill` cleans up as Ctrl-C does. A second signal must not interrupt the cleaning up."""
+    for other in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(other, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
@@ -76,15 +90,18 @@ def run_command(
 
     `description` is what `--help` begins with; by default what `config` says of itself.
     """
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    for stream in (sys.stdout, sys.stderr):  # a name of any file system can be printed, if escaped
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     about = description or config.__doc__
     parsed = tyro.cli(config, prog=prog, description=about, config=(tyro.conf.FlagCreatePairsOff,))
     try:
         code = action(parsed)
         sys.stdout.flush()
     except UserError as error:
-        stderr().print(f"[red]{prog}:[/] {escape(str(error))}")
-        code = FAILED
+        code = complain(prog, error)
     except KeyboardInterrupt:
         stderr().print(f"{prog}: stopped")
         code = INTERRUPTED

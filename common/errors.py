@@ -18,6 +18,12 @@ from collections import Counter
 from collections.abc import Iterator
 
 
+def shown(text: str) -> str:
+    """Text of somebody else's file without what moves a cursor or breaks a line: such characters are escaped."""
+    safe = text.encode("utf-8", "backslashreplace").decode("utf-8")
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in safe)
+
+
 class UserError(Exception):
     """One clear line for a person: which file, what was expected, and the next command to try."""
 
@@ -32,9 +38,8 @@ class Skipped:
         self._items: list[tuple[str, str]] = []
 
     def add(self, reason: str, name: str) -> None:
-        """A name may come from any file system: what is not UTF-8 in it is shown escaped, as are line ends."""
-        shown = name.encode("utf-8", "backslashreplace").decode("utf-8")
-        self._items.append((reason, "".join(c if c.isprintable() else ascii(c)[1:-1] for c in shown)))
+        """A name may come from any file system: what is not UTF-8 in it is escaped, as are line ends."""
+        self._items.append((reason, shown(name)))
 
     def __len__(self) -> int:
         return len(self._items)

@@ -9,9 +9,8 @@ from typing import Annotated
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tyro
-from rich.console import Console
 
-from common.command import DONE, FAILED, run_command, stderr, warn
+from common.command import DONE, FAILED, run_command, stderr, stdout, warn
 from dataset.config import IndexConfig
 from dataset.frames import session_name
 from dataset.index import SAMPLES_NAME, build_index, find_logs, unfinished_recordings
@@ -58,7 +57,7 @@ def index(config: Index) -> int:
     code = DONE
     for notice in [*indexed.notices, *unfinished_recordings(config.folder, indexed.sessions)]:
         code = warn(notice)
-    console = Console(highlight=False)
+    console = stdout()
     console.print(sessions_table(indexed))
     console.print(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]

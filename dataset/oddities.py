@@ -11,10 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from common.command import stdout
 from dataset.errors import DatasetError
 from dataset.index import FRAMES_FOLDER
 from recorder.quality import stretches
@@ -51,7 +51,7 @@ def report(index: Path) -> list[Reported]:
 
 def print_report(reported: Sequence[Reported]) -> None:
     """Print the stretches as a table, then how many frames each flag has."""
-    console = Console(highlight=False)
+    console = stdout()
     if not reported:
         console.print("no frame has a flag")
         return

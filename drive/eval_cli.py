@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, run_command, stderr
+from common.command import DONE, run_command, stderr, stdout
 
 if TYPE_CHECKING:
     from drive.closed_loop import Result
@@ -68,7 +67,7 @@ def evaluate(config: Eval) -> int:
                 print(json.dumps(result.as_dict()), flush=True)
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
-            Console(highlight=False).print(_table(results))
+            stdout().print(_table(results))
             print(f"look at a drive with `bc-play {results[-1].log}`", flush=True)
     return DONE
 

@@ -8,6 +8,7 @@ from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
 from google.protobuf.message import DecodeError
+from mcap.well_known import MessageEncoding
 
 from recorder import compressed_image, topics
 from recorder.bc_pb2 import VehicleState
@@ -17,6 +18,7 @@ from recorder.edit import ROW_TOPICS
 from recorder.look import Look, Seen
 from recorder.quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
 from recorder.structure import Structure
+from recorder.topics import CAMERAS, camera_topic
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "gap": "gaps in time",
@@ -43,10 +45,15 @@ class Contents:
             number: structure.schemas[channel.schema_id].name if channel.schema_id in structure.schemas else ""
             for number, channel in structure.channels.items()
         }
-        self._images = {number for number, name in schemas.items() if name == compressed_image.SCHEMA}
+        protobuf = {
+            number: name
+            for number, name in schemas.items()
+            if structure.channels[number].message_encoding == MessageEncoding.Protobuf
+        }
+        self._images = {number for number, name in protobuf.items() if name == compressed_image.SCHEMA}
         self._vehicle = {
             number
-            for number, name in schemas.items()
+            for number, name in protobuf.items()
             if name == topics.VEHICLE_SCHEMA and self._topics[number] == topics.VEHICLE
         }
         self._findings = findings
@@ -99,14 +106,19 @@ class Contents:
         states = self._states.states()
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
-        for topic, seen in sorted(self._look.seen.items()):
-            if topic != topics.PILOT_INPUT:
-                self._judge_pictures(topic, seen, speed_mph)
+        for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
+            self._judge_pictures(topic, self._look.seen.get(topic, Seen()), speed_mph)
         flags = row_flags(states)
         for flag, kind in _ROW_FINDINGS.items():
             for begin, end in stretches(flags[flag]):
                 where = _rows(int(states.row[begin]), int(states.row[end]))
                 self._findings.append(Finding(kind, f"before {where}" if flag == "gap" else where))
+
+    def _cameras(self, *, has_rows: bool) -> set[str]:
+        """Topics on which every row should have a picture: also a camera that has none at all."""
+        known = {topic for topic in self._topics.values() if topic in map(camera_topic, CAMERAS)}
+        expected = {camera_topic("center")} if has_rows else set()
+        return (known | expected | self._look.seen.keys()) - {topics.PILOT_INPUT}
 
     def _judge_pictures(self, topic: str, seen: Seen, speed_mph: dict[tuple[int, int], float]) -> None:
         held = set(zip(seen.rows, seen.times_ns, strict=True))

@@ -37,7 +37,7 @@ class Record:
     listen: bool = False
     """Record the telemetry that a simulator sends, or any Socket.IO client that sends the same."""
     idle: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """End --watch or --listen when nothing new has come for so long; otherwise Ctrl-C ends them."""
+    """End --watch or --listen when nothing new has come for so long, once something has; else Ctrl-C ends it."""
     viewer: bool = False
     """Show in Rerun what --watch or --listen records, while it does."""
     host: str = "127.0.0.1"

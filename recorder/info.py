@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,11 +39,12 @@ class Info:
     path: str
     size_bytes: int
     start: str  # UTC, ISO 8601
-    duration_s: float
-    topics: list[Topic]
+    duration_s: float  # from the first message to the last
+    driven_s: float | None  # of all drives, without what lies between them; None: nobody has looked at its rows
+    topics: list[Topic]  # rates over the driven time, if it is known
     session: dict[str, str]  # where it comes from
-    drives: int
-    flags: dict[str, int]  # rows that each flag holds for
+    drives: int | None
+    flags: dict[str, int] | None  # rows that each flag holds for
     stretches: list[Stretch]  # the first of them
     tags: list[Tag]
     notice: str  # of an unfinished log
@@ -55,18 +57,21 @@ def describe(path: Path) -> Info:
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
         quality = _quality(log)
+        driven_s = _seconds(quality.get("driven_s")) if quality else None
+        rate_s = duration_s if driven_s is None else driven_s
         return Info(
             path=str(path),
             size_bytes=log.size,
             start=(datetime.fromtimestamp(first_ns // 10**9, UTC)).isoformat() if first_ns < 2**62 else "",
             duration_s=duration_s,
+            driven_s=driven_s,
             topics=[
-                Topic(name, schemas[name], counts[name], counts[name] / duration_s if duration_s else 0.0)
+                Topic(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
                 for name in sorted(counts)
             ],
             session=log.metadata,
-            drives=_count(quality.get("drives")),
-            flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS},
+            drives=_count(quality.get("drives")) if quality else None,
+            flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
             tags=read_tags(path, log.fingerprint) if tags_path(path).exists() else [],
             notice=log.notice,
@@ -88,6 +93,14 @@ def _count(text: str | None) -> int:
     return int(text) if text is not None and text.isascii() and text.isdigit() and len(text) < 16 else 0
 
 
+def _seconds(text: str | None) -> float | None:
+    try:
+        seconds = float(text or "")
+    except ValueError:
+        return None
+    return seconds if math.isfinite(seconds) and seconds >= 0 else None
+
+
 def _stretches(text: str) -> list[Stretch]:
     """Somebody else may have written the log: what is no stretch is left out."""
     try:
@@ -95,6 +108,7 @@ def _stretches(text: str) -> list[Stretch]:
         return [
             Stretch(str(flag), int(first), int(last), float(begin_s), float(end_s))
             for flag, first, last, begin_s, end_s in entries
+            if math.isfinite(begin_s) and math.isfinite(end_s)
         ]
     except (ValueError, TypeError, OverflowError, RecursionError):
         return []

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from common import Skipped, UserError
-from common.command import DONE, DONE_BUT_SKIPPED, run_command, warn, warn_skipped
+from common.command import (
+    DONE,
+    DONE_BUT_SKIPPED,
+    FAILED,
+    complain,
+    run_command,
+    stderr,
+    stdout,
+    warn,
+    warn_skipped,
+)
+from common.errors import shown
 from recorder.check import Checked, check
 from recorder.edit import Written, merge, recover, recovered_name, rows_between, split, trim
 from recorder.info import Info, describe
@@ -35,16 +46,15 @@ class ShowInfo:
     """One JSON object a log, and no table."""
 
     def run(self) -> int:
-        code = DONE
-        for path in _some(self.logs):
-            info = describe(path)
-            if info.notice:
-                code = warn(info.notice)
-            if self.json:
-                print(json.dumps(dataclasses.asdict(info)))
-            else:
-                _print_info(info)
-        return code
+        return _each(self.logs, self._one)
+
+    def _one(self, path: Path) -> int:
+        info = describe(path)
+        if self.json:
+            print(json.dumps(dataclasses.asdict(info), allow_nan=False))
+        else:
+            _print_info(info)
+        return warn(info.notice) if info.notice else DONE
 
 
 @dataclass(frozen=True)
@@ -60,18 +70,17 @@ class Check:
     """One JSON object a log, with every finding."""
 
     def run(self) -> int:
-        code = DONE
-        for path in _some(self.logs):
-            checked = check(path, look=self.look)
-            if checked.findings:
-                code = DONE_BUT_SKIPPED
-            if self.json:
-                found = [finding._asdict() for finding in checked.findings]
-                told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-                print(json.dumps({**told, "findings": found}))
-            else:
-                _print_checked(checked)
-        return code
+        return _each(self.logs, self._one)
+
+    def _one(self, path: Path) -> int:
+        checked = check(path, look=self.look)
+        if self.json:
+            found = [finding._asdict() for finding in checked.findings]
+            told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
+            print(json.dumps({**told, "findings": found}))
+        else:
+            _print_checked(checked)
+        return DONE_BUT_SKIPPED if checked.findings else DONE
 
 
 @dataclass(frozen=True)
@@ -87,6 +96,9 @@ class Recover:
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
+        with Log(self.log) as log:
+            if log.problem:
+                stderr().print(f"{self.log}: {log.problem}; all that is whole in it is recovered", markup=False)
         return _written(recover(self.log, self.to or recovered_name(self.log), overwrite=self.force))
 
 
@@ -108,8 +120,9 @@ class Trim:
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
-        rows, notice = _stretch(self.log, self.start, self.end, self.rows)
-        return _noted(notice, _written(trim(self.log, self.to, rows, overwrite=self.force)))
+        code = _noted(self.log)
+        rows = _stretch(self.log, self.start, self.end, self.rows)
+        return max(code, _written(trim(self.log, self.to, rows, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -124,8 +137,8 @@ class Merge:
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
-        notices = [notice for log in _some(self.logs, 2) if (notice := _notice(log))]
-        return _noted("\n".join(notices), _written(merge(self.logs, self.to, overwrite=self.force)))
+        code = max(map(_noted, _some(self.logs, 2)))
+        return max(code, _written(merge(self.logs, self.to, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -141,10 +154,9 @@ class Split:
     """Replace files of the new logs' names."""
 
     def run(self) -> int:
-        notice = _notice(self.log)
-        for written in split(self.log, self.to or self.log.parent, overwrite=self.force):
-            _written(written)
-        return _noted(notice, DONE)
+        code = _noted(self.log)
+        parts = split(self.log, self.to or self.log.parent, overwrite=self.force)
+        return max(code, *map(_written, parts))
 
 
 @dataclass(frozen=True)
@@ -186,8 +198,7 @@ class NameRows:
         if self.remove and is_whole:
             chosen = [tag for tag in tags if tag.name == name]
         else:
-            rows, _ = _stretch(self.log, self.start, self.end, self.rows)
-            chosen = [Tag(*rows, name)]
+            chosen = [Tag(*_stretch(self.log, self.start, self.end, self.rows), name)]
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} (rows {tag.first_row} to {tag.last_row})" for tag in tags) or "none"
             raise UserError(f"{self.log}: no such tag {name!r}; its tags: {held}")
@@ -213,25 +224,35 @@ def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
     return logs
 
 
-def _notice(path: Path) -> str:
+def _each(logs: tuple[Path, ...], action: Callable[[Path], int]) -> int:
+    """Do it for every log, also behind one that cannot be read; the worst of the exit codes."""
+    codes = []
+    for path in _some(logs):
+        try:
+            codes.append(action(path))
+        except UserError as error:
+            codes.append(complain("bc-log", error))
+    return FAILED if FAILED in codes else max(codes)
+
+
+def _noted(path: Path) -> int:
+    """Say it of an unfinished log before it is used."""
     with Log(path) as log:
-        return log.notice
-
-
-def _noted(notice: str, code: int) -> int:
-    return warn(notice) if notice else code
+        return warn(log.notice) if log.notice else DONE
 
 
 def _stretch(
     path: Path, start_s: float | None, end_s: float | None, rows: tuple[int, int] | None
-) -> tuple[tuple[int, int], str]:
-    """The rows that the flags name, and the notice of an unfinished log."""
-    if rows is not None and (start_s is not None or end_s is not None):
-        raise UserError("give either --rows, or --start and --end")
+) -> tuple[int, int]:
+    """The rows that the flags name."""
+    if rows is not None:
+        if start_s is not None or end_s is not None:
+            raise UserError("give either --rows, or --start and --end")
+        if not 0 <= rows[0] <= rows[1]:
+            raise UserError(f"--rows {rows[0]} {rows[1]}: give the first row, then the last one")
+        return rows
     with Log(path) as log:
-        if rows is None:
-            rows = rows_between(log, 0.0 if start_s is None else start_s, float("inf") if end_s is None else end_s)
-        return rows, log.notice
+        return rows_between(log, 0.0 if start_s is None else start_s, float("inf") if end_s is None else end_s)
 
 
 def _written(written: Written) -> int:
@@ -242,33 +263,40 @@ def _written(written: Written) -> int:
 
 
 def _print_info(info: Info) -> None:
-    console = Console(highlight=False)
-    console.print(
-        f"[bold]{escape(info.path)}[/]: {info.duration_s:,.1f} s, {info.size_bytes / 1e6:,.1f} MB, {info.start}"
-    )
+    console = stdout()
+    driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
+    size = f"{info.size_bytes / 1e6:,.1f} MB"
+    console.print(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
     table = Table("topic", "schema", "messages", "a second")
     for topic in info.topics:
-        table.add_row(escape(topic.topic), escape(topic.schema), f"{topic.messages:,}", f"{topic.per_second:.1f}")
+        table.add_row(_plain(topic.topic), _plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:.1f}")
     console.print(table)
     for name, value in sorted(info.session.items()):
-        console.print(f"  {escape(name)}: {escape(value)}")
-    flagged = ", ".join(f"{count:,} rows {flag}" for flag, count in info.flags.items() if count and flag != "gap")
-    if info.drives:
-        console.print(f"  {info.drives} drive{'s' if info.drives > 1 else ''}; {flagged or 'no odd rows'}")
+        console.print(f"  {_plain(name)}: {_plain(value)}")
+    if info.drives is None or info.flags is None:
+        console.print("  written by another program: `bc-log check` looks at what is in it")
+    elif info.drives:
+        odd = ", ".join(f"{count:,} rows {flag}" for flag, count in info.flags.items() if count and flag != "gap")
+        console.print(f"  {info.drives} drive{'s' if info.drives > 1 else ''}; {odd or 'no odd rows'}")
     for stretch in info.stretches[:MOST_PLACES]:
+        goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
         console.print(
-            f"    {escape(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
-            f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s"
+            f"    {_plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
+            f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
         )
     if len(info.stretches) > MOST_PLACES:
         console.print(f"    and {len(info.stretches) - MOST_PLACES} more stretches (--json lists them)")
     for tag in info.tags:
-        console.print(f"  tag {escape(tag.name)}: rows {tag.first_row} to {tag.last_row}")
+        console.print(f"  tag {_plain(tag.name)}: rows {tag.first_row} to {tag.last_row}")
+
+
+def _plain(text: str) -> str:
+    return escape(shown(text))
 
 
 def _print_checked(checked: Checked) -> None:
     looked = f", {checked.pictures:,} pictures decoded" if checked.pictures else ""
-    print(f"{checked.path}: {checked.messages:,} messages{looked}: {_verdict(checked)}")
+    print(f"{shown(str(checked.path))}: {checked.messages:,} messages{looked}: {_verdict(checked)}")
     by_kind = Skipped()
     for finding in checked.findings:
         by_kind.add(finding.kind, finding.where)

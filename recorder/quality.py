@@ -80,6 +80,7 @@ def summary(states: States) -> dict[str, str]:
     return {
         "rows": str(len(states.row)),
         "drives": str(int(drive_numbers(states.time_ns)[-1]) + 1 if len(states.row) else 0),
+        "driven_s": f"{driven_s(states.time_ns):.3f}",
         **{flag: str(int(mask.sum())) for flag, mask in flags.items()},
         "stretches": json.dumps(listed[:MOST_STRETCHES]),
     }
@@ -89,6 +90,11 @@ def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Numbers the drives of a session from 0: a new one begins after a gap, or where time goes backwards."""
     step_ns = np.diff(time_ns)
     return np.concatenate([[0], np.cumsum((step_ns > GAP_S * 1e9) | (step_ns < 0))])[: len(time_ns)]
+
+
+def driven_s(time_ns: NDArray[np.int64]) -> float:
+    """The time that was driven: that of all drives, without what lies between them."""
+    return float(np.diff(time_ns)[np.diff(drive_numbers(time_ns)) == 0].sum()) / 1e9
 
 
 def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:

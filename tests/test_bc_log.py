@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer as McapWriter
 
+from driving import run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -266,3 +268,86 @@ def test_trim_merge_split_and_recover_write_new_logs(
     Path("a.mcap").rename("k.mcap.0a1b2c.part")
     assert call(main, "recover", "k.mcap.0a1b2c.part") == 0
     assert "k.mcap: 50 rows, 200 messages" in capsys.readouterr().out
+
+
+# What a review found
+
+
+def test_a_log_without_any_picture_is_found(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5, cameras=())
+    assert found_in(path) == [("rows without a picture", "/camera/center rows 0 to 4")]
+
+
+def test_one_log_that_cannot_be_read_does_not_hide_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
+    for subcommand in ("check", "info"):
+        assert call(main, subcommand, tmp_path / "none.mcap", path, "--json") == 1
+        said = capsys.readouterr()
+        assert json.loads(said.out)["path"] == str(path)
+        assert "none.mcap: cannot be opened" in said.err
+
+
+def test_merged_drives_have_the_rate_at_which_they_were_driven(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 21)
+    assert call(main, "merge", path, path, "--to", tmp_path / "b.mcap") == 0
+    capsys.readouterr()
+    told = info_of(tmp_path / "b.mcap", capsys)
+    assert (told["drives"], told["driven_s"], told["duration_s"]) == (2, 4.0, 2.0)
+    assert {topic["per_second"] for topic in told["topics"]} == {42 / 4.0}
+    call(main, "info", tmp_path / "b.mcap")
+    assert "2.0 to 0.0 s (time goes back)" in capsys.readouterr().out
+
+
+def test_what_another_program_wrote_moves_no_cursor_and_is_not_judged_unseen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / ":car:.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        writer.add_metadata("bc.session", {"driver": "x\x1b[2J\x1b]0;y\x07", "[red]": "a\nb"})
+        schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
+        channel = writer.register_channel("/camera/center", "json", schema)
+        writer.add_message(channel, 5, b'{"data": ""}', 5)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert call(main, "info", path) == 0
+    out = capsys.readouterr().out
+    assert "\x1b" not in out
+    assert ":car:.mcap" in out
+    assert r"[red]: a\nb" in out
+    assert "written by another program" in out
+    told = info_of(path, capsys)
+    assert (told["drives"], told["flags"], told["driven_s"]) == (None, None, None)
+    assert found_in(path) == []
+
+
+@pytest.mark.parametrize(
+    "stretches", ["[1", "[[1]]", '[["gap", 1, 2, NaN, Infinity]]', '[["gap", 1e400, 2, 0, 1]]', "{}"]
+)
+def test_info_is_valid_json_whatever_a_log_says_of_itself(
+    tmp_path: Path, stretches: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        writer.event(START_NS, "hello")
+        writer.add_metadata("bc.quality", {"drives": "-1", "driven_s": "nan", "gap": "x", "stretches": stretches})
+    assert call(main, "info", path, "--json") == 0
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    told = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    assert (told["stretches"], told["driven_s"]) == ([], None)
+
+
+def test_names_of_any_file_system_can_be_printed(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"caf\xe9.mcap")
+    write_log(path, [0.1] * 5, picture)
+    for line in (["info", path], ["check", path], ["trim", path, "--to", tmp_path / "b.mcap", "--end", 0.2]):
+        done = run("bc-log", *line)
+        assert done.returncode == 0, done.stderr
+        assert "Traceback" not in done.stderr
