@@ -53,7 +53,8 @@ def index(config: Index) -> int:
     logs = find_logs(config.sessions, config.folder)
     if config.look:
         look_at_all({session_name(log): log for log in logs}, config.index)
-    indexed = build_index(logs, config.index, config.config)
+    # named by nobody, one damaged log must not keep all the others from being indexed
+    indexed = build_index(logs, config.index, config.config, leave_out_unreadable=not config.sessions)
     code = DONE
     for notice in [*indexed.notices, *unfinished_recordings(config.folder, indexed.sessions)]:
         code = warn(notice)

@@ -36,7 +36,7 @@ from dataset.frames import (
 from dataset.looks import LOOKS_FOLDER
 from dataset.samples import Balance, SessionCounts, write_samples
 from dataset.shared import refuse_shared_pictures
-from recorder import Log
+from recorder import Log, LogError
 from recorder.tags import tags_path
 
 SAMPLES_NAME: Final = "samples.parquet"
@@ -56,7 +56,7 @@ class Indexed:
     read: list[str]  # those that were read again
     balance: Balance
     counts: dict[str, SessionCounts]
-    notices: list[str]  # logs that were never finished: what is complete in them is indexed
+    notices: list[str]  # logs that were never finished, or that cannot be read at all
 
     @cached_property
     def frames(self) -> pa.Table:
@@ -107,10 +107,12 @@ def unfinished_recordings(folder: Path, sessions: Sequence[str]) -> list[str]:
     ]
 
 
-def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = None) -> Indexed:
+def build_index(
+    logs: Sequence[Path], index: Path, config: IndexConfig | None = None, *, leave_out_unreadable: bool = False
+) -> Indexed:
     """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
 
-    Raises LogError if a log cannot be read, DatasetError if nothing in them can be used, if a picture is in two
+    Raises LogError if a log cannot be read (or leaves it out, and says so in the notices), DatasetError if nothing in them can be used, if a picture is in two
     of them, or if `config` names a session that is not among them.
     """
     config = config or IndexConfig()
@@ -124,27 +126,37 @@ def build_index(logs: Sequence[Path], index: Path, config: IndexConfig | None = 
     frames_folder.mkdir(parents=True, exist_ok=True)
     read: list[str] = []
     notices: dict[str, str] = {}
+    unreadable: dict[str, str] = {}
     sources: dict[str, dict[str, str]] = {}
     for name, path in track(by_name.items(), "indexing", len(by_name)):
         file = frames_folder / f"{name}.parquet"
         known = _known_frames(name, path, index, config, state)
         if known is None:
-            with Log(path) as log:
-                known = frames_metadata(log, index, config)
-                if not _is_current(file, known):
-                    write_table(file, frames_table(log, index, config), known)
-                    read.append(name)
-                if log.notice:
-                    notices[name] = log.notice
+            try:
+                with Log(path) as log:
+                    known = frames_metadata(log, index, config)
+                    if not _is_current(file, known):
+                        write_table(file, frames_table(log, index, config), known)
+                        read.append(name)
+                    if log.notice:
+                        notices[name] = log.notice
+            except LogError as error:
+                if not leave_out_unreadable or len(by_name) == 1:
+                    raise
+                unreadable[name] = f"{error}; left out"
+                continue
         sources[name] = {key: known[key] for key in ("log", "fingerprint")}
     for stale in frames_folder.glob("*.parquet"):
         if stale.stem not in sources and read_metadata(stale) is not None:
             stale.unlink()  # ours, and quickly made anew; a look takes longer: it stays
+    by_name = {name: path for name, path in by_name.items() if name in sources}
+    if not by_name:
+        raise LogError("; ".join(unreadable.values()))
     files = {name: frames_folder / f"{name}.parquet" for name in by_name}
     refuse_shared_pictures(files, by_name)
     balance, counts = write_samples(files, index / SAMPLES_NAME, config, sources)
     _write_state(index, by_name, notices)
-    return Indexed(index, list(by_name), read, balance, counts, list(notices.values()))
+    return Indexed(index, list(by_name), read, balance, counts, [*notices.values(), *unreadable.values()])
 
 
 def _is_current(file: Path, metadata: dict[str, Any]) -> bool:

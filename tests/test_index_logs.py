@@ -143,6 +143,21 @@ def test_a_recording_that_was_killed_is_pointed_out(
     assert find_logs([str(killed)], Path("sessions")) == [killed]
 
 
+def test_one_log_that_cannot_be_read_is_left_out_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "sessions" / "lake.mcap", STEERING)
+    (tmp_path / "sessions" / "bad.mcap").write_bytes(b"no log")
+    assert call(main) == 3
+    said = capsys.readouterr()
+    assert "bad.mcap: not an MCAP log" in said.err
+    assert set(pq.read_table("index/samples.parquet")["session"].to_pylist()) == {"lake"}
+    assert call(main, "lake", "bad") == 1  # asked for by name, it is an error
+    (tmp_path / "sessions" / "lake.mcap").unlink()
+    assert call(main) == 1
+
+
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 def test_a_compressed_log_trains_on_the_same_pictures(tmp_path: Path, compression: CompressionType) -> None:
     plain = write_log(tmp_path / "plain" / "lake.mcap", STEERING, picture)
