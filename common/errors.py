@@ -14,8 +14,12 @@ one line and ends with exit code 1. Anything else that escapes is a bug and keep
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Final
+
+KEPT_NAMES: Final = 1000
 
 
 def shown(text: str) -> str:
@@ -29,34 +33,41 @@ class UserError(Exception):
 
 
 class Skipped:
-    """What was left out, by reason: counted whole, and named one by one.
+    """What was left out, by reason: counted whole, and the first names of each reason kept.
 
     A command that finishes with something skipped ends with exit code 3 and prints `lines()` to stderr.
     """
 
-    def __init__(self) -> None:
-        self._items: list[tuple[str, str]] = []
+    def __init__(self, on_added: Callable[[str, str], object] = lambda reason, name: None) -> None:
+        """`on_added` is told every reason and name as it comes, also those that are not kept."""
+        self._on_added = on_added
+        self._counts: Counter[str] = Counter()
+        self._kept: list[tuple[str, str]] = []
 
     def add(self, reason: str, name: str) -> None:
         """A name may come from any file system: what is not UTF-8 in it is escaped, as are line ends."""
-        self._items.append((reason, shown(name)))
+        self._counts[reason] += 1
+        name = shown(name)
+        if self._counts[reason] <= KEPT_NAMES:
+            self._kept.append((reason, name))
+        self._on_added(reason, name)
 
     def __len__(self) -> int:
-        return len(self._items)
+        return self._counts.total()
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """Every (reason, name), in the order in which it was met."""
-        return iter(self._items)
+        """(reason, name) of the first `KEPT_NAMES` of each reason, in the order in which they were met."""
+        return iter(self._kept)
 
     @property
     def counts(self) -> Counter[str]:
-        return Counter(reason for reason, _ in self._items)
+        return Counter(self._counts)
 
     def lines(self, most_names: int = 8) -> list[str]:
         """One line a reason: its count and the first `most_names` names."""
         result = []
-        for reason, count in self.counts.items():
-            names = [name for other, name in self._items if other == reason]
+        for reason, count in self._counts.items():
+            names = itertools.islice((name for other, name in self._kept if other == reason), most_names)
             more = f", and {count - most_names} more" if count > most_names else ""
-            result.append(f"{count} {reason}: {', '.join(names[:most_names])}{more}")
+            result.append(f"{count} {reason}: {', '.join(names)}{more}")
         return result
