@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from common.errors import UserError
+from common.interrupts import uninterrupted
 
 PART_SUFFIX = ".part"
 
@@ -17,6 +19,24 @@ PART_SUFFIX = ".part"
 def part_path(path: Path) -> Path:
     """A fresh temporary name beside `path`: visible, so that after a crash its owner finds it."""
     return path.with_name(f"{path.name}.{secrets.token_hex(3)}{PART_SUFFIX}")
+
+
+def final_path(path: Path) -> Path:
+    """What a file of a temporary name will be called when it is whole; any other path as it is."""
+    return path.with_name(re.sub(rf"(?<=.)\.[0-9a-f]{{6}}{re.escape(PART_SUFFIX)}$", "", path.name))
+
+
+def make_folder(folder: Path) -> list[Path]:
+    """Create a folder, and those above it. Those that were missing, the innermost first, for `remove_empty`."""
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    return missing
+
+
+def remove_empty(folders: Sequence[Path]) -> None:
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
@@ -28,35 +48,45 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
 
 
 def publish(part: Path, path: Path, overwrite: bool) -> None:
-    """Give the finished file `part` its name `path`, in one step.
+    """Give the finished file `part` its name `path`, in one step. A Ctrl-C takes effect before or after it.
 
-    Without `overwrite`, a file that has appeared under that name meanwhile wins, and UserError is raised;
-    `part` is then still there.
+    Without `overwrite`, a file that has appeared under that name meanwhile wins. Then, and where the system
+    refuses, UserError is raised, and `part` is still there.
     """
-    if overwrite:
-        part.replace(path)
+    with uninterrupted():
+        try:
+            if overwrite:
+                part.replace(path)
+            else:
+                _name_unless_taken(part, path)
+        except OSError as error:
+            raise UserError(
+                f"{path} cannot get its name ({error.strerror}): what was made here is {part}"
+            ) from None
         _sync_folder(path.parent)
-        return
+
+
+def _name_unless_taken(part: Path, path: Path) -> None:
     try:
         os.link(part, path)  # unlike rename, link fails if the name is taken: no window for a second writer
     except FileExistsError:
         raise UserError(f"{path} was written by someone else meanwhile: what was made here is {part}") from None
     except OSError:  # a file system without hard links (FAT, some network shares)
-        refuse_existing(path, overwrite)
+        if path.exists() or path.is_symlink():
+            raise UserError(f"{path} was written by someone else meanwhile: what was made here is {part}") from None
         part.rename(path)
     else:
         part.unlink()
-    _sync_folder(path.parent)
 
 
 def _sync_folder(folder: Path) -> None:
     """Bring a new name to the disk: without this, a pulled plug may take it back."""
-    if os.name == "posix":
+    if os.name != "posix":
+        return
+    with contextlib.suppress(OSError):  # some network file systems cannot
         descriptor = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(descriptor)
-        except OSError:  # some network file systems cannot
-            pass
         finally:
             os.close(descriptor)
 
@@ -101,13 +131,19 @@ class BackgroundSync:
 def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Yield a temporary path to write to; it becomes `path` at the end, or vanishes if anything is raised."""
     refuse_existing(path, overwrite)
-    path.parent.mkdir(parents=True, exist_ok=True)
     part = part_path(path)
+    folders = make_folder(path.parent)
+    is_made = False
     try:
         yield part
         with part.open("rb+") as stream:
             os.fsync(stream.fileno())
+        with uninterrupted():
+            is_made = True  # from here on an error names it
+            publish(part, path, overwrite)
     except BaseException:
-        part.unlink(missing_ok=True)
+        with uninterrupted():
+            if not is_made:
+                part.unlink(missing_ok=True)
+                remove_empty(folders)
         raise
-    publish(part, path, overwrite)

@@ -112,9 +112,9 @@ def build_index(
 ) -> Indexed:
     """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
 
-    Raises LogError if a log cannot be read (`leave_out_unreadable` names it in the notices instead), DatasetError if
-    nothing in them can be used, if a picture is in two of them, or if `config` names a session that is not among
-    them.
+    Raises LogError if a log cannot be read (`leave_out_unreadable`: the notices name it instead), DatasetError
+    if nothing in them can be used, if a picture is in two of them, or if `config` names a session that is not
+    among them.
     """
     config = config or IndexConfig()
     by_name = {session_name(path): path for path in logs}

@@ -12,6 +12,7 @@ import struct
 import sys
 import threading
 import zlib
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment
 from mcap.records import Metadata as MetadataRecord
 
+from common.untrusted import open_regular
 from recorder.errors import LogError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -32,11 +34,17 @@ RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
 MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
 _OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
+_LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+_DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
+_MOST_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: there are as many numbers for them
 
 MAX_CHUNK_BYTES: Final = 1 << 28
 """What a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
 MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
 """What is read at once: the largest chunk, with its header."""
+FREE_MESSAGES: Final = 1 << 16
+"""A file holds no more messages than bytes, and these: compressed, the smallest ones still take several bytes, but
+what was made to fill a memory takes hardly any."""
 
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
@@ -64,6 +72,13 @@ class StoredMessage(NamedTuple):
     length: int
 
 
+class Parts(NamedTuple):
+    """What a chunk's records are."""
+
+    messages: array[int]  # where each begins
+    definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
+
+
 class McapFile:
     """A file open for reading at any place, from any thread."""
 
@@ -71,10 +86,9 @@ class McapFile:
         """Raises LogError if it cannot be opened or is of another kind."""
         self.path = path
         try:
-            self._stream = path.open("rb")
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "no such name"
-            raise LogError(f"{path}: cannot be opened ({reason}); `bc-record NAME` makes a log") from None
+            self._stream = open_regular(path)
+        except OSError as error:
+            raise LogError(f"{path}: cannot be opened ({error.strerror}); `bc-record NAME` makes a log") from None
         self._lock = threading.Lock()
         self.size = 0
         self.grow()
@@ -144,18 +158,9 @@ class McapFile:
         """Where in the file the records of an uncompressed chunk begin."""
         return chunk.start if chunk.is_message else chunk.start + CHUNK_HEADER.size + 12
 
-    def messages(self, records: bytes) -> list[StoredMessage]:
-        """The messages in a chunk's records, in their order."""
-        found = []
-        for opcode, start, end in self.inside(records):
-            if opcode == _OP_MESSAGE:
-                content = start + MESSAGE.size
-                if content > end:
-                    raise self.damaged("a message is cut off")
-                _, _, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
-                length = end - content
-                found.append(StoredMessage(channel, sequence, log_time, publish_time, start, content, length))
-        return found
+    def messages(self, records: bytes) -> Iterator[StoredMessage]:
+        """The messages in a chunk's records, in their order. Raises LogError at once if one is damaged."""
+        return (_message(records, start) for start in self.parts(records).messages)
 
     def metadata(self, offset: int) -> MetadataRecord:
         """The metadata record that begins at `offset`."""
@@ -183,21 +188,43 @@ class McapFile:
             raise self.damaged("a record is not where the summary says")
         return self.read(offset + RECORD.size, length)
 
-    def inside(self, records: bytes) -> Iterator[tuple[int, int, int]]:
-        """Opcode, start and end of each record."""
+    def parts(self, records: bytes) -> Parts:
+        """Where the messages and definitions in a chunk's records are. Raises LogError if one is damaged."""
+        found = Parts(array("q"), [])
+        unpack, is_message = RECORD.unpack_from, found.messages.append
         position, size = 0, len(records)
-        while position < size:
-            if size - position < RECORD.size:
-                raise self.damaged("a record in a chunk is cut off")
-            opcode, length = RECORD.unpack_from(records, position)
+        while position <= size - RECORD.size:
+            opcode, length = unpack(records, position)
             end = position + RECORD.size + length
-            if end > size:
-                raise self.damaged("a record points out of its chunk")
-            yield opcode, position, end
+            if opcode == _OP_MESSAGE:
+                if length < _LEAST_MESSAGE:
+                    raise self.damaged("a message is cut off")
+                is_message(position)
+            elif opcode in _DEFINITIONS:
+                if len(found.definitions) == _MOST_DEFINITIONS:
+                    raise self.damaged("more schemas and channels than a file can have")
+                found.definitions.append((opcode, position, end))
             position = end
+        if position > size:
+            raise self.damaged("a record points out of its chunk")
+        if position < size:
+            raise self.damaged("a record in a chunk is cut off")
+        self.check_count(len(found.messages))
+        return found
+
+    def check_count(self, messages: int) -> None:
+        """Raise LogError if that many messages cannot be in a file of this size."""
+        if messages > self.size + FREE_MESSAGES:
+            raise self.damaged(f"{messages:,} messages in {self.size:,} bytes")
 
     def damaged(self, what: str) -> LogError:
         return LogError(f"{self.path}: damaged: {what}; `bc-log recover {self.path}` saves the rest")
+
+
+def _message(records: bytes, start: int) -> StoredMessage:
+    _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
+    content = start + MESSAGE.size
+    return StoredMessage(channel, sequence, log_time, publish_time, start, content, length - _LEAST_MESSAGE)
 
 
 def prefixed(data: bytes, at: int) -> bytes:

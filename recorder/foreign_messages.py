@@ -13,25 +13,22 @@ import io
 import json
 import math
 import re
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Final, TypeGuard
 
-import cv2
-import numpy as np
 from google.protobuf.message import Message as ProtobufMessage
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 
 from recorder.errors import RecordingError
 from recorder.jpeg import is_whole_jpeg
-from recorder.writer import PNG_START
+from recorder.look import decodes
+from recorder.picture_size import PNG_START
 
 INSTALL_ROS: Final = 'ROS 2 messages need two packages more: `pip install "behavioural-cloning-toolkit[ros]"`'
 
 _PICTURE_TYPE = re.compile(r"(foxglove|foxglove_msgs|sensor_msgs)[./](msg/)?CompressedImage")
-_MOST_PIXELS: Final = 1 << 26  # of a PNG: it may unpack to a thousand times its size
 
 Decoder = Callable[[bytes], object]
 
@@ -128,15 +125,7 @@ def picture_in(message: object) -> bytes:
 
 def is_whole_picture(data: bytes) -> bool:
     """Whether `data` is one complete JPEG or PNG that OpenCV decodes."""
-    if not data.startswith(PNG_START):
-        return is_whole_jpeg(data)
-    try:
-        width, height = struct.unpack_from(">II", data, 16)
-        if width * height > _MOST_PIXELS:
-            return False
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
-    except (struct.error, cv2.error):
-        return False
+    return decodes(data) if data.startswith(PNG_START) else is_whole_jpeg(data)
 
 
 def shown(text: str) -> str:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
+from recorder.picture_size import MOST_PIXELS
+
 PADDING_BYTES: Final = 64  # some cameras pad the end of a file
-_MOST_PIXELS: Final = 1 << 30  # OpenCV decodes no more
 _MOST_BLOCKS: Final = 10  # in a unit of several components (T.81, B.2.3)
 _LAST_COEFFICIENT: Final = 63
 _MOST_SHIFT: Final = 13  # of a progressive scan's precision
@@ -134,7 +135,7 @@ def _frame(segment: bytes, is_progressive: bool) -> _Frame:
     components = segment[5]
     if precision != 8 or components not in (1, 3, 4) or len(segment) != 6 + 3 * components:
         raise ValueError("a frame of another kind")
-    if not 0 < height * width <= _MOST_PIXELS:
+    if not 0 < height * width <= MOST_PIXELS:
         raise ValueError("no size, or too large a one")
     sampling = [(byte >> 4, byte & 15) for byte in segment[7::3]]
     most = [max(sizes) for sizes in zip(*sampling, strict=True)]

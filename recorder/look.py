@@ -11,6 +11,7 @@ from typing import Final
 import cv2
 import numpy as np
 
+from recorder.picture_size import can_be_decoded
 from recorder.quality import stretches
 
 FROZEN_PICTURES: Final = 3
@@ -110,9 +111,9 @@ class Look:
 
 
 def decodes(picture: bytes) -> bool:
-    """Whether OpenCV decodes it, to its end. Wrong bytes within the coded picture that end where they should
-    decode to a wrong picture, which nothing can tell from a right one."""
-    if not picture:
+    """Whether it is a JPEG or PNG, not too large, that OpenCV decodes to its end. Wrong bytes within the coded
+    picture that end where they should decode to a wrong picture, which nothing can tell from a right one."""
+    if not can_be_decoded(picture):
         return False
     try:
         # at an eighth of the size: a fraction of the time, and the whole picture is still read through

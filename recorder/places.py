@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from recorder import compressed_image
-from recorder.chunks import Chunk, McapFile
-from recorder.compressed_image import image_data
+from recorder.chunks import MESSAGE, RECORD, Chunk, McapFile
+from recorder.compressed_image import image_data, is_compressed_image
 from recorder.structure import Structure
 
 UNCOMPRESSED: Final = -1
@@ -30,6 +30,17 @@ PLACE: Final = np.dtype(
     ]
 )
 
+_HEAD: Final = np.dtype(
+    [
+        ("opcode", np.uint8),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time_ns", "<u8"),
+        ("publish_time_ns", "<u8"),
+    ]
+)  # as MESSAGE, without gaps
+
 
 def find_places(file: McapFile, structure: Structure) -> NDArray[np.void]:
     """One PLACE for each message, in the order of the file.
@@ -37,28 +48,38 @@ def find_places(file: McapFile, structure: Structure) -> NDArray[np.void]:
     Raises LogError for a damaged chunk, or a time that no clock of ours can hold.
     """
     images = _image_channels(structure)
-    parts = [_in_chunk(file, chunk, images) for chunk in structure.chunks]
+    parts, count = [], 0
+    for chunk in structure.chunks:
+        parts.append(_in_chunk(file, chunk, images))
+        count += len(parts[-1])
+        file.check_count(count)
     table = np.concatenate(parts) if parts else np.empty(0, PLACE)
     if (table["log_time_ns"] > LAST_TIME_NS).any():
         raise file.damaged(f"a message of the time {table['log_time_ns'].max()} ns")
     return table
 
 
-def _in_chunk(file: McapFile, chunk: Chunk, images: frozenset[int]) -> NDArray[np.void]:
+def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArray[np.void]:
     records = file.records(chunk)
+    starts = np.array(file.parts(records).messages, np.int64)
+    table = np.empty(len(starts), PLACE)
+    if not len(starts):
+        return table
     base = 0 if chunk.compression else file.records_at(chunk)
-    within = chunk.start if chunk.compression else UNCOMPRESSED
-    rows = []
-    for stored in file.messages(records):
-        picture, picture_length = -1, 0
-        if stored.channel in images:
-            picture, picture_length = image_data(records, stored.offset, stored.length)
-            picture += base if picture >= 0 else 0
-        place = (stored.offset + base, stored.length, picture, picture_length, within)
-        rows.append((stored.channel, stored.sequence, stored.log_time_ns, *place))
-    return np.array(rows, PLACE)
+    # every message's head at once, wherever they begin: a tuple of each would take 300 bytes
+    heads = sliding_window_view(np.frombuffer(records, np.uint8), MESSAGE.size)[starts].view(_HEAD)[:, 0]
+    for name in ("channel", "sequence", "log_time_ns"):
+        table[name] = heads[name]
+    table["offset"] = starts + (base + MESSAGE.size)
+    table["length"] = heads["length"].astype(np.int64) - (MESSAGE.size - RECORD.size)
+    table["picture"], table["picture_length"] = -1, 0
+    table["chunk"] = chunk.start if chunk.compression else UNCOMPRESSED
+    for at in np.flatnonzero(np.isin(table["channel"], images)).tolist():
+        picture, length = image_data(records, int(table["offset"][at]) - base, int(table["length"][at]))
+        if picture >= 0:
+            table["picture"][at], table["picture_length"][at] = picture + base, length
+    return table
 
 
-def _image_channels(structure: Structure) -> frozenset[int]:
-    schemas = {number for number, schema in structure.schemas.items() if schema.name == compressed_image.SCHEMA}
-    return frozenset(number for number, channel in structure.channels.items() if channel.schema_id in schemas)
+def _image_channels(structure: Structure) -> NDArray[np.uint16]:
+    return np.array([number for number in structure.channels if is_compressed_image(structure, number)], np.uint16)

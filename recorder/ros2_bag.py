@@ -19,11 +19,16 @@ from mcap.records import Channel, Message, Schema
 
 from common import Skipped
 from common.progress import track
+from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.foreign_messages import INSTALL_ROS, shown
 
 METADATA: Final = "metadata.yaml"
 MCAP, SQLITE = ".mcap", ".db3"
+
+_MOST_METADATA_BYTES: Final = 1 << 22
+_MOST_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite itself takes four times that
+_STEPS_BETWEEN_SIGNALS: Final = 100_000  # of SQLite's machine: some milliseconds
 
 _SEPARATOR: Final = "=" * 80
 _ACKERMANN: Final = f"""\
@@ -66,7 +71,7 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
         inside = {
             path.name: path for path in folder.iterdir() if path.is_file() and path.resolve().is_relative_to(root)
         }
-        text = inside[METADATA].read_bytes()
+        text = read_bounded(inside[METADATA], _MOST_METADATA_BYTES)
     except (OSError, KeyError, RuntimeError):
         raise RecordingError(f"{folder}: {METADATA} cannot be read; `ros2 bag reindex` writes a new one") from None
     metadata = _parse(folder, text)
@@ -127,9 +132,26 @@ class SqliteFile:
         try:
             address = f"{self.path.absolute().as_uri()}?mode=ro&immutable=1"
             with closing(sqlite3.connect(address, uri=True)) as database:
+                # Nothing that the file defines may run: a view could take for ever, and a trigger do more.
+                database.execute("PRAGMA trusted_schema = OFF")
+                database.execute("PRAGMA query_only = ON")
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_VALUE_BYTES)
+                # Python hears signals only between its own steps, so SQLite makes one now and then.
+                database.set_progress_handler(lambda: 0, _STEPS_BETWEEN_SIGNALS)
+                self._refuse_views(database)
                 yield database
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT:
+                raise KeyboardInterrupt from None  # the signal that the progress handler has heard
             raise RecordingError(f"{self.path}: cannot be read as a ROS 2 bag ({shown(str(error))})") from None
+
+    def _refuse_views(self, database: sqlite3.Connection) -> None:
+        """Of what is read here, a bag has tables."""
+        for name in ("topics", "messages", "message_definitions"):
+            # The text, because SQLite goes by it: a view may be entered as a table, and a virtual table is code.
+            made_by = database.execute("SELECT sql FROM sqlite_master WHERE lower(name) = ?", (name,))
+            if not all(str(sql).startswith("CREATE TABLE ") for (sql,) in made_by):
+                raise sqlite3.DatabaseError(f"{name} is not a table")
 
     def _definition(self, database: sqlite3.Connection, kind: str) -> bytes:
         tables = database.execute("SELECT name FROM sqlite_master WHERE name = 'message_definitions'")

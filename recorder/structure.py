@@ -271,9 +271,8 @@ def _define(file: McapFile, opcode: int, content: bytes, structure: Structure, *
 
 def definitions(file: McapFile, records: bytes, structure: Structure) -> None:
     """Add the schemas and channels that are among `records`."""
-    for opcode, start, end in file.inside(records):
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _define(file, opcode, records[start + RECORD.size : end], structure)
+    for opcode, start, end in file.parts(records).definitions:
+        _define(file, opcode, records[start + RECORD.size : end], structure)
 
 
 def _written(record: Schema | Channel) -> bytes:

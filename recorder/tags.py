@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import json
 import os
-import sys
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Final
 
 from recorder.errors import LogError
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
+from recorder.locks import lock
 
 EXCLUDE: Final = "exclude"
 """Rows with this tag are never trained on."""
@@ -42,32 +39,27 @@ def tags_path(log: Path) -> Path:
 
 def read_tags(log: Path, fingerprint: str) -> list[Tag]:
     """The tags of the log with this fingerprint, by their rows. Raises LogError for a damaged file."""
-    tags: set[Tag] = set()
-    for number, line in enumerate(_lines(log), start=1):
-        try:
-            entry = json.loads(line)
-            (action,) = {"add", "remove"} & entry.keys()
-            first_row, last_row = map(_row, entry["rows"])
-            tag = _checked(Tag(first_row, last_row, check_name(entry[action])))
-            if entry["log"] != fingerprint:
-                continue
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            raise LogError(f"{tags_path(log)}: line {number} is not a tag; mend or remove it") from None
-        if action == "add":
-            tags.add(tag)
-        else:
-            tags.discard(tag)
-    return sorted(tags)
+    return sorted(_by_content(log)[fingerprint])
+
+
+def stale_tags(log: Path, fingerprint: str) -> int:
+    """How many tags beside the log are for another content of it. Raises what `read_tags` does."""
+    return sum(len(tags) for content, tags in _by_content(log).items() if content != fingerprint)
 
 
 def add_tag(log: Path, fingerprint: str, tag: Tag) -> None:
     """Raises LogError for a name or rows that no tag can have, or if the file cannot be written."""
-    _append(log, "add", fingerprint, tag)
+    add_tags(log, fingerprint, [tag])
+
+
+def add_tags(log: Path, fingerprint: str, tags: Sequence[Tag]) -> None:
+    """Add all of them or, where anything is raised, none. Raises what `add_tag` does."""
+    _append(log, "add", fingerprint, tags)
 
 
 def remove_tag(log: Path, fingerprint: str, tag: Tag) -> None:
     """Raises what `add_tag` does; removing a tag that is not there changes nothing."""
-    _append(log, "remove", fingerprint, tag)
+    _append(log, "remove", fingerprint, [tag])
 
 
 def check_name(name: object) -> str:
@@ -90,6 +82,25 @@ def _checked(tag: Tag) -> Tag:
     return tag
 
 
+def _by_content(log: Path) -> defaultdict[str, set[Tag]]:
+    """The tags by the fingerprint that they are for."""
+    found: defaultdict[str, set[Tag]] = defaultdict(set)
+    for number, line in enumerate(_lines(log), start=1):
+        try:
+            entry = json.loads(line)
+            (action,) = {"add", "remove"} & entry.keys()
+            first_row, last_row = map(_row, entry["rows"])
+            tag = _checked(Tag(first_row, last_row, check_name(entry[action])))
+            tags = found[entry["log"]]
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            raise LogError(f"{tags_path(log)}: line {number} is not a tag; mend or remove it") from None
+        if action == "add":
+            tags.add(tag)
+        else:
+            tags.discard(tag)
+    return found
+
+
 def _lines(log: Path) -> list[str]:
     path = _plain(tags_path(log))
     try:
@@ -105,25 +116,47 @@ def _lines(log: Path) -> list[str]:
     return whole.decode("utf-8", "replace").splitlines()
 
 
-def _append(log: Path, action: str, fingerprint: str, tag: Tag) -> None:
+def _append(log: Path, action: str, fingerprint: str, tags: Sequence[Tag]) -> None:
     path = _plain(tags_path(log))
     try:
-        _checked(tag)
+        entries = [
+            {action: tag.name, "rows": [tag.first_row, tag.last_row], "log": fingerprint}
+            for tag in map(_checked, tags)
+        ]
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None
-    entry: dict[str, Any] = {action: tag.name, "rows": [tag.first_row, tag.last_row], "log": fingerprint}
-    line = json.dumps(entry, ensure_ascii=False).encode() + b"\n"
+    lines = b"".join(json.dumps(entry, ensure_ascii=False).encode() + b"\n" for entry in entries)
     try:
-        with path.open("ab+") as stream:
-            _lock(stream)  # until it is closed: what another one is writing must not be taken for cut off
+        with _locked(path) as stream:
             stream.seek(0)
             data = stream.read()
-            stream.truncate(data.rfind(b"\n") + 1)  # what a crash cut off was never confirmed to anybody
-            stream.write(line)
-            stream.flush()
-            os.fsync(stream.fileno())
+            before = data.rfind(b"\n") + 1  # what a crash cut off was never confirmed to anybody
+            stream.truncate(before)
+            try:
+                while lines:
+                    lines = lines[stream.write(lines) :]
+                os.fsync(stream.fileno())
+            except BaseException:
+                stream.truncate(before)
+                if not before:
+                    path.unlink()
+                raise
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _locked(path: Path) -> IO[bytes]:
+    """The file, locked until it is closed: what another one is writing must not be taken for cut off."""
+    while True:
+        stream = path.open("ab+", buffering=0)
+        try:
+            lock(stream)
+            if path.exists() and path.samefile(stream.fileno()):  # else who held the lock has removed the file
+                return stream
+        except BaseException:
+            stream.close()
+            raise
+        stream.close()
 
 
 def _plain(path: Path) -> Path:
@@ -132,10 +165,3 @@ def _plain(path: Path) -> Path:
         raise LogError(f"{path}: not a plain file; remove it")
     return path
 
-
-def _lock(stream: IO[bytes]) -> None:
-    if sys.platform == "win32":
-        stream.seek(_MOST_BYTES)  # behind all lines, because nobody can read what is locked there
-        msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
-    else:
-        fcntl.flock(stream, fcntl.LOCK_EX)

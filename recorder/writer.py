@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -23,8 +24,10 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, files
+from common.interrupts import uninterrupted
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.locks import lock
 from recorder.quality import StatesWritten, summary
 from recorder.topics import Camera, camera_topic
 
@@ -47,11 +50,13 @@ def toolkit_version() -> str:
 
 
 class LogWriter:
-    """One log being written, as `NAME.mcap.XXXXXX.part` until `close()` gives it its name.
+    """One log being written, as `NAME.mcap.XXXXXX.part` until `close()` gives it its name. Until then the file is
+    locked, so that others can tell that it still grows.
 
     Chunks are uncompressed, so that every picture lies in the file byte for byte and can be read by its
     offset. All messages of one frame share a log time and a sequence number (the frame's number in the log).
-    Messages of one topic are kept in the order in which they are written, whatever their times.
+    Messages of one topic are kept in the order in which they are written, whatever their times. Text that is not
+    UTF-8 (a name of a file may not be) is written with such bytes escaped.
 
     ``live=True`` closes a chunk and brings it to the disk twice a second, so that a killed process, or a pulled
     plug, costs at most a second; an import leaves it off, and its bytes then depend on its input alone.
@@ -71,15 +76,15 @@ class LogWriter:
     ) -> None:
         """`metadata` says where the log comes from; None for copies of other programs' logs, which do not.
 
-        Raises UserError if `path` exists and may not be overwritten.
+        Raises UserError if `path` exists and may not be overwritten, or cannot be written.
         """
         files.refuse_existing(path, overwrite)
-        path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self.part = files.part_path(path)
         self._overwrite = overwrite
-        self._live = live
+        self._live = False  # until its beginning is written, nothing of it is worth keeping
         self._is_broken = False
+        self._is_whole = False
         self._last_flush_s = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -87,8 +92,26 @@ class LogWriter:
         self._copied_channels: dict[tuple[object, ...], int] = {}
         self._copied_schemas: dict[tuple[str, str, bytes], int] = {}
         self._states = StatesWritten()
-        self._stream = self.part.open("xb")
-        self._sync = files.BackgroundSync(self._stream.fileno()) if live else None
+        self._sync: files.BackgroundSync | None = None
+        self._folders: list[Path] = []
+        try:
+            self._folders = files.make_folder(path.parent)
+            self._stream = self.part.open("xb")
+        except OSError as error:
+            files.remove_empty(self._folders)
+            raise self._broken(error) from None
+        try:
+            self._begin(metadata, live, profile)
+        except BaseException:
+            self.discard()
+            raise
+        self._live = live
+
+    def _begin(self, metadata: dict[str, str] | None, live: bool, profile: str) -> None:
+        with contextlib.suppress(OSError):  # a file system without locks
+            lock(self._stream)
+        if live:
+            self._sync = files.BackgroundSync(self._stream.fileno())
         self._mcap = McapWriter(
             self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
         )
@@ -120,7 +143,10 @@ class LogWriter:
     def event(self, time_ns: int, text: str, level: EventLevel = "INFO", name: str = "") -> None:
         """Something that happened: `name` says where (`recorder`, `drive`), `text` what."""
         message = LogMessage(
-            timestamp=timestamp(time_ns), level=LogMessage.Level.Value(level), message=text, name=name
+            timestamp=timestamp(time_ns),
+            level=LogMessage.Level.Value(level),
+            message=_utf8(text),
+            name=_utf8(name),
         )
         self._write(topics.EVENTS, message, time_ns, 0)
 
@@ -161,19 +187,42 @@ class LogWriter:
             self._last_flush_s = now_s
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        self._to_disk(self._mcap.add_metadata, name, values)
+        escaped = {_utf8(key): _utf8(value) for key, value in values.items()}
+        self._to_disk(self._mcap.add_metadata, _utf8(name), escaped)
 
     def close(self) -> None:
-        """Write the summary and give the log its name. Raises UserError if the name was taken meanwhile."""
+        """Write the summary and give the log its name.
+
+        Raises UserError if the name was taken meanwhile: the whole log is then still there, and named. If anything
+        else is raised, a Ctrl-C too, nothing stays, but what was recorded live: that is finished all the same.
+        """
+        with uninterrupted() if self._live else contextlib.nullcontext():
+            try:
+                self.finish()
+                self.publish()
+            except BaseException:
+                if not self._is_whole:
+                    (self._abandon if self._live else self.discard)()
+                raise
+
+    def finish(self) -> None:
+        """Write the summary; the log still has its temporary name (`part`)."""
         if len(self._states):
             self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()))
         self._to_disk(self._finish)
-        files.publish(self.part, self.path, self._overwrite)
+
+    def publish(self) -> None:
+        """Give the finished log its name. Raises what `close` does."""
+        with uninterrupted():
+            self._is_whole = True  # from here on an error names it
+            files.publish(self.part, self.path, self._overwrite)
 
     def discard(self) -> None:
-        """Give up: nothing of this log stays."""
-        self._abandon()
-        self.part.unlink(missing_ok=True)
+        """Give up: nothing of this log stays, nor of the folders that were made for it."""
+        with uninterrupted():
+            self._abandon()
+            self.part.unlink(missing_ok=True)
+            files.remove_empty(self._folders)
 
     def __enter__(self) -> Self:
         return self
@@ -181,16 +230,19 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        has_messages = bool(self._channels or self._copied)
-        if self._is_broken and self._live and has_messages:
+        try:
+            self._end(kind is None)
+        except KeyboardInterrupt:
+            if not self._stream.closed:  # it came before anything was done
+                self._end(is_sound=False)
+            raise
+
+    def _end(self, is_sound: bool) -> None:
+        is_kept = self._live and bool(self._channels or self._copied)
+        if self._is_broken and is_kept:
             self._abandon()  # the error that broke it names the file, which stays
-        elif kind is None or (self._live and has_messages):
-            try:
-                self.close()
-            except UserError:
-                if self._is_broken:
-                    (self._abandon if self._live else self.discard)()
-                raise
+        elif is_sound or is_kept:
+            self.close()
         else:
             self.discard()
 
@@ -266,3 +318,7 @@ class LogWriter:
         if self._sync is not None:
             self._sync.close()
         self._stream.raw.close()  # what is left in the buffer would meet the full disk again
+
+
+def _utf8(text: str) -> str:
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
