@@ -48,22 +48,19 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
 
 
 def publish(part: Path, path: Path, overwrite: bool) -> None:
-    """Give the finished file `part` its name `path`, in one step. A Ctrl-C takes effect before or after it.
+    """Give the finished file `part` its name `path`, in one step (call it `uninterrupted`).
 
     Without `overwrite`, a file that has appeared under that name meanwhile wins. Then, and where the system
     refuses, UserError is raised, and `part` is still there.
     """
-    with uninterrupted():
-        try:
-            if overwrite:
-                part.replace(path)
-            else:
-                _name_unless_taken(part, path)
-        except OSError as error:
-            raise UserError(
-                f"{path} cannot get its name ({error.strerror}): what was made here is {part}"
-            ) from None
-        _sync_folder(path.parent)
+    try:
+        if overwrite:
+            part.replace(path)
+        else:
+            _name_unless_taken(part, path)
+    except OSError as error:
+        raise UserError(f"{path} cannot get its name ({error.strerror}): what was made here is {part}") from None
+    _sync_folder(path.parent)
 
 
 def _name_unless_taken(part: Path, path: Path) -> None:
@@ -73,7 +70,9 @@ def _name_unless_taken(part: Path, path: Path) -> None:
         raise UserError(f"{path} was written by someone else meanwhile: what was made here is {part}") from None
     except OSError:  # a file system without hard links (FAT, some network shares)
         if path.exists() or path.is_symlink():
-            raise UserError(f"{path} was written by someone else meanwhile: what was made here is {part}") from None
+            raise UserError(
+                f"{path} was written by someone else meanwhile: what was made here is {part}"
+            ) from None
         part.rename(path)
     else:
         part.unlink()
@@ -136,9 +135,9 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     is_made = False
     try:
         yield part
-        with part.open("rb+") as stream:
-            os.fsync(stream.fileno())
         with uninterrupted():
+            with part.open("rb+") as stream:
+                os.fsync(stream.fileno())
             is_made = True  # from here on an error names it
             publish(part, path, overwrite)
     except BaseException:

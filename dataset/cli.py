@@ -13,7 +13,7 @@ import tyro
 from common.command import DONE, FAILED, run_command, stderr, stdout, warn
 from dataset.config import IndexConfig
 from dataset.frames import session_name
-from dataset.index import SAMPLES_NAME, build_index, find_logs, unfinished_recordings
+from dataset.index import SAMPLES_NAME, Indexed, build_index, find_logs, unfinished_recordings
 from dataset.leaks import find_leaks
 from dataset.looks import look_at_all
 from dataset.oddities import print_report, report
@@ -56,7 +56,11 @@ def index(config: Index) -> int:
     # named by nobody, one damaged log must not keep all the others from being indexed
     indexed = build_index(logs, config.index, config.config, leave_out_unreadable=not config.sessions)
     code = DONE
-    for notice in [*indexed.notices, *unfinished_recordings(config.folder, indexed.sessions)]:
+    for notice in [
+        *indexed.notices,
+        *_one_sided(indexed, config.config),
+        *unfinished_recordings(config.folder, indexed.sessions),
+    ]:
         code = warn(notice)
     console = stdout()
     console.print(sessions_table(indexed))
@@ -79,6 +83,19 @@ def index(config: Index) -> int:
         print("no leak between training and validation" if not leaks else f"{len(leaks)} leaks")
         code = FAILED if leaks else code
     return code
+
+
+def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
+    """A line for a split without samples, unless that is what was asked for."""
+    counts = indexed.counts.values()
+    if not any(count.training for count in counts):
+        return [f"{indexed.path}: no sample for training; a smaller --gap-s or --validation-share leaves some"]
+    if config.validation_share > 0 and not any(count.validation for count in counts):
+        return [
+            f"{indexed.path}: no sample for validation, the drives are too short; give a smaller --block-s, or"
+            " hold out whole sessions with --validation SESSION"
+        ]
+    return []
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ class IndexConfig:
     per_bin: Annotated[Literal["mean", "median"] | int, tyro.conf.arg(metavar="mean|median|N")] = "mean"
     """What each bin is brought to: the mean or the median of the bins that are not empty, or a number."""
     max_uses: int = 10
-    """Cap: how often one picture may be used to fill up its bin, itself included."""
+    """Cap: how often one picture, and its mirror image, may be used to fill up a bin, itself included."""
     flip: bool = True
     """Mirrored copies of every picture, their steering negated; --no-flip leaves them out."""
     cameras: tuple[Camera, ...] = ("center", "left", "right")
@@ -50,10 +50,14 @@ class IndexConfig:
             raise ValueError("bins must be in 1..10,000, max_uses at least 1, and cameras must name at least one")
         if isinstance(self.per_bin, int) and self.per_bin < 1:
             raise ValueError("per_bin must be mean, median, or a number of at least 1")
-        if not 0 <= self.validation_share < 1 or not self.block_s > 0 or not self.gap_s >= 0 or self.seed < 0:
-            raise ValueError(
-                "validation_share must be in 0..1 (1 excluded), block_s positive, gap_s and seed not negative"
-            )
+        if not 0 <= self.validation_share < 1 or self.seed < 0:
+            raise ValueError("validation_share must be in 0..1 (1 excluded), seed not negative")
+        if not 0.001 <= self.block_s <= 1e6 or not 0 <= self.gap_s <= 1e6:
+            raise ValueError("block_s must be in 0.001..1,000,000 s, gap_s in 0..1,000,000 s")
+        if not abs(self.side_correction) <= 2:  # False for NaN too
+            raise ValueError("side_correction must be in -2..2")
+        if len(set(self.alter)) < len(self.alter) or ("none" in self.alter and len(self.alter) > 1):
+            raise ValueError("alter must name each alteration once, or none alone")
 
     @property
     def alterations(self) -> tuple[Alteration, ...]:

@@ -63,7 +63,8 @@ class Crops:
         rows = self._rows
         log = self._logs[rows.session[number]]
         offset = int(rows.offset[number])
+        jpeg = log.read(offset, int(rows.length[number]), int(rows.chunk[number]))
         try:
-            return preprocess(decode(log.read(offset, int(rows.length[number]), int(rows.chunk[number]))), into)
+            return preprocess(decode(jpeg), into)
         except ValueError as error:
             raise DatasetError(f"{log.path}: the picture at byte {offset}: {error}") from None

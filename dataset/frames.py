@@ -22,10 +22,10 @@ from dataset.quality import Looked, Paired, frame_flags
 from dataset.split import block_numbers, near_validation, validation_blocks
 from recorder import Log, Pictures
 from recorder.quality import States, drive_numbers
-from recorder.tags import Tag, read_tags
+from recorder.tags import Tag
 from recorder.topics import CAMERAS, Camera, camera_topic
 
-FORMAT: Final = 4
+FORMAT: Final = 5
 METADATA_KEY: Final = b"bc.index"
 
 SCHEMA: Final = pa.schema(
@@ -60,17 +60,22 @@ def session_name(log: Path) -> str:
     return re.sub(r"\.mcap(\.[0-9a-f]{6}\.part)?$", "", log.name)
 
 
-def frames_metadata(log: Log, index: Path, config: IndexConfig) -> dict[str, Any]:
+def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:
     """What a frames file depends on: it is up to date as long as this has not changed."""
     fingerprint = log.fingerprint
     return {
         "format": FORMAT,
-        "log": Path(os.path.relpath(log.path.resolve(), index.resolve())).as_posix(),
+        "log": place_of(log.path, index),
         "fingerprint": fingerprint,
-        "tags": [[tag.name, tag.first_row, tag.last_row] for tag in read_tags(log.path, fingerprint)],
+        "tags": [[tag.name, tag.first_row, tag.last_row] for tag in tags],
         "looked": read_look(index, session_name(log.path), fingerprint) is not None,
         "settings": frames_settings(config, session_name(log.path)),
     }
+
+
+def place_of(log: Path, index: Path) -> str:
+    """Where a log is, seen from the index: both can be moved together."""
+    return Path(os.path.relpath(log.resolve(), index.resolve())).as_posix()
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
@@ -109,7 +114,7 @@ def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     )
 
 
-def frames_table(log: Log, index: Path, config: IndexConfig) -> pa.Table:
+def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:
     """One row for each camera picture that has a vehicle state, in the order of the log.
 
     `index` is the index's folder, which holds what was seen when its pictures were looked at.
@@ -117,9 +122,9 @@ def frames_table(log: Log, index: Path, config: IndexConfig) -> pa.Table:
     vehicle = log.vehicle()
     states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
-    session, fingerprint = session_name(log.path), log.fingerprint
-    looked = read_look(index, session, fingerprint)
-    return frames_of(states, pictures, session, config, read_tags(log.path, fingerprint), looked)
+    session = session_name(log.path)
+    looked = read_look(index, session, log.fingerprint)
+    return frames_of(states, pictures, session, config, tags, looked)
 
 
 def frames_of(
@@ -133,7 +138,7 @@ def frames_of(
     """The frames of a session from its vehicle states and from where its pictures lie."""
     drive = drive_numbers(states.time_ns)
     block = block_numbers(states.time_ns, drive, config.block_s)
-    split = _split_of(states, drive, block, session, config)
+    split = _split_of(states, block, session, config)
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     bins = np.where(in_range, bin_of(np.where(in_range, states.steering, 0.0), config.bins), -1)
 
@@ -171,15 +176,13 @@ def frames_of(
     return pa.table({name: pa.array(column) for name, column in columns.items()}).cast(SCHEMA)
 
 
-def _split_of(
-    states: States, drive: NDArray[np.int64], block: NDArray[np.int64], session: str, config: IndexConfig
-) -> NDArray[np.int8]:
+def _split_of(states: States, block: NDArray[np.int64], session: str, config: IndexConfig) -> NDArray[np.int8]:
     """0 for training, 1 for validation, 2 for the gap between them."""
     if config.validation:
         return np.full(len(block), int(session in config.validation), np.int8)
     chosen = validation_blocks(block, config.validation_share, config.seed, session)
     is_validation = np.isin(block, chosen)
-    near = near_validation(states.time_ns, drive, is_validation, config.gap_s)
+    near = near_validation(states.time_ns, is_validation, config.gap_s)
     return np.where(near, 2, is_validation).astype(np.int8)
 
 
@@ -197,20 +200,15 @@ def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
 
 def _rows_of(pictures: Pictures, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs pictures with vehicle states by row number and log time: (positions of states, of pictures)."""
-    if not len(states.row) or not len(pictures.sequence):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    order = np.lexsort((states.time_ns, states.row))
-    keys = np.stack([states.row[order], states.time_ns[order]], axis=1)
-    is_new = np.concatenate([[True], (np.diff(keys, axis=0) != 0).any(axis=1)])
-    order, keys = order[is_new], keys[is_new]  # of two states of one row and time, the first
-    at = np.searchsorted(keys[:, 0], pictures.sequence)
-    state = np.full(len(at), -1, np.int64)
-    # rows are numbered once in every log of ours; elsewhere a number may occur at several times
-    for _ in range(int(np.unique(keys[:, 0], return_counts=True)[1].max())):
-        inside = at < len(keys)
-        clipped = np.where(inside, at, 0)
-        same = inside & (keys[clipped, 0] == pictures.sequence) & (keys[clipped, 1] == pictures.log_time_ns)
-        state[same] = order[clipped[same]]
-        at = at + 1
-    found = np.flatnonzero(state >= 0)
+    count = len(states.row)
+    row = np.concatenate([states.row, pictures.sequence])
+    time_ns = np.concatenate([states.time_ns, pictures.log_time_ns])
+    order = np.lexsort((time_ns, row))  # stable: of what is alike, states come before pictures
+    is_new = np.ones(len(order), np.bool_)
+    is_new[1:] = (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)
+    first = order[np.maximum.accumulate(np.where(is_new, np.arange(len(order)), 0))]
+    state = np.empty(len(order), np.int64)
+    state[order] = first  # the first of those alike; a picture's is a state, if there is one
+    state = state[count:]
+    found = np.flatnonzero(state < count)
     return state[found], found

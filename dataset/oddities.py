@@ -55,15 +55,15 @@ def print_report(reported: Sequence[Reported]) -> None:
     if not reported:
         console.print("no frame has a flag")
         return
-    table = Table("session", box=None, pad_edge=False)
-    for name in ("flag", "rows", "seconds", "begins (UTC)", "frames"):
+    table = Table(box=None, pad_edge=False)
+    for name in ("session", "flag", "rows", "seconds", "begins (UTC)"):
         table.add_column(name, no_wrap=True)
     frames: dict[str, int] = {}
     for one in reported:
         frames[one.flag] = frames.get(one.flag, 0) + one.frames
         rows = f"{one.first_row}" if one.first_row == one.last_row else f"{one.first_row} to {one.last_row}"
         seconds = f"{one.begin_s:.2f} to {one.end_s:.2f}"
-        table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc, f"{one.frames:,}")
+        table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc[:19])
     console.print(table)
     console.print(", ".join(f"{count:,} frames {escape(flag)}" for flag, count in sorted(frames.items())))
 

@@ -8,7 +8,8 @@ from rich.table import Table
 from dataset.index import Indexed
 from dataset.samples import Balance
 
-BAR_CELLS = 24
+BAR_CELLS = 13  # so that a line fits 80 columns
+MOST_BINS = 101  # more lines than that nobody reads
 
 
 def sessions_table(indexed: Indexed) -> Table:
@@ -27,6 +28,8 @@ def balance_table(balance: Balance) -> Table:
     """The training split's steering, bin by bin."""
     target = f"; each bin brought to {balance.per_bin:,}" if balance.per_bin else "; not balanced"
     table = Table("steering", "before", "", "after", "", "", title=f"training samples{target}")
+    if len(balance.before) > MOST_BINS:
+        return table
     widest = max(1, int(balance.before.max()), int(balance.after.max()))
     bins = len(balance.before)
     for i, (before, after) in enumerate(zip(balance.before.tolist(), balance.after.tolist(), strict=True)):

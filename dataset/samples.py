@@ -28,7 +28,7 @@ from dataset.where import Condition
 from recorder.tags import EXCLUDE
 from recorder.topics import CAMERAS
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 
 SCHEMA: Final = pa.schema(
     [
@@ -67,6 +67,8 @@ class Balance:
     def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
         """Raises KeyError, TypeError or ValueError if it is none."""
         before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
+        if before.ndim != 1 or before.shape != after.shape or not len(before):
+            raise ValueError("not two counts of the same bins")
         short = {int(key): int(value) for key, value in stored["short"].items()}
         return cls(before, after, int(stored["per_bin"]), short)
 
@@ -82,6 +84,13 @@ class SessionCounts:
     excluded: int  # tagged so
     unusable: int  # steering out of range, or a broken picture
     not_asked_for: int  # another camera, or not what --where chooses
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> SessionCounts:
+        """Raises TypeError or ValueError if it is none."""
+        if not all(isinstance(value, int) for value in stored.values()):
+            raise ValueError("a count is no number")
+        return cls(**stored)
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,12 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from common.open_files import allow_open_files
 from dataset.alter import ALTERATIONS
 from dataset.errors import DatasetError
 from dataset.frames import METADATA_KEY
 from dataset.index import SAMPLES_NAME
+from dataset.samples import FORMAT
 from recorder import Log, LogError
 
 Split = Literal["train", "validation"]
@@ -30,7 +32,16 @@ LOADED: Final = ("session", "offset", "length", "chunk", "flip", "alteration", "
 """The columns that a loader needs."""
 
 _WORDS: Final = ("session", "alteration", "split")  # of those, few different ones: read as numbers
-_UNREADABLE: Final = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, pa.ArrowException)
+_UNREADABLE: Final = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    pa.ArrowException,
+)
 
 
 @dataclass(frozen=True)
@@ -67,10 +78,13 @@ class Samples:
                 str(session): (str(source["log"]), str(source["fingerprint"]))
                 for session, source in self.metadata["logs"].items()
             }
+            version = self.metadata["format"]
         except FileNotFoundError:
             raise DatasetError(f"{self.path}: no index; build it with `bc-index`") from None
         except _UNREADABLE as error:
             raise self._damaged(error) from None
+        if version != FORMAT:
+            raise DatasetError(f"{self.path}: of format {version}, not {FORMAT}; run `bc-index` again")
         self.logs = open_logs(index, self.sources)
 
     def close(self) -> None:
@@ -128,6 +142,7 @@ def open_logs(index: Path, sources: Mapping[str, tuple[str, str]]) -> dict[str, 
 
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
+    allow_open_files(len(sources))
     logs: dict[str, Log] = {}
     try:
         for session, (place, fingerprint) in sources.items():
@@ -145,7 +160,7 @@ def open_logs(index: Path, sources: Mapping[str, tuple[str, str]]) -> dict[str, 
         for log in logs.values():
             log.close()
         if isinstance(error, LogError | OSError):
-            raise DatasetError(f"{error}; session {session} must be indexed again: `bc-index`") from None
+            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
         raise
     return logs
 

@@ -7,19 +7,24 @@ could be trusted, so the pictures themselves are compared: those of equal time, 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.open_files import allow_open_files
 from dataset.errors import DatasetError
 from dataset.frames import read_frames
 from dataset.samples import is_excluded
 from recorder import Log
+from recorder.topics import CAMERAS
 
-_PRIMES: Final = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F))
+_PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path]) -> None:
@@ -32,32 +37,35 @@ def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path])
     names = list(frames)
     keys, owners, positions = [], [], []
     for number, name in enumerate(names):
-        table = read_frames(frames[name], ("log_time_ns", "length", "tags"))
+        table = read_frames(frames[name], ("log_time_ns", "length", "camera", "tags"))
         at = np.flatnonzero(~is_excluded(table))
-        keys.append(_key(table["log_time_ns"].to_numpy(), table["length"].to_numpy())[at])
+        keys.append(_key(table)[at])
         owners.append(np.full(len(at), number, np.int32))
         positions.append(at.astype(np.int32))
     key, owner, position = np.concatenate(keys), np.concatenate(owners), np.concatenate(positions)
     order = np.argsort(key, kind="stable")  # and so by owner where keys are equal
     alike = np.flatnonzero((np.diff(key[order]) == 0) & (np.diff(owner[order]) != 0))
-    pairs = np.stack([order[alike], order[alike + 1]], axis=1)
+    # the groups of equal keys in which several sessions have a part
+    groups = np.unique(np.searchsorted(key[order], key[order][alike]))
+    allow_open_files(len(frames))
     with contextlib.ExitStack() as stack:
-        seen: dict[int, _Session] = {}
-        for pair in pairs.tolist():
-            found = []
-            for at in pair:
+        opened: dict[int, _Session] = {}
+        for start in groups.tolist():
+            end = int(np.searchsorted(key[order], key[order][start], side="right"))
+            seen: dict[bytes, tuple[int, int]] = {}
+            for at in order[start:end].tolist():
                 number = int(owner[at])
-                if number not in seen:
+                if number not in opened:
                     log = stack.enter_context(Log(logs[names[number]]))
-                    seen[number] = _Session(log, frames[names[number]])
-                found.append(seen[number].picture(int(position[at])))
-            (row, data), (other_row, other_data) = found
-            if data == other_data:
-                one, other = (logs[names[int(owner[at])]] for at in pair)
-                raise DatasetError(
-                    f"{one} and {other}: the same picture in both (rows {row} and {other_row}); index only one of"
-                    " them, or tag the rows `exclude` in one: `bc-log tag`"
-                )
+                    opened[number] = _Session(log, frames[names[number]])
+                row, data = opened[number].picture(int(position[at]))
+                other, other_row = seen.setdefault(hashlib.sha256(data).digest(), (number, row))
+                if other != number:
+                    one, two = logs[names[other]], logs[names[number]]
+                    raise DatasetError(
+                        f"{one} and {two}: the same picture in both (rows {other_row} and {row}); index only one"
+                        " of them, or tag the rows `exclude` in one: `bc-log tag`"
+                    )
 
 
 class _Session:
@@ -74,7 +82,11 @@ class _Session:
         return row, self._log.read(offset, length, chunk)
 
 
-def _key(time_ns: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """One number for time and length; different ones seldom share it, and are then told apart by their bytes."""
-    mixed: NDArray[np.uint64] = time_ns.astype(np.uint64) * _PRIMES[0] + length.astype(np.uint64) * _PRIMES[1]
+def _key(frames: pa.Table) -> NDArray[np.uint64]:
+    """One number for time, length and camera; different ones seldom share it: their bytes tell them apart."""
+    camera = pc.index_in(frames["camera"].cast(pa.string()), pa.array(CAMERAS)).to_numpy()
+    columns = (frames["log_time_ns"].to_numpy(), frames["length"].to_numpy(), camera)
+    mixed = np.zeros(len(frames), np.uint64)
+    for column in columns:
+        mixed = mixed * _PRIME + column.astype(np.uint64)
     return mixed

@@ -41,21 +41,22 @@ def validation_blocks(block: NDArray[np.int64], share: float, seed: int, session
 
 
 def near_validation(
-    time_ns: NDArray[np.int64], drive: NDArray[np.int64], is_validation: NDArray[np.bool_], gap_s: float
+    time_ns: NDArray[np.int64], is_validation: NDArray[np.bool_], gap_s: float
 ) -> NDArray[np.bool_]:
-    """Rows for training that lie within `gap_s` of one for validation in the same drive.
+    """Rows for training that lie within `gap_s` of one for validation, along the recording.
 
-    A picture just before the edge of a block is nearly the one just behind it; these are left out of both.
+    A picture just before the edge of a block is nearly the one just behind it; these are left out of both. Time
+    is added up from row to row, forward also where a clock was set back: the place was still the same.
     """
-    before = _nearest_before(time_ns, drive, is_validation)
-    after = _nearest_before(-time_ns[::-1], drive[::-1], is_validation[::-1])[::-1]
+    if not len(time_ns):
+        return np.zeros(0, np.bool_)
+    elapsed_ns = np.concatenate([[0], np.cumsum(np.abs(np.diff(time_ns)))])
+    before = _since_last(elapsed_ns, is_validation)
+    after = _since_last(-elapsed_ns[::-1], is_validation[::-1])[::-1]
     return (np.minimum(before, after) <= gap_s * 1e9) & ~is_validation
 
 
-def _nearest_before(
-    time_ns: NDArray[np.int64], drive: NDArray[np.int64], mask: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """For each row the time in ns to the last marked row at or before it in its drive; infinite without one."""
+def _since_last(elapsed_ns: NDArray[np.int64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """For each row the time in ns to the last marked row at or before it; infinite without one."""
     last = np.maximum.accumulate(np.where(mask, np.arange(len(mask)), -1))
-    since = (time_ns - time_ns[last]).astype(np.float64) if len(mask) else np.zeros(0)
-    return np.where((last >= 0) & (drive[last] == drive), since, np.inf) if len(mask) else since
+    return np.where(last >= 0, (elapsed_ns - elapsed_ns[last]).astype(np.float64), np.inf)

@@ -41,11 +41,13 @@ class Condition:
         try:
             # a filter takes one expression: no second statement, no ORDER BY or UNION behind it
             chosen = self._connection.from_arrow(numbered).filter(self._where).project(_NUMBER)
-            found = chosen.fetchnumpy()[_NUMBER]
+            found, again = (np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2))
         except (self._error, KeyError) as error:
             what = str(error).splitlines()[0]
             columns = ", ".join(frames.column_names)
             raise DatasetError(f"--where {self._where!r}: {what}; the columns are {columns}") from None
+        if not np.array_equal(found, again):
+            raise DatasetError(f"--where {self._where!r}: depends on chance, so that no index could be made again")
         mask = np.zeros(len(frames), np.bool_)
         mask[found] = True
         return mask

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import tyro
 
@@ -17,6 +19,8 @@ from recorder.errors import RecordingError
 from recorder.record import Imported
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.sources import Topics, import_from
+
+_GRACE_S: Final = 2.0  # for the preview to end by itself
 
 
 @dataclass(frozen=True)
@@ -94,13 +98,26 @@ def _recorded(config: Record, log: Path) -> Imported:
 
 @contextlib.contextmanager
 def _preview(growing: Path) -> Iterator[None]:
-    """The viewer, as a program of its own: it may freeze, or be closed, and the recording goes on."""
-    viewer = subprocess.Popen([sys.executable, "-m", "viz.cli", str(growing), "--follow"], stdout=sys.stderr)
+    """The viewer, as a program of its own: it may freeze, or be closed, and the recording goes on.
+
+    It is in a process group of its own, so that nothing of it stays when it does not hear that it shall end.
+    """
+    line = [sys.executable, "-m", "viz.cli", str(growing), "--follow"]
+    preview = subprocess.Popen(line, stdout=sys.stderr, start_new_session=True)
     try:
         yield
     finally:
-        viewer.terminate()
-        viewer.wait()
+        preview.terminate()
+        try:
+            preview.wait(_GRACE_S)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:  # also after a second Ctrl-C
+            if sys.platform != "win32":
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(preview.pid, signal.SIGKILL)
+            preview.kill()
+            preview.wait()
 
 
 def _refuse_contradictions(config: Record) -> None:

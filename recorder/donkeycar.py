@@ -22,10 +22,12 @@ from typing import Final
 
 from common import Skipped
 from common.progress import track
+from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.jpeg import is_whole_jpeg
-from recorder.record import Imported
+from recorder.record import Imported, SkippedEvents
+from recorder.udacity import MOST_PICTURE_BYTES
 from recorder.writer import LogWriter
 
 MANIFEST, META, EXCLUDED = "manifest.json", "meta.json", "exclude.json"
@@ -35,6 +37,7 @@ _CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
 _RECORD = re.compile(r"record_([0-9]+)\.json")
 _PICTURE = re.compile(r"[0-9]+_cam[_-]image_array_\.jpg")  # other cameras and depths have other names
 _TIME_END_NS = 2**63
+_MOST_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thousand records has 0.3 MB
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,8 @@ def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
-    skipped = Skipped()
+    events = SkippedEvents()
+    skipped = events.skipped
     tub = _open_tub(folder, skipped)
     is_timed = any(_number(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
     frames = _frames(tub, is_timed, f"importing {folder.name}", skipped)
@@ -94,7 +98,7 @@ def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
         raise RecordingError(f"{folder}: no usable record in this DonkeyCar tub{reasons}")
     metadata = {
         "source": "donkeycar",
-        "recording": Path(os.path.realpath(folder)).name.encode("utf-8", "backslashreplace").decode(),
+        "recording": Path(os.path.realpath(folder)).name,
         "tub_version": tub.version,
         "clock": "recorded" if is_timed else "20 Hz, because no record tells its time",
     }
@@ -103,11 +107,10 @@ def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
     rows = 0
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
         for frame in itertools.chain([first], frames):
+            events.at(writer, frame.time_ns)
             writer.picture("center", frame.time_ns, rows, frame.jpeg)
             writer.vehicle(frame.time_ns, rows, frame.state)
             rows += 1
-        for reason, name in skipped:
-            writer.event(first.time_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
     return Imported(log, rows, rows, skipped)
 
 
@@ -140,7 +143,7 @@ def _frame(tub: _Tub, record: _Record, is_timed: bool, named: set[str]) -> _Fram
     if is_named_before:  # twice the same, it could be on both sides of a split
         raise _UnusableError("records with the picture of an earlier record")
     try:
-        jpeg = tub.pictures[name].read_bytes()
+        jpeg = read_bounded(tub.pictures[name], MOST_PICTURE_BYTES)
     except OSError:
         raise _UnusableError("records with a picture that cannot be read") from None
     if not is_whole_jpeg(jpeg):
@@ -285,15 +288,15 @@ def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
     """The lines that are not empty, numbered from 1 (DonkeyCar ends them with CR LF, on Windows with CR CR LF)."""
     try:
-        with path.open("rb") as stream:
-            yield from ((number, line) for number, line in enumerate(stream, start=1) if line.strip())
+        lines = read_bounded(path, _MOST_JSON_BYTES).split(b"\n")
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    yield from ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
 
 
 def _load(path: Path) -> object:
     try:
-        return _parse(path.read_bytes())
+        return _parse(read_bounded(path, _MOST_JSON_BYTES))
     except OSError:
         return None
 

@@ -1,14 +1,14 @@
 """New logs out of old ones: recovered, trimmed, merged, split. Nothing edits a log in place.
 
-Messages are copied as they are. Rows keep their numbers, except in a merged log, where each one still has a number
-of its own.
+Messages are copied as they are, the CRC of each chunk checked. Metadata is copied as it is read: only the CRC of
+the whole file covers it, which `bc-log check` compares. Rows keep their numbers, but get new ones in a merged log.
+The tags of the rows that are in a new log are written beside it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -19,12 +19,15 @@ from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
 from common import Skipped
-from common.files import refuse_existing
+from common.files import final_path, refuse_existing
 from common.progress import track
 from recorder import topics
 from recorder.errors import LogError
+from recorder.locks import is_being_written
 from recorder.log import Log
+from recorder.new_log import close_with_tags, copy_rest, new_log, publish_all, session_of, tags_of_rows
 from recorder.quality import drive_numbers
+from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, camera_topic
 from recorder.writer import LogWriter
 
@@ -56,9 +59,10 @@ class Written:
 
 
 def recovered_name(path: Path) -> Path:
-    """Where a recovered log goes unless told otherwise: what was being written gets the name it would have had."""
-    meant = path.with_name(re.sub(r"\.[0-9a-f]{6}\.part$", "", path.name))
-    if meant != path and not meant.exists():
+    """Where a recovered log goes unless told otherwise: what was being written gets the name it would have had,
+    unless its recording still goes on, and will take that name itself."""
+    meant = final_path(path)
+    if meant != path and not meant.exists() and not is_being_written(path):
         return meant
     return meant.with_name(f"{meant.name.removesuffix('.mcap')}.recovered.mcap")
 
@@ -66,34 +70,41 @@ def recovered_name(path: Path) -> Path:
 def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
 
-    A chunk is taken if its CRC holds; what is left out is in `skipped`. Raises LogError if nothing is whole.
+    A chunk is taken if its CRC holds; what is left out is in `skipped`. Raises LogError if nothing is whole, or if
+    `to` is the name that the recording will take, which still goes on.
     """
     skipped = Skipped()
     _refuse(to, [path], overwrite)  # before a long log is read
+    goes_on = is_being_written(path)
+    if goes_on and to == final_path(path):
+        raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
     with Log(path) as log:
         expected = sum(log.counts.values()) if not log.problem else None
         records = _sound_metadata(log, skipped)
         session = next((values for name, values in reversed(records) if name == topics.SESSION_METADATA), None)
-        metadata = {**session, "recovered_from": _name(path)} if session else None
-        profile = topics.PROFILE if session else ""
-        count = rows = 0
-        with LogWriter(to, metadata, overwrite=overwrite, profile=profile) as writer:
+        tags = _sound_tags(log, skipped)
+        count, rows = 0, list[int]()
+        with new_log(to, session, {"recovered_from": path.name}, overwrite) as writer:
             for chunk in track(log.chunks, f"recovering {path.name}", len(log.chunks)):
                 try:
                     for schema, channel, message in log.messages_of(chunk, skipped):
                         writer.copy(schema, channel, message, message.sequence)
                         count += 1
-                        rows += channel.topic == topics.VEHICLE
+                        if channel.topic == topics.VEHICLE:
+                            rows.append(message.sequence)
                 except LogError:
                     skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
             if not count:
                 raise LogError(f"{path}: not one whole message in it: there is nothing to recover")
-            _copy_rest(log, records, writer, skipped)
+            copy_rest(log, records, writer, skipped)
+            close_with_tags(writer, tags_of_rows(tags, rows))
     for start, end in log.lost:
         skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
     if expected is not None and count < expected:
         skipped.add("messages of damaged chunks", f"{expected - count:,} of {expected:,}")
-    return Written(to, count, rows, skipped)
+    if goes_on:
+        skipped.add("recordings' ends, because they still go on", path.name)
+    return Written(to, count, len(rows), skipped)
 
 
 def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False) -> Written:
@@ -102,26 +113,40 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
     Messages without a row (events) are taken if they are of the same time. Raises LogError without such rows.
     """
     _refuse(to, [path], overwrite)
-    skipped = Skipped()
     with Log(path) as log:
         number, time_ns = _rows(log)
-        chosen = time_ns[(number >= rows[0]) & (number <= rows[1])]
-        if not len(chosen):
+        is_chosen = (number >= rows[0]) & (number <= rows[1])
+        if not is_chosen.any():
             raise LogError(f"{path}: no row from {rows[0]} to {rows[1]}; {_range(number)}")
-        metadata = {**log.metadata, "trimmed_from": _name(path), "rows": f"{rows[0]}-{rows[1]}"}
-        first_ns, last_ns = int(chosen.min()), int(chosen.max())
-        count = 0
-        with LogWriter(to, metadata, overwrite=overwrite) as writer:
-            for schema, channel, message in _messages(log, "trimming"):
-                if channel.topic in ROW_TOPICS:
-                    is_in = rows[0] <= message.sequence <= rows[1]
-                else:
-                    is_in = first_ns <= message.log_time <= last_ns
-                if is_in:
-                    writer.copy(schema, channel, message, message.sequence)
-                    count += 1
-            _copy_rest(log, log.all_metadata(), writer, skipped)
-    return Written(to, count, len(chosen), skipped)
+        first_ns, last_ns = int(time_ns[is_chosen].min()), int(time_ns[is_chosen].max())
+
+        def is_in(channel: Channel, message: McapMessage) -> bool:
+            if channel.topic in ROW_TOPICS:
+                return rows[0] <= message.sequence <= rows[1]
+            return first_ns <= message.log_time <= last_ns
+
+        chosen = number[is_chosen].tolist()
+        about = {"trimmed_from": path.name, "rows": f"{min(chosen)}-{max(chosen)}"}
+        return _trimmed(log, to, is_in, chosen, about, overwrite)
+
+
+def trim_times(path: Path, to: Path, start_s: float, end_s: float, *, overwrite: bool = False) -> Written:
+    """Write what lies between two times, both included, in seconds from the log's first row, to the new log `to`.
+
+    In a log without rows, which another program wrote, they are seconds from its first message, and the messages
+    are taken whose log time is between them. Raises LogError if there is nothing, or if the rows are not one
+    stretch because time goes back.
+    """
+    _refuse(to, [path], overwrite)
+    with Log(path) as log:
+        if log.counts.get(topics.VEHICLE):
+            return trim(path, to, rows_between(log, start_s, end_s), overwrite=overwrite)
+        first_ns = log.time_range_ns[0]
+
+        def is_in(_: Channel, message: McapMessage) -> bool:
+            return start_s <= (message.log_time - first_ns) / 1e9 <= end_s
+
+        return _trimmed(log, to, is_in, [], {"trimmed_from": path.name}, overwrite)
 
 
 def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Written:
@@ -131,13 +156,15 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
     """
     _refuse(to, paths, overwrite)
     skipped = Skipped()
-    count = rows = following = 0
+    count = row_count = following = 0
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context(Log(path)) for path in paths]
-        metadata = {"source": "merged", "merged_from": ", ".join(map(_name, paths))}
+        tags = [read_tags(log.path, log.fingerprint) for log in logs]
+        merged_tags: list[Tag] = []
+        metadata = {"source": "merged", "merged_from": ", ".join(path.name for path in paths)}
         writer = stack.enter_context(LogWriter(to, metadata, overwrite=overwrite))
-        for log in logs:
-            first = following
+        for log, its_tags in zip(logs, tags, strict=True):
+            first, rows = following, list[int]()
             for schema, channel, message in _messages(log, "merging"):
                 sequence = message.sequence
                 if channel.topic in ROW_TOPICS:
@@ -147,17 +174,24 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
                     following = max(following, sequence + 1)
                 writer.copy(schema, channel, message, sequence)
                 count += 1
-                rows += channel.topic == topics.VEHICLE
-            writer.add_metadata(f"{topics.SESSION_METADATA} of {_name(log.path)}", log.metadata)
-            _copy_rest(log, log.all_metadata(), writer, skipped)
-    return Written(to, count, rows, skipped)
+                if channel.topic == topics.VEHICLE:
+                    rows.append(message.sequence)
+            row_count += len(rows)
+            merged_tags += [
+                Tag(tag.first_row + first, tag.last_row + first, tag.name) for tag in tags_of_rows(its_tags, rows)
+            ]
+            writer.add_metadata(f"{topics.SESSION_METADATA} of {log.path.name}", log.metadata)
+            copy_rest(log, log.all_metadata(), writer, skipped)
+        close_with_tags(writer, merged_tags)
+    return Written(to, count, row_count, skipped)
 
 
 def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]:
     """Write each drive of the log at `path` to a log of its own in `folder`: NAME-1.mcap, NAME-2.mcap ...
 
     A new drive begins after a gap of a second, or where time goes back. Messages without a row go to the drive
-    beside whose rows they lie in the file. Raises LogError if there is only one drive.
+    beside whose rows they lie in the file. Either all of them are written or none. Raises LogError if there is
+    only one drive.
     """
     with Log(path) as log, contextlib.ExitStack() as stack:
         number, time_ns = _rows(log)
@@ -166,15 +200,16 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             raise LogError(f"{path}: a single drive, nothing to split")
         if drives[-1] >= _MOST_DRIVES:
             raise LogError(f"{path}: {drives[-1] + 1:,} drives are too many files; trim the parts that you want")
-        name = path.name.removesuffix(".mcap")
+        name = final_path(path).name.removesuffix(".mcap")
         targets = [folder / f"{name}-{drive + 1}.mcap" for drive in range(int(drives[-1]) + 1)]
         for target in targets:
             refuse_existing(target, overwrite)
-        metadata = {**log.metadata, "split_from": _name(path)}
-        writers = [
-            stack.enter_context(LogWriter(target, {**metadata, "drive": str(drive)}, overwrite=overwrite))
-            for drive, target in enumerate(targets)
-        ]
+        tags, session = read_tags(path, log.fingerprint), session_of(log)
+        writers = []
+        for drive, target in enumerate(targets):
+            about = {"split_from": path.name, "drive": str(drive)}
+            writers.append(new_log(target, session, about, overwrite))
+            stack.callback(writers[-1].discard)
         drive_of = dict(zip(number.tolist(), drives.tolist(), strict=True))
         counts, at = [0] * len(writers), 0
         for schema, channel, message in _messages(log, "splitting"):
@@ -184,9 +219,11 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             counts[at] += 1
         skipped = [Skipped() for _ in writers]
         for writer, left_out in zip(writers, skipped, strict=True):
-            _copy_rest(log, log.all_metadata(), writer, left_out)
-    rows = np.bincount(drives).tolist()
-    return [Written(*parts) for parts in zip(targets, counts, rows, skipped, strict=True)]
+            copy_rest(log, log.all_metadata(), writer, left_out)
+            writer.finish()
+        rows = [number[drives == drive].tolist() for drive in range(len(targets))]
+        publish_all(path, writers, [tags_of_rows(tags, its_rows) for its_rows in rows], overwrite)
+    return [Written(*parts) for parts in zip(targets, counts, map(len, rows), skipped, strict=True)]
 
 
 def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
@@ -198,18 +235,24 @@ def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
     since_s = (time_ns - time_ns[:1]) / 1e9
     (at,) = np.nonzero((since_s >= start_s) & (since_s <= end_s))
     if not len(at):
-        last = f"it lasts {since_s.max():.1f} s" if len(since_s) else "it has none at all"
-        raise LogError(f"{log.path}: no row between {start_s:g} and {end_s:g} s; {last}")
+        raise LogError(f"{log.path}: no row between {start_s:g} and {end_s:g} s; it lasts {since_s.max():.1f} s")
     if at[-1] - at[0] + 1 != len(at):
         raise LogError(f"{log.path}: time goes back within {start_s:g} to {end_s:g} s; give --rows instead")
     return int(number[at[0]]), int(number[at[-1]])
+
+
+def check_rows(log: Log, rows: tuple[int, int]) -> None:
+    """Raises LogError if the first or the last of `rows` lies outside of those that the log has."""
+    number, _ = _rows(log)
+    if rows[0] < number.min() or rows[1] > number.max():
+        raise LogError(f"{log.path}: not all rows from {rows[0]} to {rows[1]} are in it; {_range(number)}")
 
 
 def _rows(log: Log) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number and time of every row, in the order of the log."""
     messages = log.messages(topics.VEHICLE)
     if not messages:
-        raise LogError(f"{log.path}: no rows in it ({topics.VEHICLE} is empty)")
+        raise LogError(f"{log.path}: no rows in it (nothing on {topics.VEHICLE}); only times can be told of it")
     return (
         np.array([message.sequence for message in messages], np.int64),
         np.array([message.log_time_ns for message in messages], np.int64),
@@ -231,9 +274,28 @@ def _refuse(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
         raise LogError(f"{to}: the log itself, which stays as it is; give another name")
 
 
-def _name(path: Path) -> str:
-    """Its name, what is not UTF-8 in it escaped: a log's text is UTF-8."""
-    return path.name.encode("utf-8", "backslashreplace").decode("utf-8")
+def _trimmed(
+    log: Log,
+    to: Path,
+    is_in: Callable[[Channel, McapMessage], bool],
+    rows: Sequence[int],
+    about: dict[str, str],
+    overwrite: bool,
+) -> Written:
+    """Copies the messages that are in; `rows` are those that will be."""
+    skipped, count = Skipped(), 0
+    tags = read_tags(log.path, log.fingerprint)
+    with new_log(to, session_of(log), about, overwrite) as writer:
+        for schema, channel, message in _messages(log, "trimming"):
+            if is_in(channel, message):
+                writer.copy(schema, channel, message, message.sequence)
+                count += 1
+        if not count:
+            first_ns, last_ns = log.time_range_ns
+            raise LogError(f"{log.path}: no message of these times; it lasts {(last_ns - first_ns) / 1e9:.1f} s")
+        copy_rest(log, log.all_metadata(), writer, skipped)
+        close_with_tags(writer, tags_of_rows(tags, rows))
+    return Written(to, count, len(rows), skipped)
 
 
 def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str]]]:
@@ -246,15 +308,9 @@ def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str
     return records
 
 
-def _copy_rest(
-    log: Log, metadata: Sequence[tuple[str, dict[str, str]]], writer: LogWriter, skipped: Skipped
-) -> None:
-    """Metadata (but what the new log says itself) and attachments."""
-    for name, values in metadata:
-        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA):
-            writer.add_metadata(name, values)
-    for offset in log.attachments:
-        try:
-            writer.copy_attachment(log.attachment(offset))
-        except LogError:
-            skipped.add("damaged attachments", f"at byte {offset:,}")
+def _sound_tags(log: Log, skipped: Skipped) -> list[Tag]:
+    try:
+        return read_tags(log.path, log.fingerprint)
+    except LogError as error:
+        skipped.add("damaged files of tags", str(error))
+        return []

@@ -34,7 +34,7 @@ from recorder.foreign_messages import (
     shown,
 )
 from recorder.log import Log
-from recorder.record import Imported
+from recorder.record import Imported, SkippedEvents
 from recorder.ros2_bag import MCAP, SQLITE, SqliteFile, bag_files, is_bag
 from recorder.writer import LogWriter
 
@@ -118,7 +118,8 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
     refuse_existing(log, overwrite)  # before minutes of reading
     if not math.isfinite(topics.steering_scale) or topics.steering_scale == 0:
         raise RecordingError(f"--steering-scale must be a number other than 0, not {topics.steering_scale:g}")
-    skipped = Skipped()
+    events = SkippedEvents()
+    skipped = events.skipped
     files = _files(source, skipped)
     types = {topic: kind for file in files for topic, kind in file.types(skipped).items()}
     steering_topic, field = _split(source, topics.steering, types)
@@ -131,7 +132,7 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
         raise RecordingError(f"{source}: no picture on {topics.image} can be used{reasons}")
     metadata = {
         "source": "ros2 bag" if source.is_dir() else "mcap",
-        "recording": Path(os.path.realpath(source)).name.encode("utf-8", "backslashreplace").decode(),
+        "recording": Path(os.path.realpath(source)).name,
         "image_topic": topics.image,
         "steering_topic": topics.steering,
         "steering_scale": repr(topics.steering_scale),
@@ -139,12 +140,11 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
     count = 0
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
         for row in itertools.chain([first], rows):
+            events.at(writer, row.time_ns)
             writer.picture("center", row.time_ns, count, row.picture)
             state = VehicleState(steering=row.steering, throttle=0.0, brake=0.0, speed_mph=math.nan)
             writer.vehicle(row.time_ns, count, state)
             count += 1
-        for reason, name in skipped:
-            writer.event(first.time_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
     return Imported(log, count, count, skipped)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from recorder import topics
 from recorder.log import Log
 from recorder.quality import ROW_FLAGS, StatesWritten, summary
-from recorder.tags import Tag, read_tags, tags_path
+from recorder.tags import Tag, read_tags, stale_tags, tags_path
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Info:
     flags: dict[str, int] | None  # rows that each flag holds for
     stretches: list[Stretch]  # the first of them
     tags: list[Tag]
+    stale_tags: int  # of what had this name before
     notice: str  # of an unfinished log
 
 
@@ -58,6 +59,7 @@ def describe(path: Path) -> Info:
         counts, schemas = log.counts, log.schemas
         quality = _quality(log)
         driven_s = _seconds(quality.get("driven_s")) if quality else None
+        has_tags = tags_path(path).exists()  # without, the fingerprint need not be made
         rate_s = duration_s if driven_s is None else driven_s
         return Info(
             path=str(path),
@@ -73,7 +75,8 @@ def describe(path: Path) -> Info:
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
-            tags=read_tags(path, log.fingerprint) if tags_path(path).exists() else [],
+            tags=read_tags(path, log.fingerprint) if has_tags else [],
+            stale_tags=stale_tags(path, log.fingerprint) if has_tags else 0,
             notice=log.notice,
         )
 

@@ -153,7 +153,8 @@ class Log:
         return sorted(self._structure.metadata_at)
 
     def metadata_record(self, offset: int) -> tuple[str, dict[str, str]]:
-        """Name and values of a metadata record. No CRC covers it."""
+        """Name and values of a metadata record. Only the CRC of all data of a finished log covers it, which is not
+        compared here, because that means reading all of the file; `bc-log check` does."""
         record = self._file.metadata(offset)
         return record.name, dict(record.metadata)
 

@@ -27,10 +27,20 @@ from common.command import (
 )
 from common.errors import shown
 from recorder.check import Checked, check
-from recorder.edit import Written, merge, recover, recovered_name, rows_between, split, trim
+from recorder.edit import (
+    Written,
+    check_rows,
+    merge,
+    recover,
+    recovered_name,
+    rows_between,
+    split,
+    trim,
+    trim_times,
+)
 from recorder.info import Info, describe
 from recorder.log import Log
-from recorder.tags import Tag, add_tag, check_name, read_tags, remove_tag
+from recorder.tags import Tag, add_tag, check_name, read_tags, remove_tag, stale_tags, tags_path
 
 LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 MOST_PLACES = 6
@@ -54,7 +64,8 @@ class ShowInfo:
             print(json.dumps(dataclasses.asdict(info), allow_nan=False))
         else:
             _print_info(info)
-        return warn(info.notice) if info.notice else DONE
+        code = _warn_stale(path, info.stale_tags)
+        return warn(info.notice) if info.notice else code
 
 
 @dataclass(frozen=True)
@@ -121,8 +132,11 @@ class Trim:
 
     def run(self) -> int:
         code = _noted(self.log)
-        rows = _stretch(self.log, self.start, self.end, self.rows)
-        return max(code, _written(trim(self.log, self.to, rows, overwrite=self.force)))
+        if self.rows is not None:
+            rows = _stretch(self.log, self.start, self.end, self.rows)
+            return max(code, _written(trim(self.log, self.to, rows, overwrite=self.force)))
+        start_s, end_s = _times(self.start, self.end)
+        return max(code, _written(trim_times(self.log, self.to, start_s, end_s, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -182,12 +196,13 @@ class NameRows:
             if log.problem:
                 raise UserError(f"{log.notice}; tag that one")
             fingerprint = log.fingerprint
+        code = _warn_stale(self.log, stale_tags(self.log, fingerprint))
         tags = read_tags(self.log, fingerprint)
         if self.tag is not None:
             tags = self._change(self.tag, tags, fingerprint)
         for tag in tags:
             print(f"{tag.name}: rows {tag.first_row} to {tag.last_row}")
-        return DONE
+        return code
 
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
         try:
@@ -235,6 +250,13 @@ def _each(logs: tuple[Path, ...], action: Callable[[Path], int]) -> int:
     return FAILED if FAILED in codes else max(codes)
 
 
+def _warn_stale(path: Path, count: int) -> int:
+    """Tags of what had this name before are not lost in silence."""
+    if not count:
+        return DONE
+    return warn(f"{tags_path(path)}: {count} tags are of another content of {path.name} and do not count")
+
+
 def _noted(path: Path) -> int:
     """Say it of an unfinished log before it is used."""
     with Log(path) as log:
@@ -250,9 +272,15 @@ def _stretch(
             raise UserError("give either --rows, or --start and --end")
         if not 0 <= rows[0] <= rows[1]:
             raise UserError(f"--rows {rows[0]} {rows[1]}: give the first row, then the last one")
+        with Log(path) as log:
+            check_rows(log, rows)
         return rows
     with Log(path) as log:
-        return rows_between(log, 0.0 if start_s is None else start_s, float("inf") if end_s is None else end_s)
+        return rows_between(log, *_times(start_s, end_s))
+
+
+def _times(start_s: float | None, end_s: float | None) -> tuple[float, float]:
+    return 0.0 if start_s is None else start_s, float("inf") if end_s is None else end_s
 
 
 def _written(written: Written) -> int:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from common import Skipped
+from common.errors import KEPT_NAMES
 from common.progress import track
+from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.jpeg import is_whole_jpeg
 from recorder.topics import CAMERAS
-from recorder.udacity import Recording, Row, read_recording
+from recorder.udacity import MOST_PICTURE_BYTES, Row, UdacityFolder
 from recorder.writer import LogWriter
 
 NOT_WHOLE = "pictures that are not whole JPEG files"
@@ -29,41 +31,69 @@ class Imported:
     skipped: Skipped
 
 
+class SkippedEvents:
+    """What an import leaves out, each one also an event in its log as it comes.
+
+    What is left out before the first row waits for it, and is only counted where a thousand of its kind wait.
+    """
+
+    def __init__(self) -> None:
+        self.skipped = Skipped(self._added)
+        self._writer: LogWriter | None = None
+        self._time_ns = 0
+
+    def at(self, writer: LogWriter, time_ns: int) -> None:
+        """What follows belongs to, or comes after, the row of this time."""
+        is_first = self._writer is None
+        self._writer, self._time_ns = writer, time_ns
+        if is_first:
+            for reason, name in self.skipped:
+                self._added(reason, name)
+            for reason, count in self.skipped.counts.items():
+                if count > KEPT_NAMES:
+                    self._added(reason, f"and {count - KEPT_NAMES:,} more")
+
+    def _added(self, reason: str, name: str) -> None:
+        if self._writer is not None:
+            self._writer.event(self._time_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
+
+
 def import_udacity(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
     """Write the Udacity recording in `folder` to `log`; its pictures byte for byte, its rows in their order.
 
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
-    recording = read_recording(folder)
-    metadata = {"source": "udacity", "recording": Path(os.path.realpath(recording.folder)).name}
+    events = SkippedEvents()
+    recording = UdacityFolder(folder, events.skipped)
+    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    row_count = pictures = 0
+    rows = recording.rows()
+    first = next(rows)  # without any, nothing is begun
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
-        rows = track(recording.rows, f"importing {recording.folder.name}", len(recording.rows))
-        pictures = _write_rows(writer, rows, recording)
-        for reason, name in recording.skipped:
-            writer.event(recording.rows[0].time_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
-    return Imported(log, len(recording.rows), pictures, recording.skipped)
+        all_rows = itertools.chain([first], rows)
+        for row, paths in track(all_rows, f"importing {folder.name}", recording.line_count()):
+            events.at(writer, row.time_ns)
+            for camera, path in zip(CAMERAS, paths, strict=True):
+                jpeg = _jpeg(path, events.skipped) if path is not None else None
+                if jpeg is not None:
+                    writer.picture(camera, row.time_ns, row_count, jpeg)
+                    pictures += 1
+            writer.vehicle(row.time_ns, row_count, vehicle_state(row))
+            row_count += 1
+    return Imported(log, row_count, pictures, events.skipped)
 
 
-def _write_rows(writer: LogWriter, rows: Iterable[Row], recording: Recording) -> int:
-    pictures = 0
-    for sequence, row in enumerate(rows):
-        for camera, name in zip(CAMERAS, row.names, strict=True):
-            path = recording.pictures.get(name)
-            if path is None:
-                continue
-            try:
-                with open(path, "rb", buffering=0) as file:  # noqa: PTH123  (a Path of each would take longer)
-                    jpeg = file.read()
-            except OSError:
-                recording.skipped.add(UNREADABLE, name)
-                continue
-            if not is_whole_jpeg(jpeg):
-                recording.skipped.add(NOT_WHOLE, name)
-                continue
-            writer.picture(camera, row.time_ns, sequence, jpeg)
-            pictures += 1
-        writer.vehicle(row.time_ns, sequence, vehicle_state(row))
-    return pictures
+def _jpeg(path: str, skipped: Skipped) -> bytes | None:
+    name = os.path.basename(path)  # noqa: PTH119  (a Path of each would take longer)
+    try:
+        jpeg = read_bounded(path, MOST_PICTURE_BYTES)
+    except OSError:
+        skipped.add(UNREADABLE, name)
+        return None
+    if not is_whole_jpeg(jpeg):
+        skipped.add(NOT_WHOLE, name)
+        return None
+    return jpeg
 
 
 def vehicle_state(row: Row) -> VehicleState:

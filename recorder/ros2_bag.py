@@ -28,7 +28,7 @@ MCAP, SQLITE = ".mcap", ".db3"
 
 _MOST_METADATA_BYTES: Final = 1 << 22
 _MOST_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite itself takes four times that
-_STEPS_BETWEEN_SIGNALS: Final = 100_000  # of SQLite's machine: some milliseconds
+_STEPS_BETWEEN_SIGNALS: Final = 1000  # of SQLite's machine: some of them, of large values, take milliseconds
 
 _SEPARATOR: Final = "=" * 80
 _ACKERMANN: Final = f"""\
@@ -141,7 +141,7 @@ class SqliteFile:
                 self._refuse_views(database)
                 yield database
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
-            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT:
+            if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
                 raise KeyboardInterrupt from None  # the signal that the progress handler has heard
             raise RecordingError(f"{self.path}: cannot be read as a ROS 2 bag ({shown(str(error))})") from None
 

@@ -32,6 +32,10 @@ from recorder.chunks import (
     prefixed,
 )
 from recorder.errors import LogError
+from recorder.locks import is_being_written
+
+GOES_ON: Final = "unfinished: its recording is still going on"
+KILLED: Final = "unfinished: its recording was killed, or it was cut off"
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
 
@@ -168,7 +172,7 @@ def _summary(file: McapFile) -> Structure | None:
 
 
 def _walk(file: McapFile) -> Structure:
-    found = Structure(problem="unfinished (its recording was killed, or is still going on)", has_end=False)
+    found = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
     position, wasted, most_waste = len(MAGIC), 0, _MOST_WASTE * file.size + _LEAST_BUDGET
     unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
     while file.size - position >= RECORD.size:

@@ -7,6 +7,7 @@ under the same name does not inherit the old one's tags.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections import defaultdict
@@ -139,7 +140,8 @@ def _append(log: Path, action: str, fingerprint: str, tags: Sequence[Tag]) -> No
             except BaseException:
                 stream.truncate(before)
                 if not before:
-                    path.unlink()
+                    with contextlib.suppress(OSError):  # Windows removes no open file
+                        path.unlink()
                 raise
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
@@ -151,12 +153,14 @@ def _locked(path: Path) -> IO[bytes]:
         stream = path.open("ab+", buffering=0)
         try:
             lock(stream)
-            if path.exists() and path.samefile(stream.fileno()):  # else who held the lock has removed the file
+            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
                 return stream
+        except FileNotFoundError:
+            pass
         except BaseException:
             stream.close()
             raise
-        stream.close()
+        stream.close()  # who held the lock has removed the file: what is written here would be lost
 
 
 def _plain(path: Path) -> Path:
@@ -164,4 +168,3 @@ def _plain(path: Path) -> Path:
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise LogError(f"{path}: not a plain file; remove it")
     return path
-

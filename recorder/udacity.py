@@ -7,20 +7,28 @@ several drives in one file, a last row cut off. What cannot be used is named in 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import os
 import re
+import stat
 import string
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Final
 
 from common import Skipped
+from common.untrusted import open_regular
 from recorder.errors import RecordingError
+from recorder.lines import MOST_LINE_BYTES, LineSplitter
+from recorder.name_set import NameSet
 
-CSV_NAME = "driving_log.csv"
+CSV_NAME: Final = "driving_log.csv"
+MOST_CSV_BYTES: Final = 1 << 30  # 200 hours of driving
+MOST_PICTURE_BYTES: Final = 1 << 26
 MISSING = "pictures that a row names but no folder has"
 WITHOUT_ROW = "pictures without a row"
 
@@ -31,6 +39,7 @@ _HEADER = re.compile(r'^\s*"?center"?\s*,', re.IGNORECASE)
 _AROUND_A_NAME = string.whitespace + '"'
 _WHOLE = re.compile(r"-?(0|[1-9]\d*)$")
 _FRACTION = re.compile(r"\d*[1-9]([eE][+-]?\d+)?$")  # the simulator prints no trailing zeros
+_BLOCK_BYTES: Final = 1 << 16
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
@@ -51,9 +60,11 @@ class Row:
 
 @dataclass(frozen=True)
 class Recording:
+    """All of a recording at once: some kilobytes a row."""
+
     folder: Path
     rows: list[Row]
-    pictures: dict[str, str]  # file name -> path, of all that exist
+    pictures: dict[str, str]  # file name -> path, of all that a row names
     skipped: Skipped
 
 
@@ -61,13 +72,16 @@ class RowReader:
     """Makes rows of a csv's lines, given in their order; what cannot be used goes to `skipped`."""
 
     def __init__(self, skipped: Skipped) -> None:
-        self.named: set[str] = set()  # every picture that a line names
+        self.named = NameSet()  # every picture that a line names
         self._skipped = skipped
-        self._seen: set[tuple[str, str, str]] = set()
+        self._seen = NameSet()
         self._speed_mph = 0.0
 
     def read(self, line: int, content: bytes) -> Row | None:
         """The row of this line, the first being number 1, or None if there is none in it."""
+        if len(content) > MOST_LINE_BYTES:
+            self._skipped.add(f"rows with more than {MOST_LINE_BYTES:,} bytes", f"line {line}")
+            return None
         # Foreign encodings do not matter: what counts of a path is the file's name, and undecodable bytes in that
         # are kept as the file system keeps them.
         text = os.fsdecode(content.removeprefix(_BYTE_ORDER_MARK) if line == 1 else content)
@@ -75,10 +89,10 @@ class RowReader:
             return None
         try:
             names, rest = _names(text)
-            if names in self._seen:  # twice in a log, it could be on both sides of a split
+            if not self._seen.add(names):  # twice in a log, it could be on both sides of a split
                 raise ValueError("the pictures of an earlier row")
-            self._seen.add(names)
-            self.named.update(names)
+            for name in names:
+                self.named.add(name)
             values = _values(rest, self._speed_mph)
             row = Row(line, _time_ns(names), *values, names)
         except ValueError as error:
@@ -95,27 +109,43 @@ class PictureFiles:
     """
 
     def __init__(self, folder: Path, skipped: Skipped) -> None:
-        self.paths: dict[str, str] = {}  # by file name
         self._folder = folder
         self._skipped = skipped
-        self._links: set[str] = set()
+        self._links = NameSet()  # those that were told
 
     def places(self) -> list[Path]:
         """The folders that there are to look into."""
         return [place for place, root in self._places() if place.is_dir() and is_inside(place, root)]
 
-    def look_into(self, place: Path) -> None:
-        """Take the pictures of one of the `places` into `paths`."""
+    def find(self, name: str, places: list[Path]) -> str | None:
+        """Where the picture called `name` is, in the first of `places` that has it."""
+        for place in places:
+            path = f"{place}/{name}"
+            try:
+                mode = os.lstat(path).st_mode
+            except (OSError, ValueError):
+                continue
+            if stat.S_ISREG(mode) or (stat.S_ISLNK(mode) and os.path.isfile(path) and self.is_inside(path)):  # noqa: PTH113
+                return path
+        return None
+
+    def names_in(self, place: Path) -> Iterator[str]:
+        """The pictures in one of the `places`; links that leave the recording are skipped."""
         with os.scandir(place) as entries:
             for entry in entries:
-                if entry.name in self.paths or not entry.name.lower().endswith((".jpg", ".jpeg")):
+                if not entry.name.lower().endswith((".jpg", ".jpeg")):
                     continue
                 if entry.is_symlink() and not self.is_inside(entry.path):
-                    if entry.path not in self._links:
-                        self._links.add(entry.path)
+                    if self._links.add(entry.path):
                         self._skipped.add("pictures that are links out of the recording", entry.name)
                 elif entry.is_file():
-                    self.paths[entry.name] = entry.path
+                    yield entry.name
+
+    def skip_without_row(self, named: NameSet) -> None:
+        """Skip the pictures that no row names, by name: the order of a folder is another one on every disk."""
+        names = {name for place in self.places() for name in self.names_in(place) if name not in named}
+        for name in sorted(names):
+            self._skipped.add(WITHOUT_ROW, name)
 
     def is_inside(self, path: str) -> bool:
         """Whether a picture is, all links followed, where it was looked for."""
@@ -128,55 +158,101 @@ class PictureFiles:
         return (root / "IMG", root), (root, root), (above, above)
 
 
+class UdacityFolder:
+    """A recording, read from its first line to its last without ever being held as a whole."""
+
+    def __init__(self, folder: Path, skipped: Skipped) -> None:
+        """Raises RecordingError if there is no csv in `folder`."""
+        self.folder = folder
+        self.csv = folder / CSV_NAME
+        self._skipped = skipped
+        self._files = PictureFiles(folder, skipped)
+        with _told(folder):
+            if not folder.is_dir():
+                raise RecordingError(f"{folder}: no such folder; give the folder that holds {CSV_NAME} and IMG/")
+            if not self.csv.is_file():
+                raise RecordingError(
+                    f"{folder}: no {CSV_NAME} in it; give the folder that the simulator recorded into"
+                )
+            check_csv(folder)
+
+    def line_count(self) -> int:
+        return sum(1 for _ in self._lines())
+
+    def rows(self) -> Iterator[tuple[Row, tuple[str | None, ...]]]:
+        """The rows that can be used, each with the paths of its pictures, None for those that are missing.
+
+        At its end raises RecordingError if there was no row, or not a single picture.
+        """
+        reader = RowReader(self._skipped)
+        row_count = found = 0
+        with _told(self.folder):
+            places = self._files.places()
+            for place in places:
+                os.scandir(
+                    place
+                ).close()  # of a folder that cannot be read, every picture would seem to be missing
+        for line, content in enumerate(self._lines(), start=1):
+            row = reader.read(line, content)
+            if row is None:
+                continue
+            row_count += 1
+            paths = tuple(self._files.find(name, places) for name in row.names)
+            found += sum(path is not None for path in paths)
+            yield row, paths
+            for name, path in zip(row.names, paths, strict=True):
+                if path is None:
+                    self._skipped.add(MISSING, name)
+        if not row_count:
+            raise RecordingError(f"{self.csv}: no usable row{because(self._skipped)}")
+        if not found:
+            raise RecordingError(
+                f"{self.csv}: none of its pictures is there; they are looked for in IMG/, in {self.folder.name}/"
+                " and in ../IMG/"
+            )
+        with _told(self.folder):
+            self._files.skip_without_row(reader.named)
+
+    def _lines(self) -> Iterator[bytes]:
+        splitter = LineSplitter()
+        with _told(self.csv), open_regular(self.csv) as stream:
+            while block := stream.read(_BLOCK_BYTES):
+                yield from splitter.feed(block)
+        if last := splitter.rest():
+            yield last
+
+
 def read_recording(folder: Path) -> Recording:
     """Read the csv of `folder` and find its pictures; no picture is opened.
 
     Raises RecordingError if there is no csv, no usable row, or not a single picture.
     """
-    csv = folder / CSV_NAME
     skipped = Skipped()
-    try:
-        if not folder.is_dir():
-            raise RecordingError(f"{folder}: no such folder; give the folder that holds {CSV_NAME} and IMG/")
-        check_csv(folder)
-        if not csv.is_file():
-            raise RecordingError(
-                f"{folder}: no {CSV_NAME} in it; give the folder that the simulator recorded into"
-            )
-        files = PictureFiles(folder, skipped)
-        for place in files.places():
-            files.look_into(place)
-        lines = csv.read_bytes().splitlines()  # of bytes: at \n, \r\n and \r only
-    except OSError as error:
-        raise RecordingError(f"{error.filename}: cannot be read ({error.strerror})") from None
-    reader = RowReader(skipped)
-    rows = []
-    for line, content in enumerate(lines, start=1):
-        row = reader.read(line, content)
-        if row is None:
-            continue
+    rows, pictures = [], {}
+    for row, paths in UdacityFolder(folder, skipped).rows():
         rows.append(row)
-        for name in row.names:
-            if name not in files.paths:
-                skipped.add(MISSING, name)
-    if not rows:
-        raise RecordingError(f"{csv}: no usable row{because(skipped)}")
-    if not any(name in files.paths for row in rows for name in row.names):
-        raise RecordingError(
-            f"{csv}: none of its pictures is there; they are looked for in IMG/, in {folder.name}/ and in ../IMG/"
-        )
-    for name in sorted(files.paths.keys() - reader.named):
-        skipped.add(WITHOUT_ROW, name)
-    return Recording(folder, rows, files.paths, skipped)
+        pictures.update({name: path for name, path in zip(row.names, paths, strict=True) if path is not None})
+    return Recording(folder, rows, pictures, skipped)
+
+
+@contextlib.contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What cannot be read, in one line."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from None
 
 
 def check_csv(folder: Path) -> None:
-    """Raise RecordingError if the csv of `folder` is a link out of it."""
+    """Raise RecordingError if the csv of `folder` is a link out of it, or far too large; OSError without one."""
     csv = folder / CSV_NAME
     if csv.is_symlink() and not is_inside(csv, Path(os.path.realpath(folder))):
         raise RecordingError(
             f"{csv}: a link out of the recording, which is not followed; give a folder of its own"
         )
+    if csv.stat().st_size > MOST_CSV_BYTES:
+        raise RecordingError(f"{csv}: larger than {MOST_CSV_BYTES / 1e9:.0f} GB, which no drive writes")
 
 
 def is_inside(path: Path, root: Path) -> bool:

@@ -15,15 +15,23 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from common import Skipped
 from common.command import stop_signals
 from common.progress import StatusLine
+from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.jpeg import is_whole_jpeg
-from recorder.record import NOT_WHOLE, UNREADABLE, Imported, vehicle_state
+from recorder.record import NOT_WHOLE, UNREADABLE, Imported, SkippedEvents, vehicle_state
 from recorder.tail import Tail
 from recorder.topics import CAMERAS, Camera
-from recorder.udacity import CSV_NAME, MISSING, WITHOUT_ROW, PictureFiles, RowReader, because, check_csv
+from recorder.udacity import (
+    CSV_NAME,
+    MISSING,
+    MOST_PICTURE_BYTES,
+    PictureFiles,
+    RowReader,
+    because,
+    check_csv,
+)
 from recorder.writer import LogWriter
 
 POLL_S: Final = 0.25
@@ -82,7 +90,8 @@ class _Watched:
     def __init__(self, folder: Path, writer: LogWriter) -> None:
         self.rows = 0
         self.pictures = 0
-        self.skipped = Skipped()
+        self._events = SkippedEvents()
+        self.skipped = self._events.skipped
         self._folder = folder
         self._writer = writer
         self._csv = Tail(folder / CSV_NAME)
@@ -90,9 +99,9 @@ class _Watched:
         self._files = PictureFiles(folder, self.skipped)
         self._looked: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
         self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
-        self._ready: dict[str, None] = {}  # awaited and there; in this order
-        self._partly: dict[str, _Stamp | None] = {}  # awaited and there, but not whole when last read
-        self._first_ns = 0
+        self._ready: dict[str, str] = {}  # awaited and there: file name -> path; in this order
+        self._partly: dict[str, tuple[str, _Stamp | None]] = {}  # the same, but not whole when last read
+        self._last_ns = 0
         self._last_s: float | None = None
         self._rate_from = (time.monotonic(), 0)
         self._rate = 0.0
@@ -106,28 +115,30 @@ class _Watched:
             check_csv(self._folder)
         self._take_rows(self._csv.new_lines())
         self._look(everywhere=False)
-        for name, stamp in list(self._partly.items()):
-            if self._stamp(name) != stamp:
+        for name, (path, stamp) in list(self._partly.items()):
+            if _stamp(path) != stamp:
                 del self._partly[name]
-                self._ready[name] = None
+                self._ready[name] = path
         self._take_pictures(_PICTURES_A_ROUND)
-        return bool(self._ready)
+        return bool(self._ready) or self._csv.is_behind
 
     def finish(self) -> None:
         """Take what is there, and count what never came."""
         self._take_rows(self._csv.new_lines())
+        while self._csv.is_behind:
+            self._take_rows(self._csv.new_lines())
         self._take_rows(self._csv.rest())
         self._look(everywhere=True)
-        self._ready |= dict.fromkeys(self._partly)
+        self._ready |= {name: path for name, (path, _) in self._partly.items()}
         self._take_pictures(len(self._ready))
         for name, uses in self._awaited.items():
-            for _ in uses:
+            for _, _, time_ns in uses:
+                self._events.at(self._writer, time_ns)
                 self.skipped.add(self._why_not(name), name)
-        for name in sorted(self._files.paths.keys() - self._reader.named):
-            self.skipped.add(WITHOUT_ROW, name)
         if self.rows:
-            for reason, name in self.skipped:
-                self._writer.event(self._first_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
+            self._events.at(self._writer, self._last_ns)
+        with contextlib.suppress(OSError):
+            self._files.skip_without_row(self._reader.named)
 
     def idle_s(self) -> float:
         """Seconds since the last row or picture; 0 before the first."""
@@ -154,46 +165,56 @@ class _Watched:
         return f"{csv}: no usable row{because(self.skipped)}"
 
     def _take_rows(self, lines: list[tuple[int, bytes]]) -> None:
+        places = self._places() if lines else []
         for line, content in lines:
             self._last_s = time.monotonic()
             row = self._reader.read(line, content)
             if row is None:
                 continue
-            self._first_ns = self._first_ns or row.time_ns
+            self._last_ns = row.time_ns
+            self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
             for camera, name in zip(CAMERAS, row.names, strict=True):
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
-                if name in self._files.paths:
-                    self._ready[name] = None
+                self._notice(name, places)
             self.rows += 1
+
+    def _notice(self, name: str, places: list[Path]) -> None:
+        """An awaited picture may be there."""
+        if name not in self._partly and (path := self._files.find(name, places)) is not None:
+            self._ready[name] = path
 
     def _look(self, everywhere: bool) -> None:
         """Look for new pictures in the folders that have changed."""
         now_s = time.monotonic()
-        known = len(self._files.paths)
         # A folder that vanishes meanwhile, or cannot be read now, is looked at the next time.
         with contextlib.suppress(OSError):
-            for place in self._files.places():
+            places = self._files.places()
+            for place in places:
                 changed_ns = place.stat().st_mtime_ns
                 last_ns, since_s = self._looked.get(place, (None, now_s))
                 if changed_ns != last_ns:
                     since_s = now_s
                 elif not everywhere and now_s - since_s > _SETTLING_S:
                     continue
-                self._files.look_into(place)
+                for name in self._files.names_in(place):
+                    if name in self._awaited and name not in self._ready:
+                        self._notice(name, places)
                 self._looked[place] = (changed_ns, since_s)
-        if len(self._files.paths) > known:
-            there = self._files.paths.keys() - self._partly.keys()
-            self._ready |= {name: None for name in self._awaited if name in there}
+
+    def _places(self) -> list[Path]:
+        with contextlib.suppress(OSError):
+            return self._files.places()
+        return []
 
     def _take_pictures(self, most: int) -> None:
         for name in list(islice(self._ready, most)):
-            del self._ready[name]
+            path = self._ready.pop(name)
             self._partly.pop(name, None)
-            stamp = self._stamp(name)
-            jpeg = self._read(self._files.paths[name])
+            stamp = _stamp(path)
+            jpeg = self._read(path)
             if jpeg is None or not is_whole_jpeg(jpeg):
-                self._partly[name] = stamp
+                self._partly[name] = path, stamp
                 continue
             self._last_s = time.monotonic()
             for camera, sequence, time_ns in self._awaited.pop(name):
@@ -202,24 +223,24 @@ class _Watched:
 
     def _why_not(self, name: str) -> str:
         """Why an awaited picture is not in the log."""
-        path = self._files.paths.get(name)
-        if path is None or not os.path.isfile(path):  # noqa: PTH113
+        path = self._files.find(name, self._places())
+        if path is None:
             return MISSING
         return UNREADABLE if self._read(path) is None else NOT_WHOLE
-
-    def _stamp(self, name: str) -> _Stamp | None:
-        try:
-            status = os.stat(self._files.paths[name])  # noqa: PTH116  (a Path of each would take longer)
-        except OSError:
-            return None
-        return status.st_size, status.st_mtime_ns
 
     def _read(self, path: str) -> bytes | None:
         """The bytes of a picture, or None if it cannot be read now, or has become something else."""
         if not os.path.isfile(path) or not self._files.is_inside(path):  # noqa: PTH113
             return None
         try:
-            with open(path, "rb", buffering=0) as file:  # noqa: PTH123
-                return file.read()
+            return read_bounded(path, MOST_PICTURE_BYTES)
         except OSError:
             return None
+
+
+def _stamp(path: str) -> _Stamp | None:
+    try:
+        status = os.stat(path)  # noqa: PTH116  (a Path of each would take longer)
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns

@@ -231,7 +231,8 @@ class LogWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._end(kind is None)
+            if not self._stream.closed:  # by its user
+                self._end(kind is None)
         except KeyboardInterrupt:
             if not self._stream.closed:  # it came before anything was done
                 self._end(is_sound=False)

@@ -108,7 +108,7 @@ def count_rows(lines: list[bytes]) -> int:
     return sum(bool(text) and re.match(r'"?center"?\s*,', text) is None for text in texts)
 
 
-@settings(max_examples=600)
+@settings(max_examples=1000)
 @given(recordings())
 def test_known_styles_are_read_and_the_rest_is_counted(folder: Path, made: tuple[list[Line], bytes]) -> None:
     lines, csv = made
@@ -121,7 +121,7 @@ def test_known_styles_are_read_and_the_rest_is_counted(folder: Path, made: tuple
     assert len(recording.rows) + rows_skipped(recording) == count_rows([line.content for line in lines])
 
 
-@settings(max_examples=600)
+@settings(max_examples=1000)
 @given(
     st.one_of(st.binary(), st.lists(junk(), max_size=6).map(lambda lines: b"\n".join(x.content for x in lines)))
 )

@@ -1,8 +1,9 @@
 """A damaged log: whatever byte is broken and wherever it is cut, what is given out is what was recorded.
 
-The logs are held against mcap's own reader. What no CRC of a log covers: its first record (profile, library), the
-times in a chunk's header (nothing here reads them) and the metadata records, whose text may come back changed;
-the messages of a file without chunks, which only other programs write.
+The logs are held against mcap's own reader. What no chunk's CRC covers: the log's first record (profile, library),
+the times in a chunk's header (nothing here reads them) and the metadata records, whose text may come back changed.
+The CRC of all data of a finished log covers them, and `bc-log check`, which reads the whole file, compares it.
+No CRC covers the messages of a file without chunks, which only other programs write.
 """
 
 from __future__ import annotations

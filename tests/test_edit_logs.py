@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -20,11 +21,13 @@ from logs import START_NS, STEP_NS, not_a_picture, write_log
 from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.edit import ROW_TOPICS, merge, recover, rows_between, split, trim
+from recorder.edit import ROW_TOPICS, check_rows, merge, recover, rows_between, split, trim, trim_times
+from recorder.tags import Tag, add_tag, read_tags, tags_path
 from recorder.topics import CAMERAS
 from udacity import jpeg
 
 SECOND_NS = 1_000_000_000
+VERSION = version("behavioural-cloning-toolkit")
 
 
 def drive(path: Path, rows: Iterable[int], *, gap_after: int | None = None, name: str = "") -> Path:
@@ -64,6 +67,18 @@ def numbered_on(messages: list[Stored], first: int) -> list[Stored]:
     return [m._replace(sequence=m.sequence + first) if m.topic in ROW_TOPICS else m for m in messages]
 
 
+def tag(path: Path, *tags: tuple[int, int, str]) -> Path:
+    with Log(path) as log:
+        for one in tags:
+            add_tag(path, log.fingerprint, Tag(*one))
+    return path
+
+
+def tags_of(path: Path) -> list[tuple[int, int, str]]:
+    with Log(path) as log:
+        return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
+
+
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("recorder.writer.CHUNK_BYTES", 2048)
@@ -79,7 +94,7 @@ def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> N
     assert found.messages == original.messages
     assert (done.messages, done.rows, list(done.skipped)) == (len(original.messages), 20, [])
     assert found.profile == "bc"
-    session = {**dict(original.metadata)["bc.session"], "recovered_from": "a.mcap"}
+    session = {**dict(original.metadata)["bc.session"], "recovered_from": "a.mcap", "rewritten_by": VERSION}
     assert sorted(found.metadata) == sorted({**dict(original.metadata), "bc.session": session}.items())
 
 
@@ -181,6 +196,48 @@ def test_a_time_that_comes_twice_is_no_stretch(tmp_path: Path) -> None:
         rows_between(log, 0.1, 0.3)
 
 
+def foreign(path: Path) -> Path:
+    """Another program's log: ten messages, a tenth of a second apart, of no topic that we know."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=100)
+        writer.start("other", "other")
+        channel = writer.register_channel("/tf", "json", writer.register_schema("tf", "jsonschema", b"{}"))
+        for number in range(10):
+            time_ns = START_NS + number * STEP_NS
+            writer.add_message(channel, time_ns, b"%d" % number, time_ns, number)
+        writer.add_metadata("calibration", {"k": "1"})
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def test_a_log_of_another_program_is_trimmed_by_time_alone(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "tf.mcap")
+    found = contents(trim_times(path, tmp_path / "b.mcap", 0.2, 0.45).path)
+    assert [message.data for message in found.messages] == [b"2", b"3", b"4"]
+    assert found.metadata == [("calibration", {"k": "1"})]
+    with pytest.raises(LogError, match=r"tf\.mcap: no message of these times; it lasts 0\.9 s"):
+        trim_times(path, tmp_path / "c.mcap", 5, 6)
+    with pytest.raises(LogError, match=r"tf\.mcap: no rows in it .* only times"):
+        trim(path, tmp_path / "c.mcap", (0, 1))
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["b.mcap", "tf.mcap"]
+
+
+def test_seconds_of_a_log_with_rows_are_those_of_its_rows(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(3, 20))
+    by_time = trim_times(whole, tmp_path / "b.mcap", 0.45, 1.0)
+    by_rows = trim(whole, tmp_path / "c.mcap", (8, 13))
+    assert contents(by_time.path).messages == contents(by_rows.path).messages
+    assert (by_time.rows, by_time.messages) == (by_rows.rows, by_rows.messages)
+
+
+def test_rows_that_a_log_does_not_have_are_refused(tmp_path: Path) -> None:
+    with Log(drive(tmp_path / "a.mcap", range(3, 9))) as log:
+        check_rows(log, (3, 8))
+        for rows in ((2, 8), (3, 9), (20, 30)):
+            with pytest.raises(LogError, match=rf"rows from {rows[0]} to {rows[1]}.*its rows are 3 to 8"):
+                check_rows(log, rows)
+
+
 # Merge
 
 
@@ -256,6 +313,78 @@ def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:
     assert not (tmp_path / "drives").exists()
 
 
+def test_a_part_is_split_under_the_name_it_would_have_had(tmp_path: Path) -> None:
+    part, _ = killed(drive(tmp_path / "a.mcap", range(20), gap_after=5))
+    assert [written.path.name for written in split(part, tmp_path)] == ["a-1.mcap", "a-2.mcap"]
+
+
+def test_if_one_name_is_taken_meanwhile_no_drive_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = tag(drive(tmp_path / "a.mcap", range(20), gap_after=11), (0, 19, "exclude"))
+    finish = LogWriter.finish
+
+    def finish_and_be_late(writer: LogWriter) -> None:
+        finish(writer)
+        (tmp_path / "drives" / "a-2.mcap").write_bytes(b"somebody's work")
+
+    monkeypatch.setattr(LogWriter, "finish", finish_and_be_late)
+    with pytest.raises(LogError, match=r"not split: somebody else wrote .*a-2\.mcap.*nothing was kept"):
+        split(whole, tmp_path / "drives")
+    assert [path.name for path in (tmp_path / "drives").iterdir()] == ["a-2.mcap"]
+    assert (tmp_path / "drives" / "a-2.mcap").read_bytes() == b"somebody's work"
+
+
+# Tags
+
+
+def test_tags_go_where_their_rows_go(tmp_path: Path) -> None:
+    whole = tag(
+        drive(tmp_path / "a.mcap", range(20), gap_after=11),
+        (0, 30, "exclude"),
+        (8, 15, "recovery"),
+        (2, 3, "bend"),
+    )
+    trim(whole, tmp_path / "trimmed.mcap", (3, 10))
+    assert tags_of(tmp_path / "trimmed.mcap") == [(3, 3, "bend"), (3, 10, "exclude"), (8, 10, "recovery")]
+    trim_times(whole, tmp_path / "times.mcap", 0.3, 1.0)
+    assert tags_of(tmp_path / "times.mcap") == tags_of(tmp_path / "trimmed.mcap")
+    first, second = split(whole, tmp_path / "drives")
+    assert tags_of(first.path) == [(0, 11, "exclude"), (2, 3, "bend"), (8, 11, "recovery")]
+    assert tags_of(second.path) == [(12, 15, "recovery"), (12, 19, "exclude")]
+    merge([second.path, first.path, second.path], tmp_path / "merged.mcap")
+    assert tags_of(tmp_path / "merged.mcap") == [
+        (12, 15, "recovery"),
+        (12, 19, "exclude"),
+        (20, 31, "exclude"),
+        (22, 23, "bend"),
+        (28, 31, "recovery"),
+        (32 + 12, 32 + 15, "recovery"),
+        (32 + 12, 32 + 19, "exclude"),
+    ]
+    recover(whole, tmp_path / "recovered.mcap")
+    assert tags_of(tmp_path / "recovered.mcap") == [(0, 19, "exclude"), (2, 3, "bend"), (8, 15, "recovery")]
+
+
+def test_tags_of_rows_that_are_not_there_and_of_another_content_do_not_come_along(tmp_path: Path) -> None:
+    whole = tag(drive(tmp_path / "a.mcap", range(20)), (0, 5, "bend"))
+    trim(whole, tmp_path / "b.mcap", (6, 10))
+    drive(tmp_path / "c.mcap", range(20), name="recorded anew")
+    tags_path(whole).rename(tags_path(tmp_path / "c.mcap"))
+    trim(tmp_path / "c.mcap", tmp_path / "d.mcap", (0, 10))
+    assert not list(tmp_path.glob("[bd].tags.jsonl"))
+
+
+def test_damaged_tags_stop_all_but_a_recovery_which_names_them(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
+    tags_path(whole).write_text("exclude 3 5\n")
+    edits: list[Edit] = [EDITS["trim"], EDITS["merge"], lambda path, to, force: split(path, to, overwrite=force)]
+    for edit in edits:
+        with pytest.raises(LogError, match=r"a\.tags\.jsonl: line 1 is not a tag"):
+            edit(whole, tmp_path / "b.mcap", False)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "a.tags.jsonl"]
+    done = recover(whole, tmp_path / "b.mcap")
+    assert done.skipped.counts == {"damaged files of tags": 1}
+
+
 # All of them
 
 Edit = Callable[[Path, Path, bool], object]
@@ -304,6 +433,29 @@ def test_a_name_that_is_not_utf8_is_told_escaped(tmp_path: Path, edit: Edit) -> 
     edit(whole, tmp_path / "b.mcap", False)
     told = contents(tmp_path / "b.mcap").metadata
     assert any("caf\\udce9.mcap" in value for _, values in told for value in values.values())
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_an_edit_that_fails_leaves_no_folder(tmp_path: Path, edit: Edit) -> None:
+    path = drive(tmp_path / "a.mcap", range(20))
+    data = bytearray(path.read_bytes())
+    for chunk in contents(path).chunks:
+        data[chunk.end - 1] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(LogError):
+        edit(path, tmp_path / "new" / "folder" / "b.mcap", False)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("recorder.writer.toolkit_version", lambda: "0.0.1")
+        whole = drive(tmp_path / "a.mcap", range(20), gap_after=5)
+    recover(whole, tmp_path / "b.mcap")
+    trim(whole, tmp_path / "c.mcap", (0, 3))
+    for path in (tmp_path / "b.mcap", tmp_path / "c.mcap", split(whole, tmp_path)[1].path):
+        with Log(path) as log:
+            assert (log.metadata["toolkit"], log.metadata["rewritten_by"]) == ("0.0.1", VERSION)
 
 
 @pytest.mark.parametrize("edit", [EDITS["trim"], EDITS["merge"]], ids=["trim", "merge"])

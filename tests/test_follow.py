@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -64,6 +65,10 @@ def write_rows(path: Path, rows: int = ROWS) -> Path:
         for row in range(rows):
             write_row(log, row)
     return path
+
+
+def in_the_log_topics() -> set[str]:
+    return {"/vehicle", "/pilot/command", "/pilot/input", "/events", *(f"/camera/{camera}" for camera in CAMERAS)}
 
 
 def in_the_log(path: Path) -> dict[str, list[tuple[int, Any]]]:
@@ -215,6 +220,24 @@ def test_damaged_logs_cause_a_log_error_or_an_end(tmp_path: Path, seed: int) -> 
     assert all(complaint.startswith(f"{path}: ") for complaint in complaints)
 
 
+def test_a_recording_that_waits_is_not_taken_for_a_killed_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viz.growing.QUIET_S", 0.0)
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, GrowingLog(writer.part) as log:
+        for row in range(2):
+            assert [list(log.read()) for _ in range(3)][1:] == [[], []]
+            write_row(writer, row)
+        shown_of(log.read())
+        assert log.notice == ""
+        part = tmp_path / "b.mcap.ab12cd.part"
+        part.write_bytes(writer.part.read_bytes())  # the same, but nobody writes it
+        with GrowingLog(part) as left:
+            assert shown_of(left.read()).keys() == in_the_log_topics()
+            shown_of(left.read())
+            assert "killed" in left.notice
+
+
 # Showing it
 
 
@@ -325,6 +348,55 @@ class Following(Process):
         super().__exit__(kind, error, trace)
 
 
+RECORDER = f"""
+import sys, time
+from pathlib import Path
+from recorder import LogWriter
+
+writer = LogWriter(Path(sys.argv[1]), {{}}, live=True)
+for row in range({ROWS}):
+    writer.picture("center", row, row, bytes([row]) * 300_000)
+print("part", writer.part, file=sys.stderr, flush=True)
+time.sleep(1000)
+"""
+
+
+def test_a_recording_that_is_killed_is_shown_as_far_as_it_is_whole_and_not_waited_for(tmp_path: Path) -> None:
+    rrd = tmp_path / "live.rrd"
+    with Process([sys.executable, "-c", RECORDER, str(tmp_path / "live.mcap")]) as recording:
+        part = Path(recording.wait_for("^part (.*)$")[1])
+        says = f"{part}: its recording was killed; all that is whole is shown; `bc-log recover {part}`"
+        save = Process(command("bc-play", part, "--follow", "--save", rrd))
+        with save, Following(part) as window:
+            viewer = window.wait_for_viewer()
+            wait_for_bytes(tmp_path, "live.rrd.*.part", 1000)
+            recording.end(signal.SIGKILL)
+            assert save.join() == 3
+            assert says in save.stderr[0]
+            window.wait_for(re.escape(says))
+            assert viewer.is_running()
+            assert window.end(signal.SIGINT) == 130
+    blobs = contents(rrd)["/camera/center"]["EncodedImage:blob"]
+    assert [(blob[0][0], len(blob[0])) for blob in blobs] == [(row, 300_000) for row in range(ROWS)]
+
+
+def test_what_was_cut_off_by_a_kill_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("viz.growing.QUIET_S", 0.0)
+    data = write_rows(tmp_path / "a.mcap").read_bytes()
+    part = tmp_path / "a.mcap.ab12cd.part"
+    part.write_bytes(data[: data.index(picture(5, 1)) + 1000])
+    assert call(main, part, "--follow", "--save", tmp_path / "a.rrd") == 3
+    said = capsys.readouterr().err
+    assert "killed" in said
+    assert f"to {part.stat().st_size:,}" in said
+    part.write_bytes(b"")
+    assert call(main, part, "--follow", "--save", tmp_path / "b.rrd") == 1
+    assert "killed before anything of it was written" in capsys.readouterr().err
+    assert not list(tmp_path.glob("b.rrd*"))
+
+
 def received(port: int, rrd: Path) -> subprocess.Popen[bytes]:
     """Another client of the viewer, which writes what the viewer has, until the viewer ends."""
     address = f"rerun+http://127.0.0.1:{port}/proxy"
@@ -366,7 +438,33 @@ def test_a_viewer_that_dies_or_freezes_does_not_harm_who_records_and_leaves_no_p
             if number == signal.SIGSTOP:
                 assert play.end(signal.SIGINT) == 130
             else:
-                assert play.join() != 130
+                assert play.join() == 1
+                assert "viewer was killed" in play.stderr[-1]
         assert not viewer.is_running()
         assert len(read_messages(tmp_path / f"{name}.mcap")["/vehicle"]) == 2 * ROWS
         assert not any("Traceback" in line for line in play.stderr), play.stderr
+
+
+DEAF_VIEWER = """
+import signal, subprocess, sys, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+child = subprocess.Popen([sys.executable, "-c", "import time; print('opened', flush=True); time.sleep(1000)"])
+time.sleep(1000)
+"""
+
+
+def test_a_preview_that_does_not_end_is_ended_with_all_its_processes(tmp_path: Path) -> None:
+    """Both a viewer and what starts it may be frozen; the recording ends all the same."""
+    (tmp_path / "viz").mkdir()
+    (tmp_path / "viz" / "cli.py").write_text(DEAF_VIEWER)  # found before the real one
+    flags = ("--listen", "--port", 0, "--viewer")
+    with Process(command("bc-record", "live", *flags), cwd=tmp_path) as record:
+        record.wait_for("listens|waits|waiting")
+        deadline_s = time.monotonic() + PATIENCE_S
+        previews: list[psutil.Process] = []
+        while len(previews) < 2 and time.monotonic() < deadline_s:
+            previews = psutil.Process(record.popen.pid).children(recursive=True)
+            time.sleep(0.05)
+        assert len(previews) == 2
+        assert record.end(signal.SIGINT) in (0, 1)
+    assert not any(preview.is_running() for preview in previews)

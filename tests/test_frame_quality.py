@@ -236,7 +236,7 @@ def test_the_printed_report_has_a_line_a_stretch_and_the_sums(
     )
     lines = capsys.readouterr().out.splitlines()
     assert [line.replace("│", " ").split() for line in lines if "2024" in line] == [
-        ["a[b]", "gap", "7", "0.10", "to", "9.10", "2024-07-13T14:30:16.100+00:00", "3"],
-        ["a[b]", "gap", "1200", "to", "1300", "100.00", "to", "110.00", "2024-07-13T14:32:16.100+00:00", "1,500"],
+        ["a[b]", "gap", "7", "0.10", "to", "9.10", "2024-07-13T14:30:16"],
+        ["a[b]", "gap", "1200", "to", "1300", "100.00", "to", "110.00", "2024-07-13T14:32:16"],
     ]
     assert lines[-1] == "1,503 frames gap"

@@ -3,13 +3,18 @@ a clear error."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import re
 import shutil
-from collections.abc import Callable
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from types import FrameType, ModuleType
+from typing import Any, Self
 
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -19,9 +24,11 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
-from common import UserError, whole_file
+from common import UserError, files, whole_file
+from common.interrupts import uninterrupted
 from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
 from recorder import Log, LogError, LogWriter
+from recorder import writer as writing
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import CAMERAS, Camera, camera_topic
 from udacity import jpeg
@@ -250,6 +257,113 @@ def test_of_two_writers_on_one_name_one_wins_and_the_other_says_so(tmp_path: Pat
     assert [state.steering for _, state in read_messages(path)["/vehicle"]] == [0.2]
     # what the loser made is not lost either, and the message says where it is
     assert [state.steering for _, state in read_messages(writers[0].part)["/vehicle"]] == [0.1]
+
+
+def test_text_that_is_not_utf8_is_written_escaped(tmp_path: Path) -> None:
+    """Names of files go into logs, and on most systems they may be any bytes."""
+    name = os.fsdecode(b"caf\xe9")
+    with LogWriter(tmp_path / "a.mcap", {"recording": name, name: "José"}) as writer:
+        writer.event(1, f"skipped {name}", name=name)
+        writer.add_metadata(name, {})
+    [(_, event)] = read_messages(tmp_path / "a.mcap")["/events"]
+    assert (event.message, event.name) == ("skipped caf\\udce9", "caf\\udce9")
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        found = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    assert found["bc.session"].items() >= {"recording": "caf\\udce9", "caf\\udce9": "José"}.items()
+    assert "caf\\udce9" in found
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_log_that_cannot_be_begun_leaves_nothing(tmp_path: Path, live: bool) -> None:
+    threads = threading.active_count()
+    with pytest.raises(AttributeError):
+        LogWriter(tmp_path / "folder" / "a.mcap", {"no text": 5}, live=live)  # type: ignore[dict-item]
+    assert (list(tmp_path.iterdir()), threading.active_count()) == ([], threads)
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=r"a\.mcap: cannot be written \(Not a directory|File exists\)"):
+        LogWriter(tmp_path / "file" / "folder" / "a.mcap", {}, live=live)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+# Ctrl-C
+
+
+class Interruption:
+    """Ctrl-C before the `at`-th line of these modules that is run, wherever that is."""
+
+    def __init__(self, at: int, *modules: ModuleType) -> None:
+        self.files = {module.__file__ for module in modules}
+        self.left = at
+
+    def __enter__(self) -> Self:
+        sys.settrace(self._trace)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(None)
+
+    @property
+    def came(self) -> bool:
+        return self.left < 0
+
+    def _trace(self, frame: FrameType, event: str, _: object) -> Any:
+        if frame.f_code.co_filename not in self.files or self.came:
+            return None
+        if event == "line" and frame.f_code.co_name != "__exit__":  # whose first line nobody can protect
+            self.left -= 1
+            if self.came:
+                signal.raise_signal(signal.SIGINT)
+        return self._trace
+
+
+def every_interruption(*modules: ModuleType) -> Iterator[Interruption]:
+    for at in range(10_000):
+        interruption = Interruption(at, *modules)
+        yield interruption
+        if not interruption.came:
+            assert at > 10, "nothing was tried"
+            return
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_wherever_ctrl_c_comes_while_a_log_is_closed_no_part_of_it_stays(tmp_path: Path, live: bool) -> None:
+    """What can be made again is whole or not there; what was recorded live is whole."""
+    for number, interruption in enumerate(every_interruption(writing, files)):
+        path = tmp_path / f"{number}.mcap"
+        with contextlib.suppress(KeyboardInterrupt), LogWriter(path, {}, live=live) as writer:
+            writer.vehicle(1, 0, VehicleState(steering=0.5))
+            interruption.__enter__()
+        interruption.__exit__()
+        if live or path.exists():
+            assert len(read_messages(path)["/vehicle"]) == 1
+            path.unlink()
+        assert list(tmp_path.iterdir()) == [], f"line {number}"
+
+
+def test_wherever_ctrl_c_comes_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
+    for number, interruption in enumerate(every_interruption(files)):
+        path = tmp_path / f"{number}.txt"
+        with contextlib.suppress(KeyboardInterrupt), whole_file(path, overwrite=False) as part:
+            part.write_text("all of it")
+            interruption.__enter__()
+        interruption.__exit__()
+        if path.exists():
+            assert path.read_text() == "all of it"
+            path.unlink()
+        assert list(tmp_path.iterdir()) == [], f"line {number}"
+
+
+def test_ctrl_c_is_put_off_not_lost(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with uninterrupted():
+            signal.raise_signal(signal.SIGINT)
+            (tmp_path / "done").touch()
+
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert (tmp_path / "done").exists()
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == handlers
 
 
 # Damage

@@ -15,13 +15,16 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Chunk, DataEnd, Footer, Header
 from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import StoragePlugin
 
 from driving import PATIENCE_S, environment, road_jpeg, run, untrained_run
 from logs import START_NS, STEP_NS, plain_read, read_messages
+from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.donkeycar import import_tub
 from recorder.edit import merge, recover, split, trim
+from recorder.foreign import import_foreign
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, Camera
@@ -207,7 +210,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     folder = tmp_path_factory.mktemp("logs")
     path = {
         name: folder / f"{name}.mcap"
-        for name in ("simulator", "udacity", "tub 1", "tub 2", "recovered", "trimmed", "merged")
+        for name in ("simulator", "udacity", "tub 1", "tub 2", "mcap", "bag", "recovered", "trimmed", "merged")
     }
     record_simulated(SimulatedDrive(laps=0.002), path["simulator"])
     make_recording(folder / "recording", f"{paths(0)},0,0,0,1\n{paths(30)},0.5,1,0,1\n", [0, 7])
@@ -217,6 +220,8 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
         del record["milliseconds"]
     import_tub(write_tub_1(folder / "tub 1", untimed, start_s=None), path["tub 1"])
     import_tub(write_tub_2(folder / "tub 2", map(record_2, range(4))), path["tub 2"])
+    import_foreign(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
+    import_foreign(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
 
     evaluated = run(
         "bc-eval", untrained_run(folder / "pilot"), "--simulator", "lake", "--laps", 0.002, "--logs", folder

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 
 from driving import PATIENCE_S, environment
 from recorder import LogError
-from recorder.tags import Tag, add_tag, check_name, read_tags, remove_tag, tags_path
+from recorder.tags import Tag, add_tag, add_tags, check_name, read_tags, remove_tag, stale_tags, tags_path
 
 CONTENT, OTHER_CONTENT = "a" * 64, "b" * 64
 
@@ -45,6 +46,8 @@ def test_tags_are_what_was_added_and_not_removed_since(
     for content, model in expected.items():
         found = [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(log, content)]
         assert found == sorted(key for key, is_there in model.items() if is_there)
+        others = [other for fingerprint, other in expected.items() if fingerprint != content]
+        assert stale_tags(log, content) == sum(sum(other.values()) for other in others)
 
 
 def test_a_log_without_tags_has_none(log: Path) -> None:
@@ -133,6 +136,33 @@ def test_rows_that_no_tag_can_have(log: Path, rows: tuple[int, int]) -> None:
     with pytest.raises(LogError, match="row"):
         add_tag(log, CONTENT, Tag(*rows, "exclude"))
     assert not tags_path(log).exists()
+
+
+@pytest.fixture
+def limit_files() -> Iterator[Callable[[int], None]]:
+    """Let no file grow above so many bytes: the system then refuses to write, as it does on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_tags_that_do_not_fit_on_the_disk_change_nothing(log: Path, limit_files: Callable[[int], None]) -> None:
+    tags = [Tag(row, row, "exclude") for row in range(3)]
+    add_tags(log, CONTENT, tags)
+    size = tags_path(log).stat().st_size
+    tags_path(log).unlink()
+    for limit in (0, 10, size - 1):
+        limit_files(limit)
+        with pytest.raises(LogError, match=r"lake\.tags\.jsonl: cannot be written"):
+            add_tags(log, CONTENT, tags)
+        assert not tags_path(log).exists()
+    limit_files(resource.RLIM_INFINITY)
+    add_tag(log, CONTENT, Tag(9, 9, "kept"))
+    before = tags_path(log).read_bytes()
+    limit_files(len(before) + size - 1)
+    with pytest.raises(LogError, match="cannot be written"):
+        add_tags(log, CONTENT, tags)
+    assert tags_path(log).read_bytes() == before
 
 
 def link_elsewhere(path: Path) -> None:
@@ -229,3 +259,28 @@ def test_a_line_that_somebody_is_writing_is_not_taken_for_one_that_was_cut_off(l
         fcntl.flock(stream, fcntl.LOCK_UN)
         assert other.wait(PATIENCE_S) == 0
     assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0", "first", "second"]
+
+
+def test_a_file_that_another_one_removes_meanwhile_is_made_anew(log: Path) -> None:
+    """Who cannot write the first tag of a log removes the empty file again, while others may wait for it."""
+    import fcntl
+
+    with (
+        tags_path(log).open("ab", buffering=0) as stream,
+        subprocess.Popen(
+            [sys.executable, "-c", ADD_MANY, str(log), CONTENT, "0", "1"],
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as other,
+    ):
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        assert other.stdin is not None
+        other.stdin.write(b"go\n")
+        other.stdin.flush()
+        with pytest.raises(subprocess.TimeoutExpired):
+            other.wait(1.5)
+        tags_path(log).unlink()
+        fcntl.flock(stream, fcntl.LOCK_UN)
+        assert other.wait(PATIENCE_S) == 0
+    assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0"]

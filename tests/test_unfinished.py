@@ -28,6 +28,7 @@ from plain_mcap import Contents, StoredChunk, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.edit import recover, recovered_name
+from recorder.locks import is_being_written
 from recorder.topics import CAMERAS, Camera
 from simulator.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
 from udacity import make_recording, paths
@@ -184,6 +185,61 @@ def test_a_log_is_read_while_it_grows(tmp_path: Path, monkeypatch: pytest.Monkey
         log.close()
     with Log(path) as finished:
         assert (finished.notice, finished.frames().num_rows) == ("", 3 * ROWS)
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+
+with LogWriter(Path(sys.argv[1]), {"source": "test"}, live=True) as writer:
+    for row in range(5):
+        writer.vehicle(1000 + row, row, VehicleState(steering=row / 5))
+    while writer.bytes_written < 700:
+        writer.flush_if_due()
+        time.sleep(0.01)
+    print("written", file=sys.stderr, flush=True)
+    time.sleep(1000)
+"""
+
+
+def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path) -> None:
+    with Process([sys.executable, "-c", HOLDER, str(tmp_path / "lake.mcap")]) as recorder:
+        recorder.wait_for("written")
+        [part] = tmp_path.iterdir()
+        assert is_being_written(part)
+        with Log(part) as log:
+            assert log.problem == "unfinished: its recording is still going on"
+        with pytest.raises(LogError, match=r"lake\.mcap: the name that the recording will take"):
+            recover(part, tmp_path / "lake.mcap")
+        written = recover(part, recovered_name(part))
+        assert (written.path, written.rows) == (tmp_path / "lake.recovered.mcap", 5)
+        assert written.skipped.counts["recordings' ends, because they still go on"] == 1
+        recorder.end(signal.SIGKILL)
+    assert not is_being_written(part)
+    with Log(part) as log:
+        assert log.problem == "unfinished: its recording was killed, or it was cut off"
+    assert recover(part, recovered_name(part)).path == tmp_path / "lake.mcap"
+
+
+@pytest.mark.parametrize("end", [LogWriter.close, LogWriter.discard])
+@pytest.mark.parametrize("live", [True, False])
+def test_a_log_is_being_written_until_it_is_closed(
+    tmp_path: Path, live: bool, end: Callable[[LogWriter], None]
+) -> None:
+    path = tmp_path / "lake.mcap"
+    writer = LogWriter(path, {}, live=live)
+    assert [is_being_written(writer.part) for _ in range(3)] == [True] * 3  # asking changes nothing
+    assert not is_being_written(path)
+    end(writer)
+    assert not is_being_written(writer.part)
+    assert not is_being_written(path)
+
+
+def test_what_is_no_file_is_not_being_written(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")  # opening it would wait
+    assert not any(map(is_being_written, (tmp_path, tmp_path / "pipe", tmp_path / "missing")))
 
 
 # Names
@@ -397,7 +453,7 @@ def test_an_import_to_a_full_disk_says_so_and_leaves_nothing(tmp_path: Path) -> 
     assert (done.returncode, done.stdout) == (1, "")
     [line] = done.stderr.splitlines()
     assert re.search(r"lake\.mcap: cannot be written \((No space left|File too large).*nothing was kept", line)
-    assert list((left / "sessions").iterdir()) == []
+    assert list(left.iterdir()) == []
 
 
 def test_a_live_recording_on_a_full_disk_is_kept_and_says_where(tmp_path: Path) -> None:
@@ -434,7 +490,7 @@ def test_wherever_the_disk_is_full_an_import_leaves_nothing(
         limit_files(limit)
         with pytest.raises(UserError, match="nothing was kept"):
             write_log(folder / "lake.mcap", [0.1] * 20, picture)
-        assert list(folder.iterdir()) == []
+        assert not folder.exists()
     limit_files(size)
     write_log(folder / "lake.mcap", [0.1] * 20, picture)
 

@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
@@ -17,7 +18,9 @@ from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.simulated import SimulatedDrive, record_simulated
 from rrd import contents, free_ports, listening, view_names
-from viz import save_rrd, viewer
+from udacity import call
+from viz import save_growing, save_rrd, viewer
+from viz.cli import main
 
 ROWS = 40
 START_NS = 1_767_225_600 * 10**9
@@ -228,6 +231,72 @@ def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_the_command(d
         assert not any(child.is_running() for child in children)
     assert f"http://127.0.0.1:{web_port}/" in play.stdout
     assert f"127.0.0.1:{port}" in play.stdout
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no signals there")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_viewer_that_dies_is_one_line_and_exit_code_1(drive: Path, number: signal.Signals) -> None:
+    web_port, port = free_ports(2)
+    flags = ("--web", "--web-port", web_port, "--port", port)
+    with Process(command("bc-play", drive.with_suffix(".mcap"), *flags)) as play:
+        play.wait_for("open that address in a browser")
+        (viewer,) = psutil.Process(play.popen.pid).children()
+        viewer.send_signal(number)
+        assert play.join() == 1
+    assert f"viewer was killed (signal {number.value})" in play.stderr[-1]
+    assert len(play.stderr) == 2
+
+
+@pytest.fixture
+def limit_files() -> Iterator[Callable[[int], None]]:
+    """Let no file grow above so many bytes: the system then refuses to write, as it does on a full disk."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("save", [save_rrd, save_growing])
+def test_wherever_the_disk_is_full_nothing_is_left_and_rerun_says_nothing(
+    drive: Path,
+    tmp_path: Path,
+    limit_files: Callable[[int], None],
+    capfd: pytest.CaptureFixture[str],
+    save: Callable[[Path, Path], object],
+) -> None:
+    """Also where only the end of the file does not fit any more."""
+    log, rrd = drive.with_suffix(".mcap"), tmp_path / "x.rrd"
+    save(log, rrd)
+    assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == ROWS
+    size = rrd.stat().st_size
+    rrd.unlink()
+    for limit in (0, 10, 700, 5_000, size // 2, size - 5_000, size - 1_000):
+        limit_files(limit)
+        with pytest.raises(UserError, match=r"x\.rrd: cannot be written \(File too large\)"):
+            save(log, rrd)
+        assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("flags", [("--save", "x.rrd"), ("--follow", "--save", "x.rrd"), ("--web",)])
+def test_a_full_disk_is_one_line_also_where_a_viewer_would_open(
+    drive: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    limit_files: Callable[[int], None],
+    capfd: pytest.CaptureFixture[str],
+    flags: tuple[str, ...],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "400")
+    limit_files(20_000)
+    assert call(main, drive.with_suffix(".mcap"), *flags) == 1
+    said = capfd.readouterr()
+    (line,) = said.err.splitlines()
+    assert "cannot be written" in line
+    assert said.out == ""
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_log_damaged_in_the_middle_is_one_line_and_an_end(tmp_path: Path) -> None:

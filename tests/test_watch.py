@@ -284,7 +284,7 @@ def test_a_last_line_that_is_cut_off_is_named(tmp_path: Path) -> None:
 def test_nothing_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(RecordingError, match=r"driving_log\.csv: it never came"):
         watch_udacity(tmp_path / "nowhere", tmp_path / "sessions" / "watched.mcap", idle_s=0)
-    assert list((tmp_path / "sessions").iterdir()) == []
+    assert list(tmp_path.iterdir()) == []
     assert f"waiting for {tmp_path / 'nowhere' / 'driving_log.csv'}" in capsys.readouterr().err
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.markup import escape
 
-from common.command import DONE, DONE_BUT_SKIPPED, run_command, stderr, warn_skipped
+from common.command import DONE, run_command, stderr, warn, warn_skipped
 
 
 @dataclass(frozen=True)
@@ -55,9 +54,10 @@ def save(config: Play, log: Path, rrd: Path, *, is_growing: bool) -> int:
     from viz.playback import save_rrd
 
     if is_growing:
-        code = warn_skipped(save_growing(log, rrd, overwrite=config.force))
+        followed = save_growing(log, rrd, overwrite=config.force)
+        code = max(_told(followed.notice), warn_skipped(followed.skipped))
     else:
-        code = tell(save_rrd(log, rrd, overwrite=config.force))
+        code = _told(save_rrd(log, rrd, overwrite=config.force))
     print(f"{rrd}: written; open it with `rerun {rrd}`")
     return code
 
@@ -65,27 +65,27 @@ def save(config: Play, log: Path, rrd: Path, *, is_growing: bool) -> int:
 def show(config: Play, log: Path, *, is_growing: bool) -> int:
     from viz.follow import VIEWER_MEMORY, follow
     from viz.playback import save_rrd
-    from viz.viewer import Ports, free_port, has_display, open_viewer
+    from viz.viewer import Ports, free_port, has_display, open_viewer, wait_until_closed
 
     web = config.web or not has_display()
     # A window gets a port of its own: several may be open beside each other.
     ports = Ports(config.web_port, config.port if web else free_port())
     with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
         rrd = None if is_growing else Path(folder) / f"{log.name}.rrd"
-        code = DONE if rrd is None else tell(save_rrd(log, rrd))
+        code = DONE if rrd is None else _told(save_rrd(log, rrd))
         with open_viewer(rrd, ports, web=web, memory=VIEWER_MEMORY if is_growing else None) as viewer:
             if web:
                 print(ports.web_address, flush=True)
                 stderr().print("bc-play: open that address in a browser; Ctrl-C ends")
-            return follow(log, viewer, ports) if is_growing else viewer.wait() or code
+            if is_growing:
+                return follow(log, viewer, ports)
+            wait_until_closed(viewer)
+            return code
 
 
-def tell(notice: str) -> int:
+def _told(notice: str) -> int:
     """Print what a log that was never finished has to say; the exit code that says so."""
-    if not notice:
-        return DONE
-    stderr().print(f"[yellow]bc-play:[/] {escape(notice)}")
-    return DONE_BUT_SKIPPED
+    return warn(notice) if notice else DONE
 
 
 def main() -> None:

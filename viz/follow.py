@@ -7,18 +7,19 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import rerun as rr
 from rich.markup import escape
 
-from common import Skipped, UserError, whole_file
-from common.command import DONE, FAILED, stderr, warn_skipped
+from common import Skipped, UserError
+from common.command import DONE, FAILED, stderr, warn, warn_skipped
 from viz.growing import GrowingLog, final_name
 from viz.messages import MessageSender
-from viz.playback import APPLICATION
-from viz.viewer import Ports, wait_until_it_listens
+from viz.rrd_file import APPLICATION, rrd_file
+from viz.viewer import Ports, wait_until_closed, wait_until_it_listens
 
 POLL_S: Final = 0.2
 BEHIND_S: Final = 2.0
@@ -30,39 +31,45 @@ VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
 _GRACE_S: Final = 0.5
 
 
-def save_growing(path: Path, rrd: Path, *, overwrite: bool = False) -> Skipped:
-    """Write the log at `path` to the file `rrd` as it grows, until it is finished; what could not be shown.
+@dataclass(frozen=True)
+class Followed:
+    """What there is to say of a log that was followed to its end."""
+
+    notice: str
+    """That its recording was killed; empty if it was finished."""
+    skipped: Skipped
+    """What could not be shown."""
+
+
+def save_growing(path: Path, rrd: Path, *, overwrite: bool = False) -> Followed:
+    """Write the log at `path` to the file `rrd` as it grows, until it is finished or its recording was killed.
 
     Raises LogError if the log cannot be read or is deleted before its end, UserError if `rrd` exists and may
-    not be overwritten.
+    not be overwritten, or where the disk is full.
     """
     _refuse_windows()
-    with whole_file(rrd, overwrite=overwrite) as part, GrowingLog(path) as log:
-        part.touch()  # of a folder that cannot be written, Rerun makes a hang
-        recording = rr.RecordingStream(APPLICATION)
-        recording.save(part)
-        recording.send_recording_name(final_name(path))
-        _send(log, recording, threading.Event(), keep_up=False)
-        recording.disconnect()
-        return log.skipped
+    with rrd_file(rrd, overwrite=overwrite) as file, GrowingLog(path) as log:
+        file.recording.send_recording_name(final_name(path))
+        _send(log, file.recording, file.has_failed, keep_up=False)
+    return Followed(log.notice, log.skipped)
 
 
 def follow(path: Path, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
     """Show the log at `path` in an open, empty viewer as it grows, until the viewer is closed; the exit code.
 
     What goes wrong with the log is told on stderr when it happens, and the viewer stays open. Raises UserError
-    if the viewer does not start.
+    if the viewer does not start, or dies.
     """
     _refuse_windows()
     wait_until_it_listens(viewer, ports)
     follower = _Follower(path, ports)
     follower.start()
     try:
-        code = viewer.wait()
+        wait_until_closed(viewer)
     finally:
         follower.stop.set()
         follower.join(_GRACE_S)  # a frozen viewer holds it up until that is killed
-    return code or follower.code
+    return follower.code
 
 
 class _Follower(threading.Thread):
@@ -84,18 +91,21 @@ class _Follower(threading.Thread):
                 _send(log, recording, self.stop, keep_up=True)
                 if log.is_finished:
                     stderr().print(f"bc-play: {escape(final_name(self._path))} is finished, all of it is shown")
+                elif log.notice:
+                    self.code = warn(log.notice)
                 elif not self.stop.wait(_GRACE_S):
                     raise UserError("the viewer has lost its connection and shows nothing new; open it again")
             except UserError as error:
                 stderr().print(f"[red]bc-play:[/] {escape(str(error))}")
                 self.code = FAILED
-            self.code = self.code or warn_skipped(log.skipped)
+            skipped = warn_skipped(log.skipped)
+            self.code = self.code or skipped
         with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
             recording.disconnect()
 
 
 def _send(log: GrowingLog, recording: rr.RecordingStream, stop: threading.Event, *, keep_up: bool) -> None:
-    """Send the log as it grows, until it is finished, `stop` is set or nobody takes it any more."""
+    """Send the log as it grows, until it is over, `stop` is set or nobody takes it any more."""
     sender = MessageSender(recording)
     pictures_of_last_s = HISTORY_S if keep_up else None
     last_s = time.monotonic()
@@ -106,7 +116,7 @@ def _send(log: GrowingLog, recording: rr.RecordingStream, stop: threading.Event,
             recording.flush()  # what the viewer does not take must not pile up here
         except RuntimeError:
             return  # the viewer is gone
-        if log.is_finished:
+        if log.is_finished or log.notice:
             return
         stop.wait(POLL_S)
         now_s = time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -15,10 +16,14 @@ from common import Skipped
 from common.files import PART_SUFFIX
 from recorder.chunks import MAGIC, Chunk, McapFile, StoredMessage
 from recorder.errors import LogError
+from recorder.locks import is_being_written
 from recorder.structure import Structure, has_summary, walk_on
 from viz.messages import KINDS, PICTURE_TOPICS, Shown
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
+QUIET_S: Final = 2.0
+"""Nothing new for so long, and nobody who writes (some file systems cannot tell): the recording was killed."""
+
 _PART: Final = r"\.[0-9a-f]{6}" + re.escape(PART_SUFFIX)  # what `common.files` adds to a name
 _LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, Rerun's are not
 
@@ -56,13 +61,16 @@ def is_finished(path: Path) -> bool:
 class GrowingLog:
     """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
 
-    Raises LogError if it cannot be opened, is no log, or is deleted before it is finished.
+    Either `is_finished` or `notice` tells that nothing more will come: the recording was killed, says the notice.
+    Raises LogError if it cannot be opened, is no log, is deleted before it is finished, or nothing was written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.skipped = Skipped()
         self.is_finished = False
+        self.notice = ""
+        self._quiet_since_s = time.monotonic()
         self._file: McapFile | None = None
         self._position = len(MAGIC)
         self._found = Structure()
@@ -84,19 +92,34 @@ class GrowingLog:
 
         With `pictures_of_last_s`, pictures that are older than that before the newest message are skipped.
         """
+        path = find_log(self.path)
+        is_written = is_being_written(path)  # asked first: what was written until it died is then read
+        before = self._position, len(self._found.chunks), len(self._found.lost)
         self._file = self._file or self._opened()
+        if self._file is not None:
+            self._position, self.is_finished = walk_on(self._file, self._position, self._found)
+        if is_written or self._position > before[0]:
+            self._quiet_since_s = time.monotonic()
+        elif not self.is_finished and time.monotonic() - self._quiet_since_s >= QUIET_S:
+            self._end_without_end(path)
         if self._file is None:
             return
-        before = len(self._found.chunks), len(self._found.lost)
-        self._position, self.is_finished = walk_on(self._file, self._position, self._found)
-        for start, end in self._found.lost[before[1] :]:
+        for start, end in self._found.lost[before[2] :]:
             self.skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
-        chunks = self._found.chunks[before[0] :]
+        chunks = self._found.chunks[before[1] :]
         since_ns = 0
         if pictures_of_last_s is not None and chunks:
             since_ns = _newest_ns(self._file, chunks[-1]) - round(pictures_of_last_s * 1e9)
         for chunk in chunks:
             yield list(self._shown_of(self._file, chunk, since_ns))
+
+    def _end_without_end(self, path: Path) -> None:
+        if self._file is None:
+            raise LogError(f"{path}: its recording was killed before anything of it was written")
+        told = "its recording was killed; all that is whole is shown"
+        self.notice = f"{path}: {told}; `bc-log recover {path}` makes a log of it"
+        if self._position < self._file.size:
+            self._found.lost.append((self._position, self._file.size))
 
     def _opened(self) -> McapFile | None:
         path = find_log(self.path)

@@ -11,14 +11,14 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from common import whole_file
+from common.files import refuse_existing
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover
 from recorder.topics import PILOT_COMMAND, VEHICLE
 from viz.layout import CURVES, Curve, log_layout
+from viz.rrd_file import rrd_file
 
-APPLICATION: Final = "behavioural-cloning-toolkit"
 TIMELINE: Final = "message_log_time"  # as Rerun's MCAP reader calls a message's log time
 
 Values = NDArray[np.float64]
@@ -28,34 +28,32 @@ def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
     """Write the log at `path`, its curves and its layout to the file `rrd`, without a window.
 
     Of a log that was never finished, what is whole is taken. The log's notice, empty for a finished one.
-    Raises LogError if the log cannot be read, UserError if `rrd` exists and may not be overwritten.
+    Raises LogError if the log cannot be read, UserError if `rrd` exists and may not be overwritten, or where the
+    disk is full.
     """
-    with Log(path) as log, whole_file(rrd, overwrite=overwrite) as part:
+    refuse_existing(rrd, overwrite)
+    with Log(path) as log:
         if not log.problem:
-            _save(log, path.name, part)
+            _save(log, path.name, rrd, overwrite=overwrite)
             return ""
         # Rerun's reader refuses a log without a sound end.
         with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
             whole = recover(path, Path(folder) / "whole.mcap").path
             with Log(whole) as recovered:
-                _save(recovered, path.name, part)
+                _save(recovered, path.name, rrd, overwrite=overwrite)
         return log.notice
 
 
-def _save(log: Log, name: str, part: Path) -> None:
-    # Both come before Rerun starts: of a damaged log, or a folder that cannot be written, it makes a hang.
-    drawn = list(curves(log))
-    part.touch()
-    recording = rr.RecordingStream(APPLICATION, recording_id=f"{name}-{log.fingerprint[:12]}")
-    topics = [topic for topic, count in log.counts.items() if count]
-    recording.save(part, default_blueprint=log_layout(topics))
-    recording.send_recording_name(name)
-    recording.log_file_from_path(log.path)
-    for curve, time_ns, values in drawn:
-        log_style(recording, curve)
-        send_curve(recording, curve, time_ns, values)
-    recording.flush()
-    recording.disconnect()
+def _save(log: Log, name: str, rrd: Path, *, overwrite: bool) -> None:
+    drawn = list(curves(log))  # before Rerun starts: of a damaged log, it makes a hang
+    layout = log_layout([topic for topic, count in log.counts.items() if count])
+    recording_id = f"{name}-{log.fingerprint[:12]}"
+    with rrd_file(rrd, overwrite=overwrite, recording_id=recording_id, layout=layout) as file:
+        file.recording.send_recording_name(name)
+        file.recording.log_file_from_path(log.path)
+        for curve, time_ns, values in drawn:
+            log_style(file.recording, curve)
+            send_curve(file.recording, curve, time_ns, values)
 
 
 def curves(log: Log) -> Iterator[tuple[Curve, NDArray[np.int64], Values]]:

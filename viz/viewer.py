@@ -101,6 +101,14 @@ def wait_until_it_listens(viewer: subprocess.Popen[bytes], ports: Ports) -> None
     raise UserError("the Rerun viewer did not start; give --web to use a browser instead, or --save FILE.rrd")
 
 
+def wait_until_closed(viewer: subprocess.Popen[bytes]) -> None:
+    """Raises UserError if the viewer ends otherwise than by being closed."""
+    code = viewer.wait()
+    if code:
+        how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
+        raise UserError(f"the Rerun viewer {how}; open it again, or give --web to use a browser instead")
+
+
 def _refuse_taken(port: int) -> None:
     try:
         socket.create_server((LOCAL, port)).close()

@@ -1,0 +1,19 @@
+"""Many files open at once."""
+
+from __future__ import annotations
+
+import sys
+
+if sys.platform != "win32":
+    import resource
+
+_OTHERS = 256  # libraries, sockets, and the like
+
+
+def allow_open_files(count: int) -> None:
+    """Let this process have `count` more files open, as far as the system lets it: often only 1,024 are, unasked."""
+    if sys.platform != "win32":
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        wanted = count + _OTHERS if hard == resource.RLIM_INFINITY else min(count + _OTHERS, hard)
+        if wanted > soft != resource.RLIM_INFINITY:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))

@@ -1,0 +1,87 @@
+"""What a log that is made out of another one says of itself, and how it gets its name and its tags."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from common import Skipped, UserError
+from common.interrupts import uninterrupted
+from recorder import topics
+from recorder.errors import LogError
+from recorder.log import Log
+from recorder.tags import Tag, add_tags
+from recorder.writer import LogWriter, toolkit_version
+
+
+def session_of(log: Log) -> dict[str, str] | None:
+    """The log's `bc.session`; None if it has none, because another program wrote it."""
+    return next((values for name, values in reversed(log.all_metadata()) if name == topics.SESSION_METADATA), None)
+
+
+def new_log(to: Path, session: dict[str, str] | None, about: dict[str, str], overwrite: bool) -> LogWriter:
+    """A log that says of itself what the original did, and `about`. Of another program's log it says nothing."""
+    if session is None:
+        return LogWriter(to, None, overwrite=overwrite, profile="")
+    rewritten = {"toolkit": "unknown", **session, "rewritten_by": toolkit_version(), **about}
+    return LogWriter(to, rewritten, overwrite=overwrite)
+
+
+def copy_rest(
+    log: Log, metadata: Sequence[tuple[str, dict[str, str]]], writer: LogWriter, skipped: Skipped
+) -> None:
+    """Metadata (but what the new log says itself) and attachments."""
+    for name, values in metadata:
+        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA):
+            writer.add_metadata(name, values)
+    for offset in log.attachments:
+        try:
+            writer.copy_attachment(log.attachment(offset))
+        except LogError:
+            skipped.add("damaged attachments", f"at byte {offset:,}")
+
+
+def tags_of_rows(tags: Sequence[Tag], rows: Sequence[int]) -> list[Tag]:
+    """The tags of these rows, clipped to the first and the last of them that each one names."""
+    number = np.array(rows, np.int64)
+    clipped = []
+    for tag in tags:
+        its = number[(number >= tag.first_row) & (number <= tag.last_row)]
+        if len(its):
+            clipped.append(Tag(int(its.min()), int(its.max()), tag.name))
+    return clipped
+
+
+def close_with_tags(writer: LogWriter, tags: Sequence[Tag]) -> None:
+    with uninterrupted():  # a log that has its name has its tags
+        writer.close()
+        _write_tags(writer.path, tags)
+
+
+def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequence[Tag]], overwrite: bool) -> None:
+    """Give all of the finished logs their names, or none."""
+    published: list[Path] = []
+    with uninterrupted():
+        for writer in writers:
+            try:
+                writer.publish()
+            except UserError:
+                if not overwrite:
+                    for other in published:
+                        other.unlink(missing_ok=True)
+                stays = ", ".join(map(str, published)) if overwrite and published else "nothing"
+                raise LogError(
+                    f"{path}: not split: somebody else wrote {writer.path} meanwhile, or it cannot be written; of"
+                    f" the drives {stays} was kept"
+                ) from None
+            published.append(writer.path)
+        for target, its_tags in zip(published, tags, strict=True):
+            _write_tags(target, its_tags)
+
+
+def _write_tags(path: Path, tags: Sequence[Tag]) -> None:
+    if tags:
+        with Log(path) as log:
+            add_tags(path, log.fingerprint, tags)

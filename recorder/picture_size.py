@@ -1,0 +1,54 @@
+"""How large a JPEG or PNG is by its own header, before anything is unpacked: a few kilobytes may say gigabytes."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+MOST_PIXELS: Final = 1 << 26
+"""No larger picture is decoded: in memory it is up to 200 MB, and a car's camera gives a hundredth of it."""
+
+PNG_START: Final = b"\x89PNG\r\n\x1a\n"
+
+_JPEG_START: Final = b"\xff\xd8"
+_WITHOUT_LENGTH: Final = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})
+_NO_FRAMES: Final = frozenset({0xC4, 0xC8, 0xCC})  # tables among the numbers of the frames
+_SCAN_OR_END: Final = frozenset({0xD9, 0xDA})
+
+
+def pixels(picture: bytes) -> int | None:
+    """Width x height of a JPEG or PNG; None if it is neither, or cut off before that."""
+    try:
+        if picture.startswith(PNG_START):
+            width, height = struct.unpack_from(">II", picture, 16)
+        elif picture.startswith(_JPEG_START):
+            height, width = struct.unpack_from(">HH", picture, _frame(picture) + 3)
+        else:
+            return None
+    except (struct.error, IndexError, ValueError):
+        return None
+    return int(width) * int(height)
+
+
+def can_be_decoded(picture: bytes) -> bool:
+    """Whether it begins as a JPEG or PNG of at most `MOST_PIXELS`."""
+    return 0 < (pixels(picture) or 0) <= MOST_PIXELS
+
+
+def _frame(jpeg: bytes) -> int:
+    """Where the content of the first frame's header begins (T.81, B.2.2), searched as libjpeg does.
+
+    Raises IndexError or ValueError if there is none.
+    """
+    position = 2
+    while True:
+        position = jpeg.index(0xFF, position)
+        while (marker := jpeg[position]) == 0xFF:
+            position += 1
+        position += 1
+        if 0xC0 <= marker < 0xD0 and marker not in _NO_FRAMES:
+            return position
+        if marker in _SCAN_OR_END:
+            raise ValueError("no frame")
+        if marker not in _WITHOUT_LENGTH:
+            position += jpeg[position] << 8 | jpeg[position + 1]

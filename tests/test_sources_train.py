@@ -1,0 +1,57 @@
+"""What other cars and programs have recorded is trained on: from the sources to a run, by the commands alone."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow.parquet as pq
+from rosbags.rosbag2 import StoragePlugin
+
+from driving import road_jpeg, run
+from other_logs import CAMERA, write_bag
+from tubs import record_1, record_2, write_tub_1, write_tub_2
+
+PICTURES = 60
+STEERING = [math.sin(number / 5) * 0.8 for number in range(PICTURES)]
+
+
+def tub_1(folder: Path) -> list[object]:
+    records = {number: record_1(number, **{"user/angle": value}) for number, value in enumerate(STEERING)}
+    return ["--from", write_tub_1(folder, records, pictures=range(PICTURES))]
+
+
+def tub_2(folder: Path) -> list[object]:
+    records = [record_2(number, **{"user/angle": value}) for number, value in enumerate(STEERING)]
+    # other pictures than the other tub's: two sessions with the same picture are refused
+    written = write_tub_2(folder, records, pictures=[])
+    for number in range(PICTURES):
+        (folder / "images" / f"{number}_cam_image_array_.jpg").write_bytes(road_jpeg(number))
+    return ["--from", written]
+
+
+def ros_2_bag(folder: Path) -> list[object]:
+    rows = [(number / 10, value, road_jpeg(100 + number)) for number, value in enumerate(STEERING)]
+    bag = write_bag(folder, StoragePlugin.SQLITE3, rows=rows)
+    return ["--from", bag, "--image", CAMERA, "--steering", "/cmd_vel.angular.z", "--steering-scale", -1]
+
+
+SOURCES: dict[str, Callable[[Path], list[object]]] = {"tub_1": tub_1, "tub_2": tub_2, "bag": ros_2_bag}
+
+
+def test_tubs_of_both_versions_and_a_bag_are_trained_on(tmp_path: Path) -> None:
+    for name, write in SOURCES.items():
+        recorded = run("bc-record", name, *write(tmp_path / name), cwd=tmp_path)
+        assert (recorded.returncode, recorded.stderr) == (0, "")
+        assert f"{PICTURES} rows, {PICTURES} pictures" in recorded.stdout
+    # some seconds of driving: the usual blocks, and the margin around them, would leave nothing to train on
+    indexed = run("bc-index", "--block-s", 1, "--gap-s", 0, "--no-balance", "--no-flip", cwd=tmp_path)
+    assert indexed.returncode == 0, indexed.stderr
+    samples = pq.read_table(tmp_path / "index" / "samples.parquet")
+    assert Counter(samples["session"].to_pylist()) == dict.fromkeys(SOURCES, PICTURES)
+    trained = run("bc-train", "--epochs", 1, "--batch", 32, "--name", "first", cwd=tmp_path)
+    assert trained.returncode == 0, trained.stderr
+    written = {path.name for path in (tmp_path / "runs" / "first").iterdir()}
+    assert written >= {"model.safetensors", "config.json", "metrics.jsonl"}

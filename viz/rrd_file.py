@@ -1,0 +1,108 @@
+"""A Rerun recording that is written to a file, which appears whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Final
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from common import UserError, whole_file
+
+APPLICATION: Final = "behavioural-cloning-toolkit"
+
+_READ_BYTES: Final = 1 << 20
+
+
+@dataclass(frozen=True)
+class RrdFile:
+    """What to send to, and whether there is still a point in it."""
+
+    recording: rr.RecordingStream
+    has_failed: threading.Event
+    """Set as soon as the file cannot be written any further."""
+
+
+@contextlib.contextmanager
+def rrd_file(
+    path: Path, *, overwrite: bool, recording_id: str | None = None, layout: rrb.Blueprint | None = None
+) -> Iterator[RrdFile]:
+    """A recording to the file `path`.
+
+    Raises UserError if `path` exists and may not be overwritten, or where the disk is full; nothing is then left.
+    """
+    with whole_file(path, overwrite=overwrite) as part:
+        recording = rr.RecordingStream(APPLICATION, recording_id=recording_id)
+        if sys.platform == "win32":  # a pipe has no name there that Rerun could open
+            part.touch()  # of a folder that cannot be written, Rerun makes a hang
+            recording.save(part, default_blueprint=layout)
+            yield RrdFile(recording, threading.Event())
+            recording.flush()
+            recording.disconnect()
+            return
+        with part.open("xb", buffering=0) as stream:
+            pipe = _Pipe(stream)
+            try:
+                recording.save(pipe.name_to_open, default_blueprint=layout)
+                pipe.close_own_end()
+                yield RrdFile(recording, pipe.has_failed)
+                recording.flush()
+            finally:
+                recording.disconnect()
+                pipe.finish()
+        if pipe.error is not None:
+            why = pipe.error.strerror
+            raise UserError(f"{path}: cannot be written ({why}); nothing of it was kept: make room and try again")
+
+
+class _Pipe(threading.Thread):
+    """Takes what Rerun writes and writes it to a file.
+
+    Rerun itself may hang when it meets a full disk, or leave out the end of a file without a word.
+    """
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        super().__init__(name="rrd", daemon=True)
+        self.has_failed = threading.Event()
+        self.error: OSError | None = None
+        self._stream = stream
+        self._from, self._own_end = os.pipe()
+        self._is_own_end_open = True
+        self.start()
+
+    @property
+    def name_to_open(self) -> str:
+        return f"/dev/fd/{self._own_end}"
+
+    def run(self) -> None:
+        while data := os.read(self._from, _READ_BYTES):
+            if self.error is None:
+                self._write(data)
+
+    def close_own_end(self) -> None:
+        """To be called once Rerun has opened it: when Rerun closes its own, that is the end."""
+        if self._is_own_end_open:
+            self._is_own_end_open = False
+            os.close(self._own_end)
+
+    def finish(self) -> None:
+        self.close_own_end()
+        self.join()
+        os.close(self._from)
+
+    def _write(self, data: bytes) -> None:
+        """After an error, the rest is still taken from Rerun, and dropped."""
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[self._stream.write(left) :]
+        except OSError as error:
+            self.error = error
+            self.has_failed.set()
