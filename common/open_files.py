@@ -11,7 +11,7 @@ _OTHERS = 256  # libraries, sockets, and the like
 
 
 def allow_open_files(count: int) -> None:
-    """Let this process have `count` more files open, as far as the system lets it: often only 1,024 are, unasked."""
+    """Let this process have `count` more files open, as far as the system does: unasked, often 1,024 in all."""
     if sys.platform != "win32":
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
         wanted = count + _OTHERS if hard == resource.RLIM_INFINITY else min(count + _OTHERS, hard)
