@@ -121,7 +121,7 @@ def test_known_styles_are_read_and_the_rest_is_counted(folder: Path, made: tuple
     assert len(recording.rows) + rows_skipped(recording) == count_rows([line.content for line in lines])
 
 
-@settings(max_examples=1000)
+@settings(max_examples=300)
 @given(
     st.one_of(st.binary(), st.lists(junk(), max_size=6).map(lambda lines: b"\n".join(x.content for x in lines)))
 )

@@ -170,12 +170,11 @@ def test_a_bag_that_keeps_sqlite_busy_can_be_stopped(tmp_path: Path) -> None:
     """A column that is computed, slowly: nothing tells it from a large bag."""
     bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
     database = sqlite3.connect(bag / "bag.db3")
-    database.executescript(
-        """DROP TABLE messages;
-        CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, data BLOB,
-            timestamp INTEGER GENERATED ALWAYS AS (length(hex(zeroblob(1000000)))) VIRTUAL);"""
-    )
+    database.execute("DROP TABLE messages")
+    database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, data BLOB)")
     database.executemany("INSERT INTO messages(topic_id, data) VALUES (1, x'00')", [()] * 100_000)
+    slow = "length(hex(zeroblob(1000000 + id)))"
+    database.execute(f"ALTER TABLE messages ADD COLUMN timestamp INTEGER GENERATED ALWAYS AS ({slow}) VIRTUAL")
     database.commit()
     database.close()
     flags = ["--from", bag, "--image", CAMERA, "--steering", "/cmd_vel.angular.z"]
