@@ -36,7 +36,7 @@ def index_log(path: Path, name: str) -> None:
     for _ in range(RUNS + 1):
         start_s = time.perf_counter()
         with Log(path) as log:
-            frames = frames_table(log, Path(name), IndexConfig())
+            frames = frames_table(log, Path(name), IndexConfig(), ())
         rates.append(len(frames) / (time.perf_counter() - start_s))
     rates = sorted(rates[1:])  # the first reads the log from the disk
     size_mb = path.stat().st_size / 1e6

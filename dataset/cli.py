@@ -89,7 +89,9 @@ def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
     """A line for a split without samples, unless that is what was asked for."""
     counts = indexed.counts.values()
     if not any(count.training for count in counts):
-        return [f"{indexed.path}: no sample for training; a smaller --gap-s or --validation-share leaves some"]
+        return [
+            f"{indexed.path}: no sample for training: all frames are held out, in the gap, excluded or unusable"
+        ]
     if config.validation_share > 0 and not any(count.validation for count in counts):
         return [
             f"{indexed.path}: no sample for validation, the drives are too short; give a smaller --block-s, or"

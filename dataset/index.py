@@ -110,11 +110,12 @@ def sessions_not_indexed(index: Path, folder: Path) -> list[str]:
 
 
 def unfinished_recordings(folder: Path, sessions: Sequence[str]) -> list[str]:
-    """A line for each unfinished recording in `folder` that no session of `sessions` stands for."""
+    """A line for each unfinished recording in `folder`; with `sessions`, only for those of their names."""
     return [
-        f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`"
+        f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`, and"
+        " remove it"
         for part in sorted(folder.glob("*.mcap.*.part"))
-        if session_name(part) not in sessions
+        if not sessions or session_name(part) in sessions
     ]
 
 

@@ -14,7 +14,6 @@ from recorder import compressed_image, topics
 from recorder.bc_pb2 import VehicleState
 from recorder.chunks import StoredMessage
 from recorder.compressed_image import image_data
-from recorder.edit import ROW_TOPICS
 from recorder.look import Look, Seen
 from recorder.quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
 from recorder.structure import Structure
@@ -26,6 +25,7 @@ _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "out_of_range": "values out of range",
 }
 _LAST_TIME_NS: Final = 2**63 - 1  # the year 2262
+_IN_ORDER: Final = (topics.VEHICLE, topics.PILOT_COMMAND)  # pictures may come late, and in any order
 _MISFIT: Final = "messages that are not what their schema says"
 
 
@@ -76,7 +76,7 @@ class Contents:
         if message.log_time_ns > _LAST_TIME_NS:
             self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
             return
-        if topic in ROW_TOPICS:
+        if topic in _IN_ORDER:
             if message.sequence <= self._last_row.get(topic, -1):
                 self._findings.append(Finding("rows out of order", f"{topic} row {message.sequence}"))
             self._last_row[topic] = message.sequence
@@ -123,8 +123,8 @@ class Contents:
     def _judge_pictures(self, topic: str, seen: Seen, speed_mph: dict[tuple[int, int], float]) -> None:
         held = set(zip(seen.rows, seen.times_ns, strict=True))
         for kind, keys in (
-            ("rows without a picture", speed_mph.keys() - held),
-            ("pictures without a row", held - speed_mph.keys() if speed_mph else set()),
+            ("stretches of rows without a picture", speed_mph.keys() - held),
+            ("stretches of pictures without a row", held - speed_mph.keys() if speed_mph else set()),
         ):
             for first, last in _together(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {_rows(first, last)}"))

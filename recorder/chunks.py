@@ -88,7 +88,7 @@ class McapFile:
         try:
             self._stream = open_regular(path)
         except OSError as error:
-            raise LogError(f"{path}: cannot be opened ({error.strerror}); `bc-record NAME` makes a log") from None
+            raise LogError(f"{path}: cannot be opened ({error.strerror}); {_advice(path)}") from None
         self._lock = threading.Lock()
         self.size = 0
         self.grow()
@@ -225,6 +225,18 @@ def _message(records: bytes, start: int) -> StoredMessage:
     _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
     content = start + MESSAGE.size
     return StoredMessage(channel, sequence, log_time, publish_time, start, content, length - _LEAST_MESSAGE)
+
+
+def _advice(path: Path) -> str:
+    """What may have been meant: sessions are known by their names, logs by their files."""
+    for meant in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
+        if meant.is_file():
+            return f"did you mean {meant}?"
+    parts = sorted(path.parent.glob("*.part")) if path.parent.is_dir() else []
+    for part in parts:
+        if part.name.startswith(f"{path.name}."):
+            return f"did you mean {part}?"
+    return "`bc-record NAME` makes a log"
 
 
 def prefixed(data: bytes, at: int) -> bytes:

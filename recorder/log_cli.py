@@ -110,7 +110,10 @@ class Recover:
         with Log(self.log) as log:
             if log.problem:
                 stderr().print(f"{self.log}: {log.problem}; all that is whole in it is recovered", markup=False)
-        return _written(recover(self.log, self.to or recovered_name(self.log), overwrite=self.force))
+        to = _named(self.to) if self.to is not None else recovered_name(self.log)
+        code = _written(recover(self.log, to, overwrite=self.force))
+        stderr().print(f"{self.log} is as it was; once {to} is checked it can be removed", markup=False)
+        return code
 
 
 @dataclass(frozen=True)
@@ -131,12 +134,13 @@ class Trim:
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
+        to = _named(self.to)
         code = _noted(self.log)
         if self.rows is not None:
             rows = _stretch(self.log, self.start, self.end, self.rows)
-            return max(code, _written(trim(self.log, self.to, rows, overwrite=self.force)))
+            return max(code, _written(trim(self.log, to, rows, overwrite=self.force)))
         start_s, end_s = _times(self.start, self.end)
-        return max(code, _written(trim_times(self.log, self.to, start_s, end_s, overwrite=self.force)))
+        return max(code, _written(trim_times(self.log, to, start_s, end_s, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -151,8 +155,9 @@ class Merge:
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
+        to = _named(self.to)
         code = max(map(_noted, _some(self.logs, 2)))
-        return max(code, _written(merge(self.logs, self.to, overwrite=self.force)))
+        return max(code, _written(merge(self.logs, to, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -187,7 +192,7 @@ class NameRows:
     end: float | None = None
     """Up to this second."""
     rows: tuple[int, int] | None = None
-    """The first and the last row, instead of times. Without rows or times: the whole log."""
+    """The first and the last row, instead of times. The whole log: --start 0."""
     remove: bool = False
     """Remove this name: from exactly the rows that are given, or wherever it is."""
 
@@ -196,6 +201,8 @@ class NameRows:
             if log.problem:
                 raise UserError(f"{log.notice}; tag that one")
             fingerprint = log.fingerprint
+        if self.tag is None and (self.remove or not self._is_everywhere()):
+            raise UserError("give the name: `bc-log tag LOG NAME --rows FIRST LAST`")
         code = _warn_stale(self.log, stale_tags(self.log, fingerprint))
         tags = read_tags(self.log, fingerprint)
         if self.tag is not None:
@@ -204,19 +211,23 @@ class NameRows:
             print(f"{tag.name}: rows {tag.first_row} to {tag.last_row}")
         return code
 
+    def _is_everywhere(self) -> bool:
+        return self.start is None and self.end is None and self.rows is None
+
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
         try:
             check_name(name)
         except ValueError as error:
             raise UserError(str(error)) from None
-        is_whole = self.start is None and self.end is None and self.rows is None
-        if self.remove and is_whole:
+        if self._is_everywhere() and not self.remove:
+            raise UserError(f"{name}: which rows? Give --rows FIRST LAST, or --start and --end; --start 0 for all")
+        if self._is_everywhere():
             chosen = [tag for tag in tags if tag.name == name]
         else:
             chosen = [Tag(*_stretch(self.log, self.start, self.end, self.rows), name)]
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} (rows {tag.first_row} to {tag.last_row})" for tag in tags) or "none"
-            raise UserError(f"{self.log}: no such tag {name!r}; its tags: {held}")
+            raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
         for tag in chosen:
             (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
         return read_tags(self.log, fingerprint)
@@ -237,6 +248,12 @@ def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
     if len(logs) < least:
         raise UserError(f"give at least {least} log{'s' if least > 1 else ''}, such as sessions/lake.mcap")
     return logs
+
+
+def _named(to: Path) -> Path:
+    if to.suffix != ".mcap":
+        raise UserError(f"{to}: a log ends in .mcap, or no other command finds it; give {to}.mcap")
+    return to
 
 
 def _each(logs: tuple[Path, ...], action: Callable[[Path], int]) -> int:

@@ -168,6 +168,8 @@ class UdacityFolder:
         self._skipped = skipped
         self._files = PictureFiles(folder, skipped)
         with _told(folder):
+            if folder.is_file():
+                raise RecordingError(f"{folder}: a file; give the folder that holds {CSV_NAME} and IMG/")
             if not folder.is_dir():
                 raise RecordingError(f"{folder}: no such folder; give the folder that holds {CSV_NAME} and IMG/")
             if not self.csv.is_file():

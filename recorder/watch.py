@@ -59,6 +59,8 @@ def watch_udacity(
     cannot be written any more.
     """
     metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    if folder.exists() and not folder.is_dir():
+        raise RecordingError(f"{folder}: a file; give the folder that {CSV_NAME} is in, or will be")
     with (
         stop_signals() as stopped,
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,

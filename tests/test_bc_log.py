@@ -67,7 +67,7 @@ def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path) -> None:
         ("frozen pictures", "/camera/center rows 20 to 22"),
         ("gaps in time", "before row 110"),
         ("pictures that do not decode", "/camera/center row 100"),
-        ("rows without a picture", "/camera/center row 10"),
+        ("stretches of rows without a picture", "/camera/center row 10"),
         ("stuck steering", "rows 50 to 89"),
         ("values out of range", "row 30"),
     ]
@@ -82,13 +82,13 @@ def test_a_standing_car_may_see_the_same_and_steer_the_same(tmp_path: Path) -> N
 def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LogWriter(path, {"source": "test"}) as writer:
-        for row in (0, 2, 1):
+        for row in (0, 3, 2, 1):  # pictures may come in any order, rows may not
             writer.picture("center", START_NS + row * STEP_NS, row, jpeg(50 + row))
             if row != 1:
                 writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(speed_mph=9))
     assert sorted(found_in(path)) == [
-        ("pictures without a row", "/camera/center row 1"),
-        ("rows out of order", "/camera/center row 1"),
+        ("stretches of pictures without a row", "/camera/center row 1"),
+        ("rows out of order", "/vehicle row 2"),
     ]
 
 
@@ -205,7 +205,7 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
     path = write_log(tmp_path / "a.mcap", [0.1] * 50)
     assert call(main, "tag", path, "exclude", "--start", 1, "--end", 2) == 0
     assert call(main, "tag", path, "exclude", "--rows", 40, 45) == 0
-    assert call(main, "tag", path, "whole drive") == 0
+    assert call(main, "tag", path, "whole drive", "--start", 0) == 0
     capsys.readouterr()
     assert call(main, "tag", path) == 0
     assert capsys.readouterr().out.splitlines() == [
@@ -226,6 +226,10 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
     [
         (["tag", "LOG", "a\nb"], "not a name for a tag"),
         (["tag", "LOG", "x", "--start", 100], "no row between"),
+        (["tag", "LOG", "x"], "which rows?"),
+        (["tag", "LOG", "--rows", 1, 2], "give the name"),
+        (["trim", "LOG", "--to", "new", "--end", 3], "new.mcap"),
+        (["info", "a"], "did you mean a.mcap?"),
         (["tag", "LOG", "x", "--rows", 1, 2, "--end", 3], "either --rows, or"),
         (["trim", "LOG", "--to", "new.mcap", "--rows", 90, 95], "its rows are 0 to 49"),
         (["trim", "LOG", "--to", "LOG"], "exists already"),
@@ -275,7 +279,7 @@ def test_trim_merge_split_and_recover_write_new_logs(
 
 def test_a_log_without_any_picture_is_found(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, cameras=())
-    assert found_in(path) == [("rows without a picture", "/camera/center rows 0 to 4")]
+    assert found_in(path) == [("stretches of rows without a picture", "/camera/center rows 0 to 4")]
 
 
 def test_one_log_that_cannot_be_read_does_not_hide_the_others(
