@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from dataset import load
 from dataset.frames import METADATA_KEY
 from dataset.index import SAMPLES_NAME
+from dataset.samples import FORMAT
 from recorder import Log, LogWriter
 
 SESSIONS = 100
@@ -88,7 +89,7 @@ def _make(index: Path, count: int) -> None:
         "copy": use == 2,
     }
     logs = dict.fromkeys(columns["session"].dictionary.to_pylist(), source)
-    metadata = {"format": 1, "settings": {}, "logs": logs}
+    metadata = {"format": FORMAT, "settings": {}, "logs": logs}
     table = pa.table(columns).replace_schema_metadata({METADATA_KEY: json.dumps(metadata).encode()})
     pq.write_table(table, index / SAMPLES_NAME, compression="zstd")
 

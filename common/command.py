@@ -90,14 +90,13 @@ def run_command(
 
     `description` is what `--help` begins with; by default what `config` says of itself.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     for stream in (sys.stdout, sys.stderr):  # a name of any file system can be printed, if escaped
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     about = description or config.__doc__
-    parsed = tyro.cli(config, prog=prog, description=about, config=(tyro.conf.FlagCreatePairsOff,))
     try:
+        parsed = tyro.cli(config, prog=prog, description=about, config=(tyro.conf.FlagCreatePairsOff,))
         code = action(parsed)
         sys.stdout.flush()
     except UserError as error:
@@ -114,4 +113,7 @@ def run_command(
         where = f"{error.filename}: " if error.filename is not None else ""
         stderr().print(f"[red]{prog}:[/] {escape(where + error.strerror)}")
         code = FAILED
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
     sys.exit(code)

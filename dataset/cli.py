@@ -59,7 +59,7 @@ def index(config: Index) -> int:
     for notice in [
         *indexed.notices,
         *_one_sided(indexed, config.config),
-        *unfinished_recordings(config.folder, indexed.sessions),
+        *unfinished_recordings(config.folder, config.sessions),
     ]:
         code = warn(notice)
     console = stdout()

@@ -38,6 +38,8 @@ def image_data(data: bytes, offset: int, length: int) -> tuple[int, int]:
 
 def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
     """A base-128 varint and the position behind it; (-1, end) if it is cut off or longer than ten bytes."""
+    if position < end and data[position] < 0x80:  # most are of a single byte
+        return data[position], position + 1
     value, shift = 0, 0
     for i in range(position, min(end, position + 10)):
         value |= (data[i] & 0x7F) << shift

@@ -306,8 +306,11 @@ class Log:
         return places
 
     def _of_topic(self, topic: str) -> NDArray[np.void]:
-        channels = [number for number, channel in self.channels.items() if channel.topic == topic]
-        return self._places[np.isin(self._places["channel"], channels)] if channels else self._places[:0]
+        mask = np.zeros(len(self._places), np.bool_)
+        for number, channel in self.channels.items():
+            if channel.topic == topic:
+                mask |= self._places["channel"] == number
+        return self._places[mask]
 
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         for message in self.messages(topic):

@@ -87,8 +87,9 @@ def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path) 
             if row != 1:
                 writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(speed_mph=9))
     assert sorted(found_in(path)) == [
-        ("stretches of pictures without a row", "/camera/center row 1"),
+        ("gaps in time", "before row 2"),
         ("rows out of order", "/vehicle row 2"),
+        ("stretches of pictures without a row", "/camera/center row 1"),
     ]
 
 
