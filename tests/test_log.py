@@ -359,11 +359,15 @@ def test_ctrl_c_is_put_off_not_lost(tmp_path: Path) -> None:
             signal.raise_signal(signal.SIGINT)
             (tmp_path / "done").touch()
 
-    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert (tmp_path / "done").exists()
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == handlers
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # another test may have left its own
+    try:
+        handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+        assert (tmp_path / "done").exists()
+        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == handlers
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 # Damage

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from disk import files_of_at_most
 from driving import PATIENCE_S, environment
 from recorder import LogError
 from recorder.tags import Tag, add_tag, add_tags, check_name, read_tags, remove_tag, stale_tags, tags_path
@@ -138,29 +138,18 @@ def test_rows_that_no_tag_can_have(log: Path, rows: tuple[int, int]) -> None:
     assert not tags_path(log).exists()
 
 
-@pytest.fixture
-def limit_files() -> Iterator[Callable[[int], None]]:
-    """Let no file grow above so many bytes: the system then refuses to write, as it does on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def test_tags_that_do_not_fit_on_the_disk_change_nothing(log: Path, limit_files: Callable[[int], None]) -> None:
+def test_tags_that_do_not_fit_on_the_disk_change_nothing(log: Path) -> None:
     tags = [Tag(row, row, "exclude") for row in range(3)]
     add_tags(log, CONTENT, tags)
     size = tags_path(log).stat().st_size
     tags_path(log).unlink()
     for limit in (0, 10, size - 1):
-        limit_files(limit)
-        with pytest.raises(LogError, match=r"lake\.tags\.jsonl: cannot be written"):
+        with files_of_at_most(limit), pytest.raises(LogError, match=r"lake\.tags\.jsonl: cannot be written"):
             add_tags(log, CONTENT, tags)
         assert not tags_path(log).exists()
-    limit_files(resource.RLIM_INFINITY)
     add_tag(log, CONTENT, Tag(9, 9, "kept"))
     before = tags_path(log).read_bytes()
-    limit_files(len(before) + size - 1)
-    with pytest.raises(LogError, match="cannot be written"):
+    with files_of_at_most(len(before) + size - 1), pytest.raises(LogError, match="cannot be written"):
         add_tags(log, CONTENT, tags)
     assert tags_path(log).read_bytes() == before
 

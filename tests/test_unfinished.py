@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import random
 import re
-import resource
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +21,7 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from common import UserError
+from disk import files_of_at_most
 from driving import PATIENCE_S, Process, command, environment, road_jpeg
 from logs import START_NS, STEP_NS, write_log
 from plain_mcap import Contents, StoredChunk, contents
@@ -472,39 +472,30 @@ def test_a_live_recording_on_a_full_disk_is_kept_and_says_where(tmp_path: Path) 
     assert found == [bytes([row % 256]) * 20_000 for row in range(len(found))]
 
 
-@pytest.fixture
-def limit_files() -> Iterator[Callable[[int], None]]:
-    """Let no file grow above so many bytes: the system then refuses to write, as it does on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def test_wherever_the_disk_is_full_an_import_leaves_nothing(
-    tmp_path: Path, limit_files: Callable[[int], None]
-) -> None:
+def test_wherever_the_disk_is_full_an_import_leaves_nothing(tmp_path: Path) -> None:
     """Also where only the end of the log does not fit any more."""
     size = write_log(tmp_path / "whole.mcap", [0.1] * 20, picture).stat().st_size
     folder = tmp_path / "disk"
     for limit in range(0, size, 1111):
-        limit_files(limit)
-        with pytest.raises(UserError, match="nothing was kept"):
+        with files_of_at_most(limit), pytest.raises(UserError, match="nothing was kept"):
             write_log(folder / "lake.mcap", [0.1] * 20, picture)
         assert not folder.exists()
-    limit_files(size)
-    write_log(folder / "lake.mcap", [0.1] * 20, picture)
+    with files_of_at_most(size):
+        write_log(folder / "lake.mcap", [0.1] * 20, picture)
 
 
-def test_a_live_log_whose_end_does_not_fit_is_kept(tmp_path: Path, limit_files: Callable[[int], None]) -> None:
+def test_a_live_log_whose_end_does_not_fit_is_kept(tmp_path: Path) -> None:
     def record(path: Path) -> None:
         with LogWriter(path, {}, live=True) as writer:
             writer.picture("center", 1, 0, bytes(9_000))
 
     record(tmp_path / "whole.mcap")
-    limit_files(contents(tmp_path / "whole.mcap").chunks[0].end + 10)
     path = tmp_path / "lake.mcap"
-    with pytest.raises(UserError, match=r"lake\.mcap\.[0-9a-f]{6}\.part: cannot be written any further"):
+    limit = contents(tmp_path / "whole.mcap").chunks[0].end + 10
+    with (
+        files_of_at_most(limit),
+        pytest.raises(UserError, match=r"lake\.mcap\.[0-9a-f]{6}\.part: cannot be written any further"),
+    ):
         record(path)
-    limit_files(resource.RLIM_INFINITY)
     [part] = tmp_path.glob("lake*")
     assert [message.sequence for message in contents(recover(part, path).path).messages] == [0]

@@ -6,13 +6,14 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 
 from common import UserError
+from disk import files_of_at_most
 from driving import PATIENCE_S, Process, command, one_line_of, road_jpeg, run
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -247,20 +248,10 @@ def test_a_viewer_that_dies_is_one_line_and_exit_code_1(drive: Path, number: sig
     assert len(play.stderr) == 2
 
 
-@pytest.fixture
-def limit_files() -> Iterator[Callable[[int], None]]:
-    """Let no file grow above so many bytes: the system then refuses to write, as it does on a full disk."""
-    resource = pytest.importorskip("resource")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 @pytest.mark.parametrize("save", [save_rrd, save_growing])
 def test_wherever_the_disk_is_full_nothing_is_left_and_rerun_says_nothing(
     drive: Path,
     tmp_path: Path,
-    limit_files: Callable[[int], None],
     capfd: pytest.CaptureFixture[str],
     save: Callable[[Path, Path], object],
 ) -> None:
@@ -271,8 +262,10 @@ def test_wherever_the_disk_is_full_nothing_is_left_and_rerun_says_nothing(
     size = rrd.stat().st_size
     rrd.unlink()
     for limit in (0, 10, 700, 5_000, size // 2, size - 5_000, size - 1_000):
-        limit_files(limit)
-        with pytest.raises(UserError, match=r"x\.rrd: cannot be written \(File too large\)"):
+        with (
+            files_of_at_most(limit),
+            pytest.raises(UserError, match=r"x\.rrd: cannot be written \(File too large\)"),
+        ):
             save(log, rrd)
         assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr().err == ""
@@ -283,15 +276,14 @@ def test_a_full_disk_is_one_line_also_where_a_viewer_would_open(
     drive: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    limit_files: Callable[[int], None],
     capfd: pytest.CaptureFixture[str],
     flags: tuple[str, ...],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setenv("COLUMNS", "400")
-    limit_files(20_000)
-    assert call(main, drive.with_suffix(".mcap"), *flags) == 1
+    with files_of_at_most(20_000):
+        assert call(main, drive.with_suffix(".mcap"), *flags) == 1
     said = capfd.readouterr()
     (line,) = said.err.splitlines()
     assert "cannot be written" in line
