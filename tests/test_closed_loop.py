@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.reader import make_reader
 
@@ -188,8 +189,8 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     ours, theirs = (messages(path, "/camera/center") for path in (here.log, Path(there["log"])))
     # 25 telemetries a second; two are in flight when the drive is over
     assert len(ours) == pytest.approx(here.book["elapsed_s"] * 25, abs=2)
-    assert [data.split(b"\xff\xd8", 1)[1] for _, _, data in ours] == [
-        data.split(b"\xff\xd8", 1)[1] for _, _, data in theirs
+    assert [CompressedImage.FromString(data).data for _, _, data in ours] == [
+        CompressedImage.FromString(data).data for _, _, data in theirs
     ]
     with Log(here.log) as log:
         assert log.read_metadata("bc.drive")["trajectory_sha256"] == there["trajectory_sha256"]

@@ -287,8 +287,6 @@ def test_a_start_beyond_the_epoch_is_refused(index: Path, start: int) -> None:
 # PyTorch's own DataLoader
 
 
-# eventlet, which another test may have loaded into this process, minds any fork
-@pytest.mark.filterwarnings(r"ignore:Using fork\(\) is a bad idea:DeprecationWarning")
 @pytest.mark.parametrize("workers", [None, "fork", "spawn"])
 def test_pytorchs_data_loader_gets_the_same_samples(index: Path, workers: str | None) -> None:
     expected = rows_of(index)
