@@ -19,7 +19,7 @@ from common.command import DONE, FAILED, stderr, warn, warn_skipped
 from viz.growing import GrowingLog, final_name
 from viz.messages import MessageSender
 from viz.rrd_file import APPLICATION, rrd_file
-from viz.viewer import Ports, wait_until_closed, wait_until_it_listens
+from viz.viewer import Ports, end_viewer, wait_until_closed, wait_until_it_listens
 
 POLL_S: Final = 0.2
 BEHIND_S: Final = 2.0
@@ -68,7 +68,11 @@ def follow(path: Path, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
         wait_until_closed(viewer)
     finally:
         follower.stop.set()
-        follower.join(_GRACE_S)  # a frozen viewer holds it up until that is killed
+        follower.join(_GRACE_S)
+        # A frozen viewer holds it up until that is killed. Python must not end before the thread has: one that
+        # comes back from Rerun into an interpreter that is ending aborts the process.
+        end_viewer(viewer)
+        follower.join()
     return follower.code
 
 

@@ -81,12 +81,17 @@ def open_viewer(
     try:
         yield viewer
     finally:
-        viewer.terminate()
-        try:
-            viewer.wait(_GRACE_S)
-        except subprocess.TimeoutExpired:
-            viewer.kill()
-            viewer.wait()
+        end_viewer(viewer)
+
+
+def end_viewer(viewer: subprocess.Popen[bytes]) -> None:
+    """End the viewer, also one that is frozen; one that has ended stays so."""
+    viewer.terminate()
+    try:
+        viewer.wait(_GRACE_S)
+    except subprocess.TimeoutExpired:
+        viewer.kill()
+        viewer.wait()
 
 
 def wait_until_it_listens(viewer: subprocess.Popen[bytes], ports: Ports) -> None:
