@@ -5,21 +5,20 @@ Exit codes: 0 done, 1 failed, 2 bad usage, 3 done but something was skipped or l
 
 from __future__ import annotations
 
-import contextlib
 import io
 import os
 import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import FrameType
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
 from common.errors import Skipped, UserError, shown
+from common.interrupts import signals_to
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -63,57 +62,50 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-@contextlib.contextmanager
-def stop_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and `kill` set, instead of interrupting whatever is going on at that moment.
-
-    Outside the main thread, which alone hears signals, nothing sets it.
-    """
-    stopped = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stopped
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in before:
-        signal.signal(number, lambda *_: stopped.set())
-    try:
-        yield stopped
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def run_command(
-    prog: str, config: type[Config], action: Callable[[Config], int], description: str | None = None
+    prog: str,
+    config: type[Config],
+    action: Callable[[Config], int],
+    description: str | None = None,
+    default: Callable[[], Config] | None = None,
 ) -> None:
     """Parse the command line into `config`, call `action`, and exit with what it returns.
 
-    `description` is what `--help` begins with; by default what `config` says of itself.
+    `description` is what `--help` begins with; by default what `config` says of itself. `default` gives what holds
+    where there is no flag, if that is not known before.
     """
-    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    with signals_to(_interrupt):
+        code = _run(prog, config, action, description or config.__doc__, default)
+    sys.exit(code)
+
+
+def _run(
+    prog: str,
+    config: type[Config],
+    action: Callable[[Config], int],
+    about: str | None,
+    default: Callable[[], Config] | None,
+) -> int:
     for stream in (sys.stdout, sys.stderr):  # a name of any file system can be printed, if escaped
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    about = description or config.__doc__
     try:
-        parsed = tyro.cli(config, prog=prog, description=about, config=(tyro.conf.FlagCreatePairsOff,))
-        code = action(parsed)
+        given: dict[str, Any] = {} if default is None else {"default": default()}
+        flags = (tyro.conf.FlagCreatePairsOff,)
+        code = action(tyro.cli(config, prog=prog, description=about, config=flags, **given))
         sys.stdout.flush()
+        return code
     except UserError as error:
-        code = complain(prog, error)
+        return complain(prog, error)
     except KeyboardInterrupt:
         stderr().print(f"{prog}: stopped")
-        code = INTERRUPTED
+        return INTERRUPTED
     except BrokenPipeError:  # `bc-... | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = DONE
+        return DONE
     except OSError as error:
         if error.strerror is None:
             raise
         where = f"{error.filename}: " if error.filename is not None else ""
         stderr().print(f"[red]{prog}:[/] {escape(where + error.strerror)}")
-        code = FAILED
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    sys.exit(code)
+        return FAILED

@@ -1,11 +1,45 @@
-"""Ctrl-C and `kill` put off for a moment, so that what must happen together does."""
+"""What Ctrl-C and `kill` do: they are noted, or put off, so that what must happen together does."""
 
 from __future__ import annotations
 
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+
+@contextlib.contextmanager
+def signals_to(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
+    """SIGINT and SIGTERM call `handler` in the block, and afterwards again what they did before.
+
+    Outside the main thread, which alone hears signals, nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: previous for number, previous in handlers.items() if previous is not None
+    }  # None: not Python's
+    try:
+        for number in before:
+            signal.signal(number, handler)
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)
+
+
+@contextlib.contextmanager
+def stop_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and `kill` set, instead of interrupting whatever is going on at that moment.
+
+    Outside the main thread, which alone hears signals, nothing sets it.
+    """
+    stopped = threading.Event()
+    with signals_to(lambda number, frame: stopped.set()):
+        yield stopped
 
 
 @contextlib.contextmanager
@@ -15,18 +49,8 @@ def uninterrupted() -> Iterator[None]:
     If anything is raised in the block, that is what its caller hears, and not of the signal: the error may
     name a file that stays. Outside the main thread, which alone hears signals, nothing need be put off.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    before = {number: handler for number, handler in handlers.items() if handler is not None}  # None: not Python's
     came: list[int] = []
-    try:
-        for number in before:
-            signal.signal(number, lambda number, frame: came.append(number))
+    with signals_to(lambda number, frame: came.append(number)):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     if came:
         signal.raise_signal(came[0])

@@ -20,16 +20,8 @@ _FLAGS: Final = (
 
 def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading. Raises OSError also for a pipe, a device or a folder, and never waits for one."""
-    try:
-        descriptor = os.open(path, _FLAGS)
-    except ValueError:  # a zero byte in it
-        raise OSError(errno.ENOENT, "no such name", str(path)) from None
-    try:
-        _refuse_irregular(descriptor, path)
-        return os.fdopen(descriptor, "rb")
-    except BaseException:
-        os.close(descriptor)
-        raise
+    descriptor, _ = _opened(path)
+    return os.fdopen(descriptor, "rb")
 
 
 def read_bounded(path: Path | str, most_bytes: int) -> bytes:
@@ -37,12 +29,8 @@ def read_bounded(path: Path | str, most_bytes: int) -> bytes:
 
     The size is asked for first: a file that is all hole takes no space on a disk, but would in memory.
     """
+    descriptor, size = _opened(path)
     try:
-        descriptor = os.open(path, _FLAGS)
-    except ValueError:
-        raise OSError(errno.ENOENT, "no such name", str(path)) from None
-    try:
-        size = _refuse_irregular(descriptor, path)
         if size > most_bytes:
             raise OSError(errno.EFBIG, f"larger than {most_bytes / 1e6:.0f} MB", str(path))
         data = os.read(descriptor, size)
@@ -53,9 +41,17 @@ def read_bounded(path: Path | str, most_bytes: int) -> bytes:
         os.close(descriptor)
 
 
-def _refuse_irregular(descriptor: int, path: Path | str) -> int:
-    """The size of the file that is open."""
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
-    return status.st_size
+def _opened(path: Path | str) -> tuple[int, int]:
+    """The descriptor of a regular file, and its size."""
+    try:
+        descriptor = os.open(path, _FLAGS)
+    except ValueError:  # a zero byte in it
+        raise OSError(errno.ENOENT, "no such name", str(path)) from None
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor, status.st_size

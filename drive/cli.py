@@ -11,6 +11,7 @@ import tyro
 
 from common.command import DONE, run_command, stderr
 from common.files import refuse_existing
+from common.interrupts import stop_signals
 from drive.speed import check_set_speed
 
 
@@ -54,7 +55,7 @@ def drive(config: Drive) -> int:
     console = stderr()
     pilot = load_pilot(find_run(config.run, config.runs))
     pilot.get_ready()
-    with open_log(path, pilot, config.speed, overwrite=config.force) as log:
+    with stop_signals() as stopped, open_log(path, pilot, config.speed, overwrite=config.force) as log:
         server = DriveServer(
             pilot,
             log,
@@ -63,12 +64,11 @@ def drive(config: Drive) -> int:
             set_speed_mph=config.speed,
             say=lambda text: console.print(f"bc-drive: {text}"),
         )
-        server.stop_on_signals()
         if course is None:
             console.print(f"bc-drive: {pilot.run} is waiting for a simulator on {config.host}:{server.port}")
-            server.run()
+            server.run(until=stopped.is_set)
         else:
-            book = drive_built_in(server, course)
+            book = drive_built_in(server, course, stopped)
             if book:
                 print(
                     f"{course.track}: {book['laps']:.2f} laps, {book['interventions']} interventions,"

@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from common.files import refuse_existing
+from common.interrupts import stop_signals
 from drive.errors import DriveError
 from drive.server import DriveServer, open_log
 from drive.speed import check_set_speed
@@ -70,10 +72,12 @@ def evaluate(
         raise DriveError("the same track at the same speed is named twice")
     for course, path in zip(courses, paths, strict=True):
         said(f"{pilot.run} on {course.track} at {course.set_speed_mph:g} mph, {course.laps:g} laps")
-        with open_log(path, pilot, course.set_speed_mph, overwrite=overwrite) as log:
+        with (
+            stop_signals() as stopped,
+            open_log(path, pilot, course.set_speed_mph, overwrite=overwrite) as log,
+        ):
             server = DriveServer(pilot, log, port=0, set_speed_mph=course.set_speed_mph)
-            server.stop_on_signals()
-            book = drive_built_in(server, course)
+            book = drive_built_in(server, course, stopped)
             if not book:
                 raise KeyboardInterrupt
             log.add_metadata("bc.drive", {name: str(value) for name, value in book.items()})
@@ -84,11 +88,11 @@ def _log_path(pilot: Pilot, course: Course, logs: Path) -> Path:
     return logs / f"{pilot.run}-{course.track.replace(':', '-')}-{course.set_speed_mph:g}mph.mcap"
 
 
-def drive_built_in(server: DriveServer, course: Course) -> dict[str, Any]:
-    """Serve until the built-in simulator has driven its course or `server` is stopped; the simulator's book, empty
+def drive_built_in(server: DriveServer, course: Course, stopped: threading.Event) -> dict[str, Any]:
+    """Serve until the built-in simulator has driven its course or `stopped` is set; the simulator's book, empty
     if it was stopped. Raises DriveError if the simulator fails."""
     with _simulator(course, server.port) as process:
-        server.run(until=lambda: process.poll() is not None)
+        server.run(until=lambda: stopped.is_set() or process.poll() is not None)
         if process.poll() is None:
             return {}
         output, _ = process.communicate()

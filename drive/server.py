@@ -41,19 +41,12 @@ class DriveServer:
         """Telemetries that were driven on and logged."""
         return self._log.frames
 
-    def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve until `stop()` is called (from a signal handler or another green thread), or `until()` is true.
+    def run(self, until: Callable[[], bool]) -> None:
+        """Serve until `until()` is true.
 
         Raises UserError if the log cannot be written any more.
         """
         self._server.run(until)
-
-    def stop(self) -> None:
-        self._server.stop()
-
-    def stop_on_signals(self) -> None:
-        """Let Ctrl-C and `kill` end `run()` between two telemetries, and never in the middle of one."""
-        self._server.stop_on_signals()
 
     def connected(self, sid: str) -> None:
         self._log.event("connected")

@@ -8,13 +8,13 @@ from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
 from google.protobuf.message import DecodeError
-from mcap.well_known import MessageEncoding
 
 from recorder import compressed_image, topics
 from recorder.bc_pb2 import VehicleState
 from recorder.chunks import StoredMessage
 from recorder.compressed_image import image_data
 from recorder.look import Look, Seen
+from recorder.places import LAST_TIME_NS
 from recorder.quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
 from recorder.structure import Structure
 from recorder.topics import CAMERAS, camera_topic
@@ -24,7 +24,6 @@ _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "stuck_steering": "stuck steering",
     "out_of_range": "values out of range",
 }
-_LAST_TIME_NS: Final = 2**63 - 1  # the year 2262
 _IN_ORDER: Final = (topics.VEHICLE, topics.PILOT_COMMAND)  # pictures may come late, and in any order
 _MISFIT: Final = "messages that are not what their schema says"
 
@@ -41,20 +40,11 @@ class Contents:
 
     def __init__(self, structure: Structure, findings: list[Finding], pool: Executor | None) -> None:
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
-        schemas = {
-            number: structure.schemas[channel.schema_id].name if channel.schema_id in structure.schemas else ""
-            for number, channel in structure.channels.items()
-        }
-        protobuf = {
-            number: name
-            for number, name in schemas.items()
-            if structure.channels[number].message_encoding == MessageEncoding.Protobuf
-        }
-        self._images = {number for number, name in protobuf.items() if name == compressed_image.SCHEMA}
+        self._images = {n for n in self._topics if structure.is_protobuf(n, compressed_image.SCHEMA)}
         self._vehicle = {
             number
-            for number, name in protobuf.items()
-            if name == topics.VEHICLE_SCHEMA and self._topics[number] == topics.VEHICLE
+            for number, topic in self._topics.items()
+            if topic == topics.VEHICLE and structure.is_protobuf(number, topics.VEHICLE_SCHEMA)
         }
         self._findings = findings
         self._look = Look(pool)
@@ -73,7 +63,7 @@ class Contents:
             self._findings.append(Finding("messages of unknown channels", f"channel {message.channel}"))
             return
         self.counts[topic] += 1
-        if message.log_time_ns > _LAST_TIME_NS:
+        if message.log_time_ns > LAST_TIME_NS:
             self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
             return
         if topic in _IN_ORDER:

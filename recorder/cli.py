@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import tyro
 
 from common.command import run_command, warn_skipped
+from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.record import Imported
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.sources import Topics, import_from
-
-_GRACE_S: Final = 2.0  # for the preview to end by itself
 
 
 @dataclass(frozen=True)
@@ -70,9 +64,9 @@ def record(config: Record) -> int:
 def _recorded(config: Record, log: Path) -> Imported:
     with contextlib.ExitStack() as stack:
 
-        def preview(growing: Path) -> None:
+        def show(growing: Path) -> None:
             if config.viewer:
-                stack.enter_context(_preview(growing))
+                stack.enter_context(preview(growing))
 
         if config.listen:
             from recorder.listen import listen_for_telemetry  # Socket.IO: a second to load
@@ -83,41 +77,15 @@ def _recorded(config: Record, log: Path) -> Imported:
                 port=config.port,
                 idle_s=config.idle,
                 overwrite=config.force,
-                on_started=preview,
+                on_started=show,
             )
         if config.source is not None and config.watch:
             from recorder.watch import watch_udacity
 
-            return watch_udacity(
-                config.source, log, idle_s=config.idle, overwrite=config.force, on_started=preview
-            )
+            return watch_udacity(config.source, log, idle_s=config.idle, overwrite=config.force, on_started=show)
         if config.source is not None:
             return import_from(config.source, log, config.topics, overwrite=config.force)
         return record_simulated(config.drive, log, udacity=config.udacity, overwrite=config.force)
-
-
-@contextlib.contextmanager
-def _preview(growing: Path) -> Iterator[None]:
-    """The viewer, as a program of its own: it may freeze, or be closed, and the recording goes on.
-
-    It is in a process group of its own, so that nothing of it stays when it does not hear that it shall end.
-    """
-    line = [sys.executable, "-m", "viz.cli", str(growing), "--follow"]
-    preview = subprocess.Popen(line, stdout=sys.stderr, start_new_session=True)
-    try:
-        yield
-    finally:
-        preview.terminate()
-        try:
-            preview.wait(_GRACE_S)
-        except subprocess.TimeoutExpired:
-            pass
-        finally:  # also after a second Ctrl-C
-            if sys.platform != "win32":
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(preview.pid, signal.SIGKILL)
-            preview.kill()
-            preview.wait()
 
 
 def _refuse_contradictions(config: Record) -> None:

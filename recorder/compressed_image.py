@@ -4,19 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from mcap.well_known import MessageEncoding
-
-from recorder.structure import Structure
-
 SCHEMA: Final = "foxglove.CompressedImage"
 _DATA_FIELD: Final = 2
-
-
-def is_compressed_image(structure: Structure, channel: int) -> bool:
-    """Whether a channel's messages are such pictures in Protobuf: other programs write them as JSON too."""
-    known = structure.channels[channel]
-    schema = structure.schemas.get(known.schema_id)
-    return schema is not None and (schema.name, known.message_encoding) == (SCHEMA, MessageEncoding.Protobuf)
 
 
 def image_data(data: bytes, offset: int, length: int) -> tuple[int, int]:

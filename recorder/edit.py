@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.files import final_path, refuse_existing
+from common.locks import is_being_written
 from common.progress import track
 from recorder import topics
 from recorder.errors import LogError
-from recorder.locks import is_being_written
 from recorder.log import Log
-from recorder.new_log import close_with_tags, copy_rest, new_log, publish_all, session_of, tags_of_rows
+from recorder.new_log import close_with_tags, copy_rest, new_log, publish_all, tags_of_rows
 from recorder.quality import drive_numbers
 from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, camera_topic
@@ -81,7 +81,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     with Log(path) as log:
         expected = sum(log.counts.values()) if not log.problem else None
         records = _sound_metadata(log, skipped)
-        session = next((values for name, values in reversed(records) if name == topics.SESSION_METADATA), None)
+        session = dict(records).get(topics.SESSION_METADATA, {})
         tags = _sound_tags(log, skipped)
         count, rows = 0, list[int]()
         with new_log(to, session, {"recovered_from": path.name}, overwrite) as writer:
@@ -204,7 +204,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
         targets = [folder / f"{name}-{drive + 1}.mcap" for drive in range(int(drives[-1]) + 1)]
         for target in targets:
             refuse_existing(target, overwrite)
-        tags, session = read_tags(path, log.fingerprint), session_of(log)
+        tags, session = read_tags(path, log.fingerprint), log.metadata
         writers = []
         for drive, target in enumerate(targets):
             about = {"split_from": path.name, "drive": str(drive)}
@@ -285,7 +285,7 @@ def _trimmed(
     """Copies the messages that are in; `rows` are those that will be."""
     skipped, count = Skipped(), 0
     tags = read_tags(log.path, log.fingerprint)
-    with new_log(to, session_of(log), about, overwrite) as writer:
+    with new_log(to, log.metadata, about, overwrite) as writer:
         for schema, channel, message in _messages(log, "trimming"):
             if is_in(channel, message):
                 writer.copy(schema, channel, message, message.sequence)

@@ -26,12 +26,12 @@ from recorder.errors import RecordingError
 from recorder.foreign_messages import (
     Decoder,
     FieldError,
+    brief,
     decoder_for,
     is_picture_type,
     is_whole_picture,
     number_in,
     picture_in,
-    shown,
 )
 from recorder.log import Log
 from recorder.record import Imported, SkippedEvents
@@ -163,7 +163,7 @@ def _split(source: Path, text: str, types: dict[str, str]) -> tuple[str, str]:
     topics = [topic for topic in types if text == topic or text.startswith(f"{topic}.")]
     if not topics:
         raise RecordingError(
-            f"{source}: no topic that {shown(text)!r} begins with; --steering is TOPIC.field, and {_listed(types)}"
+            f"{source}: no topic that {brief(text)!r} begins with; --steering is TOPIC.field, and {_listed(types)}"
         )
     topic = max(topics, key=len)
     return topic, text[len(topic) + 1 :]
@@ -171,10 +171,10 @@ def _split(source: Path, text: str, types: dict[str, str]) -> tuple[str, str]:
 
 def _check_image_topic(source: Path, topic: str, types: dict[str, str]) -> None:
     if topic not in types:
-        raise RecordingError(f"{source}: no topic {shown(topic)!r} for --image; {_listed(types)}")
+        raise RecordingError(f"{source}: no topic {brief(topic)!r} for --image; {_listed(types)}")
     if not is_picture_type(types[topic]):
         raise RecordingError(
-            f"{source}: the messages on {shown(topic)} are {_type(types[topic])}; --image needs"
+            f"{source}: the messages on {brief(topic)} are {_type(types[topic])}; --image needs"
             f" foxglove.CompressedImage or sensor_msgs/CompressedImage; {_listed(types)}"
         )
 
@@ -182,11 +182,11 @@ def _check_image_topic(source: Path, topic: str, types: dict[str, str]) -> None:
 def _listed(types: dict[str, str]) -> str:
     if not types:
         return "it has no topics"
-    return "its topics are " + ", ".join(f"{shown(topic)} ({_type(types[topic])})" for topic in sorted(types))
+    return "its topics are " + ", ".join(f"{brief(topic)} ({_type(types[topic])})" for topic in sorted(types))
 
 
 def _type(name: str) -> str:
-    return shown(name) or "of no type"
+    return brief(name) or "of no type"
 
 
 def _read_steering(
@@ -194,18 +194,18 @@ def _read_steering(
 ) -> _Steering:
     times, values = array("q"), array("d")
     problem = "there is no message on it"
-    for time_ns, name, message in _decoded(files, topic, f"reading {shown(topic)}", skipped):
+    for time_ns, name, message in _decoded(files, topic, f"reading {brief(topic)}", skipped):
         try:
             values.append(number_in(message, field) * scale)
         except FieldError as error:
             if error.is_final:
-                raise RecordingError(f"{source}: --steering: on {shown(topic)}, {error}") from None
+                raise RecordingError(f"{source}: --steering: on {brief(topic)}, {error}") from None
             skipped.add("messages without a steering", f"{name}: {error}")
         else:
             times.append(time_ns)
     if not times:
         problem = "; ".join(skipped.lines(most_names=1)) or problem
-        raise RecordingError(f"{source}: --steering: no number can be read on {shown(topic)}: {problem}")
+        raise RecordingError(f"{source}: --steering: no number can be read on {brief(topic)}: {problem}")
     order = np.argsort(np.array(times, np.int64), kind="stable")
     return _Steering(np.array(times, np.int64)[order], np.array(values, np.float64)[order])
 
@@ -241,9 +241,9 @@ def _decoded(files: list[_File], topic: str, what: str, skipped: Skipped) -> Ite
         for schema, channel, message in file.messages(topic, what):
             time_ns = message.log_time
             if not isinstance(time_ns, int) or not 0 <= time_ns < _TIME_END_NS:
-                skipped.add("messages of a time that no log can hold", f"{shown(topic)} at {shown(repr(time_ns))}")
+                skipped.add("messages of a time that no log can hold", f"{brief(topic)} at {brief(repr(time_ns))}")
                 continue
-            name = f"{shown(topic)} at {time_ns / 1e9:.3f} s"
+            name = f"{brief(topic)} at {time_ns / 1e9:.3f} s"
             if channel.id not in decoders:
                 try:
                     decoders[channel.id] = decoder_for(schema, channel)

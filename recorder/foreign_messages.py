@@ -21,6 +21,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 
+from common.errors import shown
 from recorder.errors import RecordingError
 from recorder.jpeg import is_whole_jpeg
 from recorder.look import decodes
@@ -64,7 +65,7 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
         find = RosDecoders().decoder_for
     else:
         raise RecordingError(
-            f"{shown(channel.topic)}: its messages are encoded as {shown(encoding)};"
+            f"{brief(channel.topic)}: its messages are encoded as {brief(encoding)};"
             " protobuf, JSON and the CDR of ROS 2 can be read"
         )
     try:
@@ -72,11 +73,11 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
             decoder: Decoder | None = find(encoding, schema)
     except Exception as error:  # whatever a definition that makes no sense leads to
         raise RecordingError(
-            f"{shown(channel.topic)}: the definition of its type cannot be read ({shown(str(error))})"
+            f"{brief(channel.topic)}: the definition of its type cannot be read ({brief(str(error))})"
         ) from None
     if decoder is None:
-        told = "none" if schema is None else shown(schema.encoding)
-        raise RecordingError(f"{shown(channel.topic)}: no definition of its type that can be read (it is {told})")
+        told = "none" if schema is None else brief(schema.encoding)
+        raise RecordingError(f"{brief(channel.topic)}: no definition of its type that can be read (it is {told})")
     return decoder
 
 
@@ -93,7 +94,7 @@ def number_in(message: object, field: str) -> float:
             parents = f"{parents}{name}."
         if not isinstance(value, int | float) or isinstance(value, bool):
             has = f"; it has {_listed(fields)}" if (fields := _names(value)) else ""
-            raise FieldError(f"{shown(field) or 'the message'} is no number but {_kind(value)}{has}")
+            raise FieldError(f"{brief(field) or 'the message'} is no number but {_kind(value)}{has}")
     except FieldError as error:
         is_typed = isinstance(message, ProtobufMessage | SimpleNamespace)
         error.is_final = is_typed and not any(name.isdecimal() for name in names)  # lists may be longer elsewhere
@@ -103,7 +104,7 @@ def number_in(message: object, field: str) -> float:
     except OverflowError:  # a whole number of over 308 digits
         number = math.inf
     if not math.isfinite(number):
-        raise FieldError(f"{shown(field)} is no finite number")
+        raise FieldError(f"{brief(field)} is no finite number")
     return number
 
 
@@ -128,10 +129,9 @@ def is_whole_picture(data: bytes) -> bool:
     return decodes(data) if data.startswith(PNG_START) else is_whole_jpeg(data)
 
 
-def shown(text: str) -> str:
+def brief(text: str) -> str:
     """Text of somebody else's file, short enough for an error and without what moves a cursor."""
-    text = text if len(text) <= 200 else f"{text[:200]}..."
-    return "".join(character if character.isprintable() else "?" for character in text)
+    return shown(text if len(text) <= 200 else f"{text[:200]}...")
 
 
 def _child(value: object, name: str, parents: str) -> object:
@@ -143,8 +143,8 @@ def _child(value: object, name: str, parents: str) -> object:
             return getattr(value, name)
     elif _is_list(value) and name.isdecimal() and len(name) < 10 and int(name) < len(value):
         return value[int(name)]
-    where = shown(parents.removesuffix(".")) or "the message"
-    raise FieldError(f"{where} has no {shown(name)}; it has {_listed(_names(value))}")
+    where = brief(parents.removesuffix(".")) or "the message"
+    raise FieldError(f"{where} has no {brief(name)}; it has {_listed(_names(value))}")
 
 
 def _names(value: object) -> list[str]:
@@ -171,4 +171,4 @@ def _kind(value: object) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(shown(name) for name in names[:40]) or "no fields"
+    return ", ".join(brief(name) for name in names[:40]) or "no fields"

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from common import Skipped
-from common.command import stop_signals
 from common.files import refuse_existing
+from common.interrupts import stop_signals
 from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError

@@ -15,29 +15,30 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 import pyarrow as pa
-from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Schema
 from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
 from common import Skipped
+from common.closing import Closing
 from recorder import topics
-from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
 from recorder.errors import LogError
 from recorder.places import LAST_TIME_NS, UNCOMPRESSED, find_places
 from recorder.structure import read_structure
 from recorder.topics import CAMERAS, Camera, camera_topic
 
+if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
+    from recorder.bc_pb2 import PilotCommand, VehicleState
+
 _CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
 _CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
-Decoded = TypeVar("Decoded", VehicleState, PilotCommand)
+Decoded = TypeVar("Decoded", "VehicleState", "PilotCommand")
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Pictures:
     chunk: NDArray[np.int64]  # as in Message
 
 
-class Log:
+class Log(Closing):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
     Raises LogError where the file is missing, not an MCAP file, or damaged.
@@ -80,17 +81,10 @@ class Log:
         self._is_verified = bytearray(len(self.chunks))
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
+        self._pictures: dict[str, Pictures] = {}
 
     def close(self) -> None:
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def problem(self) -> str:
@@ -140,8 +134,7 @@ class Log:
 
     def read_metadata(self, name: str) -> dict[str, str]:
         """The last metadata record called `name`, or {}."""
-        found = [values for called, values in self.all_metadata() if called == name]
-        return found[-1] if found else {}
+        return dict(self.all_metadata()).get(name, {})
 
     def all_metadata(self) -> list[tuple[str, dict[str, str]]]:
         """Every metadata record, by name and in the order of the file."""
@@ -188,7 +181,7 @@ class Log:
         times = self._places["log_time_ns"]
         return (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
         """Tells this content from any other: SHA-256 over the chunks' headers (with the CRC of each chunk's
         content) and the file's size. It reads some 50 bytes a chunk, and changes with any picture."""
@@ -268,9 +261,13 @@ class Log:
         return [Message(*row) for row in zip(*(table[name].tolist() for name in names), strict=True)]
 
     def vehicle_states(self) -> Iterator[tuple[Message, VehicleState]]:
+        from recorder.bc_pb2 import VehicleState
+
         return self._decoded(topics.VEHICLE, VehicleState)
 
     def commands(self) -> Iterator[tuple[Message, PilotCommand]]:
+        from recorder.bc_pb2 import PilotCommand
+
         return self._decoded(topics.PILOT_COMMAND, PilotCommand)
 
     def messages_of(
@@ -296,10 +293,6 @@ class Log:
             yield self._structure.schemas.get(channel.schema_id), channel, message
 
     @cached_property
-    def _pictures(self) -> dict[str, Pictures]:
-        return {}
-
-    @cached_property
     def _places(self) -> NDArray[np.void]:
         places = find_places(self._file, self._structure)
         self._is_verified = bytearray(b"\1") * len(self.chunks)
@@ -313,6 +306,8 @@ class Log:
         return self._places[mask]
 
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
+        from google.protobuf.message import DecodeError
+
         for message in self.messages(topic):
             try:
                 yield message, kind.FromString(self.read(message.offset, message.length, message.chunk))

@@ -9,23 +9,20 @@ import numpy as np
 
 from common import Skipped, UserError
 from common.interrupts import uninterrupted
+from common.versions import version_of
 from recorder import topics
 from recorder.errors import LogError
 from recorder.log import Log
 from recorder.tags import Tag, add_tags
-from recorder.writer import LogWriter, toolkit_version
+from recorder.writer import LogWriter
 
 
-def session_of(log: Log) -> dict[str, str] | None:
-    """The log's `bc.session`; None if it has none, because another program wrote it."""
-    return next((values for name, values in reversed(log.all_metadata()) if name == topics.SESSION_METADATA), None)
-
-
-def new_log(to: Path, session: dict[str, str] | None, about: dict[str, str], overwrite: bool) -> LogWriter:
-    """A log that says of itself what the original did, and `about`. Of another program's log it says nothing."""
-    if session is None:
+def new_log(to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:
+    """A log that says of itself what the original did (`session`, its metadata), and `about`. Of another program's
+    log, which says nothing, it says nothing."""
+    if not session:
         return LogWriter(to, None, overwrite=overwrite, profile="")
-    rewritten = {"toolkit": "unknown", **session, "rewritten_by": toolkit_version(), **about}
+    rewritten = {"toolkit": "unknown", **session, "rewritten_by": version_of(), **about}
     return LogWriter(to, rewritten, overwrite=overwrite)
 
 

@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from recorder.chunks import MESSAGE, RECORD, Chunk, McapFile
-from recorder.compressed_image import image_data, is_compressed_image
+from recorder.compressed_image import SCHEMA, image_data
 from recorder.structure import Structure
 
 UNCOMPRESSED: Final = -1
@@ -82,4 +82,4 @@ def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArr
 
 
 def _image_channels(structure: Structure) -> NDArray[np.uint16]:
-    return np.array([number for number in structure.channels if is_compressed_image(structure, number)], np.uint16)
+    return np.array([number for number in structure.channels if structure.is_protobuf(number, SCHEMA)], np.uint16)

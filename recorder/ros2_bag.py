@@ -21,7 +21,7 @@ from common import Skipped
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
-from recorder.foreign_messages import INSTALL_ROS, shown
+from recorder.foreign_messages import INSTALL_ROS, brief
 
 METADATA: Final = "metadata.yaml"
 MCAP, SQLITE = ".mcap", ".db3"
@@ -87,13 +87,13 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
         if name in inside and name.endswith((MCAP, SQLITE)):
             files.append(inside[name])
         else:
-            skipped.add("files of the bag that are not there, or lead out of it", shown(name))
+            skipped.add("files of the bag that are not there, or lead out of it", brief(name))
     for name in sorted(inside.keys() - set(listed)):
         if name.endswith((MCAP, SQLITE)):
-            skipped.add(f"files of the bag that {METADATA} does not name", shown(name))
+            skipped.add(f"files of the bag that {METADATA} does not name", brief(name))
         elif name.endswith("-wal") and inside[name].stat().st_size:
             skipped.add(
-                "journals of messages that are not in the bag; `ros2 bag info` moves them there", shown(name)
+                "journals of messages that are not in the bag; `ros2 bag info` moves them there", brief(name)
             )
     if not files:
         raise RecordingError(f"{folder}: none of the files that {METADATA} names is there")
@@ -143,7 +143,7 @@ class SqliteFile:
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
                 raise KeyboardInterrupt from None  # the signal that the progress handler has heard
-            raise RecordingError(f"{self.path}: cannot be read as a ROS 2 bag ({shown(str(error))})") from None
+            raise RecordingError(f"{self.path}: cannot be read as a ROS 2 bag ({brief(str(error))})") from None
 
     def _refuse_views(self, database: sqlite3.Connection) -> None:
         """Of what is read here, a bag has tables."""
@@ -166,7 +166,7 @@ class SqliteFile:
         text = _DEFINITIONS.get(kind) or self._standard_definition(kind)
         if text is None:
             raise RecordingError(
-                f"{self.path}: the bag does not hold the definition of {shown(kind)}; where that type is known,"
+                f"{self.path}: the bag does not hold the definition of {brief(kind)}; where that type is known,"
                 " `ros2 bag convert` to MCAP adds it"
             )
         return text.encode()

@@ -18,7 +18,9 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, ChunkIndex, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
+from mcap.well_known import MessageEncoding
 
+from common.locks import is_being_written
 from recorder.chunks import (
     CHUNK_HEADER,
     MAGIC,
@@ -32,7 +34,6 @@ from recorder.chunks import (
     prefixed,
 )
 from recorder.errors import LogError
-from recorder.locks import is_being_written
 
 GOES_ON: Final = "unfinished: its recording is still going on"
 KILLED: Final = "unfinished: its recording was killed, or it was cut off"
@@ -61,6 +62,12 @@ class Structure:
     problem: str = ""  # why the file had to be walked through; empty for a finished one
     has_end: bool = True  # whether the data section is finished
     lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
+
+    def is_protobuf(self, channel: int, schema: str) -> bool:
+        """Whether a channel's messages are of this schema, in Protobuf: other programs write some as JSON too."""
+        known = self.channels[channel]
+        its = self.schemas.get(known.schema_id)
+        return its is not None and (its.name, known.message_encoding) == (schema, MessageEncoding.Protobuf)
 
 
 def read_structure(file: McapFile) -> Structure:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
 
+from common.locks import lock
 from recorder.errors import LogError
-from recorder.locks import lock
 
 EXCLUDE: Final = "exclude"
 """Rows with this tag are never trained on."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,7 +59,6 @@ class TelemetryServer:
     def __init__(self, handler: Handler, *, host: str = "127.0.0.1", port: int = 4567) -> None:
         """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible."""
         self._handler = handler
-        self._is_stopped = False
         self._is_over = False
         self._failure: Exception | None = None
         self._steered: dict[str, bool] = {}  # the clients that were sent commands -> decimal commas
@@ -82,8 +80,8 @@ class TelemetryServer:
         accept_old_clients(self._server)
         self._application = hang_up_on_broken_packets(self._server)
 
-    def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve until `stop()` is called (from a signal handler or another green thread), or `until()` is true.
+    def run(self, until: Callable[[], bool]) -> None:
+        """Serve until `until()` is true.
 
         Every car that was steered is then let roll out, and every connection closed. Raises what the handler
         raised.
@@ -97,7 +95,7 @@ class TelemetryServer:
             debug=False,  # a client is not shown tracebacks
         )
         try:
-            while not (self._is_stopped or until()):
+            while self._failure is None and not until():
                 eventlet.sleep(TICK_S)  # a tick, because a signal does not wake eventlet
                 self._call(self._handler.tick)
             self._is_over = True
@@ -113,14 +111,6 @@ class TelemetryServer:
             self._listener.close()
         if self._failure is not None:
             raise self._failure
-
-    def stop(self) -> None:
-        self._is_stopped = True
-
-    def stop_on_signals(self) -> None:
-        """Let Ctrl-C and `kill` end `run()` between two telemetries, and never in the middle of one."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: self.stop())
 
     def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
         if not self._is_over:
@@ -158,5 +148,4 @@ class TelemetryServer:
             return function(*arguments)
         except Exception as error:
             self._failure = error
-            self.stop()
             return None

@@ -191,9 +191,8 @@ class UdacityFolder:
         with _told(self.folder):
             places = self._files.places()
             for place in places:
-                os.scandir(
-                    place
-                ).close()  # of a folder that cannot be read, every picture would seem to be missing
+                # of a folder that cannot be read, every picture would seem to be missing
+                os.scandir(place).close()
         for line, content in enumerate(self._lines(), start=1):
             row = reader.read(line, content)
             if row is None:

@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from common.command import stop_signals
+from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError

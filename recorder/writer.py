@@ -6,7 +6,6 @@ import contextlib
 import os
 import time
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Literal, Self
@@ -25,14 +24,15 @@ from mcap_protobuf.schema import register_schema
 
 from common import UserError, files
 from common.interrupts import uninterrupted
+from common.locks import lock
+from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.locks import lock
+from recorder.picture_size import PNG_START
 from recorder.quality import StatesWritten, summary
 from recorder.topics import Camera, camera_topic
 
 CHUNK_BYTES: Final = 256 * 1024
-PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
@@ -40,13 +40,6 @@ EventLevel = Literal["INFO", "WARNING", "ERROR"]
 
 def timestamp(time_ns: int) -> Timestamp:
     return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
-
-
-def toolkit_version() -> str:
-    try:
-        return version("behavioural-cloning-toolkit")
-    except PackageNotFoundError:  # run from a source tree that was never installed
-        return "unknown"
 
 
 class LogWriter:
@@ -115,11 +108,9 @@ class LogWriter:
         self._mcap = McapWriter(
             self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
         )
-        self._to_disk(
-            self._mcap.start, profile=profile, library=f"behavioural-cloning-toolkit {toolkit_version()}"
-        )
+        self._to_disk(self._mcap.start, profile=profile, library=f"behavioural-cloning-toolkit {version_of()}")
         if metadata is not None:
-            self.add_metadata(topics.SESSION_METADATA, {"toolkit": toolkit_version(), **metadata})
+            self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
 
     def picture(self, camera: Camera, time_ns: int, sequence: int, picture: bytes) -> None:
         """A camera's JPEG or PNG, byte for byte."""

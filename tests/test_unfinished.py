@@ -21,6 +21,7 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from common import UserError
+from common.locks import is_being_written
 from disk import files_of_at_most
 from driving import PATIENCE_S, Process, command, environment, road_jpeg
 from logs import START_NS, STEP_NS, write_log
@@ -28,7 +29,6 @@ from plain_mcap import Contents, StoredChunk, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.edit import recover, recovered_name
-from recorder.locks import is_being_written
 from recorder.topics import CAMERAS, Camera
 from simulator.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
 from udacity import make_recording, paths

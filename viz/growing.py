@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from google.protobuf.message import DecodeError
 from mcap.records import Channel
 
 from common import Skipped
-from common.files import PART_SUFFIX
+from common.closing import Closing
+from common.files import final_path
+from common.locks import is_being_written
 from recorder.chunks import MAGIC, Chunk, McapFile, StoredMessage
 from recorder.errors import LogError
-from recorder.locks import is_being_written
+from recorder.places import LAST_TIME_NS
 from recorder.structure import Structure, has_summary, walk_on
 from viz.messages import KINDS, PICTURE_TOPICS, Shown
 
@@ -24,27 +24,18 @@ LATE: Final = "pictures not shown, to keep up (the log has them)"
 QUIET_S: Final = 2.0
 """Nothing new for so long, and nobody who writes (some file systems cannot tell): the recording was killed."""
 
-_PART: Final = r"\.[0-9a-f]{6}" + re.escape(PART_SUFFIX)  # what `common.files` adds to a name
-_LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, Rerun's are not
-
 
 def find_log(path: Path) -> Path:
     """Where a log is now that was at `path`, or will be: it has another name until its writer closes it."""
-    final = path.with_name(final_name(path))
+    final = final_path(path)
     for place in (path, final):
         if place.exists():
             return place
-    name = re.compile(re.escape(path.name) + _PART)
     try:
-        parts = [part for part in path.parent.iterdir() if name.fullmatch(part.name) and not part.is_symlink()]
+        parts = [part for part in path.parent.iterdir() if final_path(part) == path and not part.is_symlink()]
         return max(parts, key=lambda part: part.stat().st_mtime_ns, default=path)
     except OSError:  # no such folder, or it has just been given its final name
         return final if final.exists() else path
-
-
-def final_name(path: Path) -> str:
-    """The name that a log has, or will have, when it is finished."""
-    return re.sub(_PART + "$", "", path.name)
 
 
 def is_finished(path: Path) -> bool:
@@ -58,7 +49,7 @@ def is_finished(path: Path) -> bool:
         file.close()
 
 
-class GrowingLog:
+class GrowingLog(Closing):
     """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
 
     Either `is_finished` or `notice` tells that nothing more will come: the recording was killed, says the notice.
@@ -78,14 +69,6 @@ class GrowingLog:
     def close(self) -> None:
         if self._file is not None:
             self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[Shown]]:
         """What has been completed since the last call, a list for each chunk.
@@ -149,10 +132,8 @@ class GrowingLog:
                     yield shown
 
     def _can_be_shown(self, channel: Channel) -> bool:
-        kind, schema = KINDS.get(channel.topic), self._found.schemas.get(channel.schema_id)
-        if kind is None or schema is None:
-            return False
-        return (channel.message_encoding, schema.name) == ("protobuf", kind.DESCRIPTOR.full_name)
+        kind = KINDS.get(channel.topic)
+        return kind is not None and self._found.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
 
     def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> Shown | None:
         name = f"{channel.topic} row {stored.sequence}"
@@ -164,7 +145,7 @@ class GrowingLog:
         except DecodeError:
             self.skipped.add("messages that cannot be decoded", name)
             return None
-        if stored.log_time_ns > _LAST_TIME_NS:
+        if stored.log_time_ns > LAST_TIME_NS:
             self.skipped.add("messages of a time that cannot be", name)
             return None
         return Shown(channel.topic, stored.log_time_ns, content)

@@ -1,0 +1,58 @@
+"""Ctrl-C and `kill` can be noted instead of interrupting, and do afterwards what they did before."""
+
+from __future__ import annotations
+
+import signal
+import threading
+
+import pytest
+
+from common.interrupts import stop_signals, uninterrupted
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_noted_and_interrupts_nothing(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with stop_signals() as stopped:
+        assert not stopped.is_set()
+        signal.raise_signal(number)
+        assert stopped.is_set()
+    assert signal.getsignal(number) is before
+
+
+def test_a_signal_waits_for_the_end_of_what_must_not_be_interrupted() -> None:
+    done = []
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012  (it is when it comes that matters)
+        with uninterrupted():
+            signal.raise_signal(signal.SIGINT)
+            done.append("all of it")
+        done.append("more")
+    assert done == ["all of it"]
+
+
+def test_within_one_another_the_inner_block_puts_a_signal_off_for_the_outer_one() -> None:
+    with stop_signals() as stopped:
+        with uninterrupted():
+            signal.raise_signal(signal.SIGTERM)
+            assert not stopped.is_set()
+        assert stopped.is_set()
+
+
+def test_an_error_is_told_and_not_the_signal() -> None:
+    with pytest.raises(OSError, match="disk"), uninterrupted():  # noqa: PT012
+        signal.raise_signal(signal.SIGINT)
+        raise OSError("the disk is full")
+
+
+def test_a_thread_hears_no_signals_and_changes_none() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    seen = []
+
+    def work() -> None:
+        with stop_signals() as stopped, uninterrupted():
+            seen.append((stopped.is_set(), signal.getsignal(signal.SIGINT)))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [(False, before)]
