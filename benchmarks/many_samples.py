@@ -18,9 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dataset import load
-from dataset.frames import METADATA_KEY
-from dataset.index import SAMPLES_NAME
-from dataset.samples import FORMAT
+from dataset.samples_format import FORMAT, METADATA_KEY, SAMPLES_NAME
 from recorder import Log, LogWriter
 
 SESSIONS = 100
@@ -44,7 +42,7 @@ def _open(index: Path) -> str:
     with load(index, budget_bytes=0) as loader:
         opened_s = time.perf_counter() - start
         opened = _peak_bytes() - before
-        kept = sum(value.nbytes for value in vars(loader._rows).values() if isinstance(value, np.ndarray))
+        kept = sum(value.nbytes for value in vars(loader.rows).values() if isinstance(value, np.ndarray))
         start = time.perf_counter()
         order = loader.order(1)
         order_s = time.perf_counter() - start
@@ -84,6 +82,7 @@ def _make(index: Path, count: int) -> None:
         ),
         "seed": np.where(use == 2, random.integers(0, 2**32, count), 0),
         "label": random.uniform(-1, 1, count),
+        "recorded": random.uniform(-1, 1, count),
         "bin": random.integers(0, 25, count),
         "split": np.where(picture // 500 % 5 == 0, "validation", "train"),
         "copy": use == 2,

@@ -1,13 +1,18 @@
 """From logs to what training reads: preprocessing, the index, steering bins and balance, and the loader."""
 
+from typing import TYPE_CHECKING
+
+from common.lazy import lazy_names
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.index import Indexed, build_index, find_logs, sessions_not_indexed
 from dataset.loader import Batch, Loader, load
 from dataset.preprocess import decode, preprocess
 from dataset.samples_dataset import SamplesDataset
 from dataset.samples_file import Samples
 from recorder.topics import MAX_STEERING_DEG
+
+if TYPE_CHECKING:
+    from dataset.index import Indexed, build_index, find_logs, sessions_not_indexed
 
 __all__ = [
     "MAX_STEERING_DEG",
@@ -25,3 +30,8 @@ __all__ = [
     "preprocess",
     "sessions_not_indexed",
 ]
+
+# training reads an index where what builds one is not installed
+__getattr__ = lazy_names(
+    __name__, dict.fromkeys(("Indexed", "build_index", "find_logs", "sessions_not_indexed"), "dataset.index")
+)

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
 from dataset.preprocess import Image
 
+Allocate = Callable[[tuple[int, ...]], Image]
+"""Gives an array of a shape, uint8, its content arbitrary."""
+
+
+def _plain_memory(shape: tuple[int, ...]) -> Image:
+    return np.empty(shape, np.uint8)
+
 
 class Buffers:
     """Arrays of one shape. Whoever gets one may keep it, or any part of it, for as long as they like."""
 
-    def __init__(self, shape: tuple[int, ...], most: int) -> None:
+    def __init__(self, shape: tuple[int, ...], most: int, allocate: Allocate = _plain_memory) -> None:
         """Keeps the memory of at most ``most`` arrays that nobody has any more."""
         self._shape = shape
+        self._allocate = allocate
         self._free: deque[Image] = deque(maxlen=most)
 
     def take(self) -> Image:
@@ -22,7 +31,7 @@ class Buffers:
         try:
             memory = self._free.pop()
         except IndexError:
-            memory = np.empty(self._shape, np.uint8)
+            memory = self._allocate(self._shape)
         lent: Image = np.asarray(_Lent(memory, self._free))
         return lent
 

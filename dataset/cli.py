@@ -13,11 +13,12 @@ import tyro
 from common.command import DONE, FAILED, run_command, stderr, stdout, warn
 from dataset.config import IndexConfig
 from dataset.frames import session_name
-from dataset.index import SAMPLES_NAME, Indexed, build_index, find_logs, unfinished_recordings
+from dataset.index import Indexed, build_index, find_logs, unfinished_recordings
 from dataset.leaks import find_leaks
 from dataset.looks import look_at_all
 from dataset.oddities import print_report, report
 from dataset.report import balance_table, sessions_table
+from dataset.samples_format import SAMPLES_NAME
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,8 @@ def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
     counts = indexed.counts.values()
     if not any(count.training for count in counts):
         return [
-            f"{indexed.path}: no sample for training: all frames are held out, in the gap, excluded or unusable"
+            f"{indexed.path}: no sample for training: all frames are held out, in the gap, excluded, unusable, or"
+            " without a label"
         ]
     if config.validation_share > 0 and not any(count.validation for count in counts):
         return [

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
-import tyro
-
+from common.flags import arg
 from dataset.alter import Alteration
 from recorder.topics import Camera
 
@@ -19,7 +18,7 @@ class IndexConfig:
     """Equal steering bins over -1..1."""
     balance: bool = True
     """Bring all steering bins to the same count; --no-balance takes every sample once."""
-    per_bin: Annotated[Literal["mean", "median"] | int, tyro.conf.arg(metavar="mean|median|N")] = "mean"
+    per_bin: Annotated[Literal["mean", "median"] | int, arg(metavar="mean|median|N")] = "mean"
     """What each bin is brought to: the mean or the median of the bins that are not empty, or a number."""
     max_uses: int = 10
     """Cap: how often one picture, and its mirror image, may be used to fill up a bin, itself included."""
@@ -29,9 +28,13 @@ class IndexConfig:
     """The cameras to train on."""
     side_correction: float = 0.2
     """Added to the steering of the left camera's pictures, taken from that of the right one's."""
+    label_smooth_s: Annotated[float, arg(name="label-smooth", metavar="SECONDS")] = 0.0
+    """Labels are the mean of the steering over so many seconds around the frame; 0: as recorded."""
+    label_shift_s: Annotated[float, arg(name="label-shift", metavar="SECONDS")] = 0.0
+    """Labels are the steering so many seconds later, because people react late; 0: at the frame itself."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""
-    where: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None
+    where: Annotated[str | None, arg(metavar="SQL")] = None
     """Which frames to use: a condition on the columns of the frames, such as "speed_mph > 5"."""
     block_s: float = 10.0
     """Length in seconds of the blocks of time that are split between training and validation."""
@@ -39,7 +42,7 @@ class IndexConfig:
     """Seconds of training frames that are left out on either side of a validation block."""
     validation_share: float = 0.2
     """Share of the frames held out for validation, in whole blocks."""
-    validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
+    validation: Annotated[tuple[str, ...], arg(metavar="SESSION [SESSION ...]")] = ()
     """Hold out these whole sessions for validation, and no blocks of the others."""
     seed: int = 0
     """Everything random here is drawn from it: same logs, same seed, same index."""
@@ -56,6 +59,8 @@ class IndexConfig:
             raise ValueError("block_s must be in 0.001..1,000,000 s, gap_s in 0..1,000,000 s")
         if not abs(self.side_correction) <= 2:  # False for NaN too
             raise ValueError("side_correction must be in -2..2")
+        if not 0 <= self.label_smooth_s <= 60 or not abs(self.label_shift_s) <= 10:
+            raise ValueError("label_smooth_s must be in 0..60 s, label_shift_s in -10..10 s")
         if len(set(self.alter)) < len(self.alter) or ("none" in self.alter and len(self.alter) > 1):
             raise ValueError("alter must name each alteration once, or none alone")
 

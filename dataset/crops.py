@@ -16,6 +16,7 @@ from dataset.errors import DatasetError
 from dataset.preprocess import SIZE_PX, Image, decode, preprocess
 from dataset.samples_file import Rows
 from recorder import Log
+from recorder.topics import CAMERAS, camera_topic
 
 CROP_SHAPE = (SIZE_PX, SIZE_PX, 3)
 CROP_BYTES = SIZE_PX * SIZE_PX * 3
@@ -32,20 +33,48 @@ class Crops:
         self._kept = np.empty((kept, *CROP_SHAPE), np.uint8)  # no memory is taken before it is written to
         self._is_kept = np.zeros(kept, np.bool_)
 
-    def fill(self, pictures: Image, samples: NDArray[np.int64]) -> None:
+    def fill(self, pictures: Image, samples: NDArray[np.int64]) -> dict[int, DatasetError]:
         """Write what `samples` show into `pictures` (N, 128, 128, 3).
 
-        Raises DatasetError for a picture that cannot be decoded, LogError for a damaged log.
+        Returns the samples whose picture does not decode, and why; what is written for them is arbitrary.
+        Raises LogError for a damaged log.
         """
+        failed: dict[int, DatasetError] = {}
         columns = (self._rows.picture, self._rows.flip, self._rows.alteration, self._rows.seed)
-        wanted = zip(pictures, *(column[samples].tolist() for column in columns), strict=True)
-        for picture, number, flip, alteration, seed in wanted:
-            if flip:
-                cv2.flip(self._crop(number), 1, picture)  # a tenth of the time of crop[:, ::-1]
-            else:
-                self._crop(number, picture)
+        wanted = zip(pictures, samples.tolist(), *(column[samples].tolist() for column in columns), strict=True)
+        for picture, sample, number, flip, alteration, seed in wanted:
+            try:
+                if flip:
+                    cv2.flip(self._crop(number), 1, picture)  # a tenth of the time of crop[:, ::-1]
+                else:
+                    self._crop(number, picture)
+            except DatasetError as error:
+                failed[sample] = error
+                continue
             if names := self._rows.alterations[alteration]:
                 picture[:] = alter(picture, names, seed)
+        return failed
+
+    def fill_plain(self, pictures: Image, numbers: NDArray[np.int64]) -> dict[int, DatasetError]:
+        """Write the crops of the pictures called `numbers`, and keep none of them; otherwise as `fill`."""
+        failed: dict[int, DatasetError] = {}
+        for picture, number in zip(pictures, numbers.tolist(), strict=True):
+            try:
+                self._decode(number, picture)
+            except DatasetError as error:
+                failed[number] = error
+        return failed
+
+    def name(self, number: int) -> str:
+        """What a person calls a picture: session, row and camera."""
+        rows = self._rows
+        log, offset, chunk = self._logs[rows.session[number]], int(rows.offset[number]), rows.chunk[number]
+        for camera in CAMERAS:
+            found = log.pictures(camera_topic(camera))
+            at = np.flatnonzero((found.offset == offset) & (found.chunk == chunk))
+            if len(at):
+                return f"{rows.sessions[rows.session[number]]} row {found.sequence[at[0]]} {camera}"
+        return f"{log.path} byte {offset}"  # an index that was not made here
 
     def _crop(self, number: int, into: Image | None = None) -> Image:
         """The crop of a picture, written `into` an array if one is given."""

@@ -2,14 +2,14 @@
 
     write_figures(Path("index"), Path("figures"))
 
-Matplotlib is an extra (`pip install "behavioural-cloning-toolkit[figures]"`) and is imported only here.
+Matplotlib is an extra: `pip install "behavioural-cloning-toolkit[figures]"`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,31 +26,23 @@ from dataset.figure_data import (
     steering_distribution,
     two_draws,
 )
+from dataset.figure_style import (
+    BLUE,
+    DPI,
+    GREY,
+    ORANGE,
+    WIDTH_INCHES,
+    YELLOW,
+    figure_style,
+    new_figure,
+    require_matplotlib,
+)
 from dataset.preprocess import SIZE_PX, Image, preprocess
 from dataset.samples_file import Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-DPI: Final = 200
-WIDTH_INCHES: Final = 7.0  # the text width of a page with two columns
-
-_STYLE: Final[Any] = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "hatch.linewidth": 0.6,
-    "pdf.fonttype": 42,  # publishers refuse Type 3 fonts
-}
-# Okabe and Ito (2008): told apart by colour-blind people, and in grey
-_BLUE, _ORANGE, _YELLOW, _GREY = "#0072B2", "#E69F00", "#F0E442", "#595959"
 
 
 def write_figures(index: Path, folder: Path, *, seed: int = 0, overwrite: bool = False) -> list[Path]:
@@ -60,12 +52,7 @@ def write_figures(index: Path, folder: Path, *, seed: int = 0, overwrite: bool =
     Raises DatasetError if the index or its logs cannot be used, or if matplotlib is not installed; UserError
     if a file exists already.
     """
-    try:
-        import matplotlib
-    except ImportError:
-        raise DatasetError(
-            'figures need matplotlib: install it with `pip install "behavioural-cloning-toolkit[figures]"`'
-        ) from None
+    require_matplotlib(DatasetError)
     names = ("preprocessing", "augmentation", "balance")
     paths = {(name, kind): folder / f"{name}.{kind}" for name in names for kind in ("png", "pdf")}
     for path in paths.values():
@@ -83,9 +70,7 @@ def write_figures(index: Path, folder: Path, *, seed: int = 0, overwrite: bool =
         "augmentation": lambda: draw_augmentation(turn, config, seed),
         "balance": lambda: draw_balance(distribution, config),
     }
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # somebody's own matplotlibrc must not change the bytes
-        matplotlib.rcParams.update(_STYLE)
+    with figure_style():
         for name in names:
             figure = draw[name]()
             for kind, metadata in (("png", None), ("pdf", {"CreationDate": None})):
@@ -96,7 +81,7 @@ def write_figures(index: Path, folder: Path, *, seed: int = 0, overwrite: bool =
 
 def draw_preprocessing(moments: list[Moment]) -> Figure:
     """A row each: the picture with the crop's edges, the crop in its place, and what the network sees."""
-    figure = _figure(1.2 * len(moments) + 0.6)
+    figure = new_figure(1.2 * len(moments) + 0.6)
     grid = figure.subplots(len(moments), 3, squeeze=False, width_ratios=(2, 2, 1))
     for axes, moment in zip(grid, moments, strict=True):
         height, width = moment.picture.shape[:2]
@@ -105,7 +90,7 @@ def draw_preprocessing(moments: list[Moment]) -> Figure:
         _show(camera, moment.picture, (0, width, height, 0))
         for edge, cut in ((top, (0, top)), (bottom, (bottom, height))):
             camera.axhspan(*cut, color="black", alpha=0.4, linewidth=0)
-            camera.axhline(edge, color=_YELLOW, linewidth=1.2)
+            camera.axhline(edge, color=YELLOW, linewidth=1.2)
         _show(crop, moment.picture[top:bottom], (0, width, bottom, top))
         crop.set_ylim(height, 0)
         _show(seen, preprocess(moment.picture), (0, SIZE_PX, SIZE_PX, 0))
@@ -135,7 +120,7 @@ def draw_augmentation(moment: Moment, config: IndexConfig, seed: int) -> Figure:
     }
     names = ["", *config.alterations, *(name for name in titles if "+" in name)]
     flips = (False, True) if config.flip else (False,)
-    figure = _figure((WIDTH_INCHES - 0.4) / len(names) * len(flips) + 0.3)
+    figure = new_figure((WIDTH_INCHES - 0.4) / len(names) * len(flips) + 0.3)
     grid = figure.subplots(len(flips), len(names), squeeze=False)
     for axes, name in zip(grid.T, names, strict=True):
         axes[0].set_title(titles[name])
@@ -157,20 +142,20 @@ def draw_balance(distribution: Distribution, config: IndexConfig) -> Figure:
     centers, width = (edges[:-1] + edges[1:]) / 2, 2 / bins * 0.9
     is_empty = distribution.before == 0
     whose = f"{config.per_bin} of the bins that are not empty" if isinstance(config.per_bin, str) else "target"
-    figure = _figure(4.6)
+    figure = new_figure(4.6)
     before, after = figure.subplots(2, 1, sharex=True)
     before.bar(
         centers,
         distribution.before,
         width,
-        color=_BLUE,
+        color=BLUE,
         label="recorded and mirrored" if config.flip else "recorded",
     )
     filled = np.zeros(bins, np.int64)
     for counts, label, style in (
-        (distribution.originals, "originals", {"color": _BLUE}),
-        (distribution.copies, "altered copies" if config.alterations else "copies", {"color": _ORANGE}),
-        (distribution.short, "missing: the cap on copies", {"fill": False, "edgecolor": _GREY, "hatch": "/////"}),
+        (distribution.originals, "originals", {"color": BLUE}),
+        (distribution.copies, "altered copies" if config.alterations else "copies", {"color": ORANGE}),
+        (distribution.short, "missing: the cap on copies", {"fill": False, "edgecolor": GREY, "hatch": "/////"}),
     ):
         if counts.any():
             after.bar(centers, counts, width, filled, label=label, linewidth=0.6, **style)
@@ -183,7 +168,7 @@ def draw_balance(distribution: Distribution, config: IndexConfig) -> Figure:
             axes.axhline(distribution.per_bin, color="black", linewidth=1, linestyle="--", label=label)
         if is_empty.any():
             at, label = centers[is_empty], f"{hidden}empty bin"
-            axes.plot(at, np.zeros(len(at)), "x", color=_GREY, markersize=5, clip_on=False, label=label)
+            axes.plot(at, np.zeros(len(at)), "x", color=GREY, markersize=5, clip_on=False, label=label)
         axes.set_title(title, loc="left", fontweight="bold", pad=20)
         legend = axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, borderaxespad=0.3)
         legend.set_in_layout(False)
@@ -194,12 +179,6 @@ def draw_balance(distribution: Distribution, config: IndexConfig) -> Figure:
     after.set_xlabel("steering (−1: 25° to the left, 1: 25° to the right)")
     figure.align_ylabels()
     return figure
-
-
-def _figure(height_inches: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure((WIDTH_INCHES, round(height_inches, 2)), layout="constrained")
 
 
 def _show(axes: Axes, picture: Image, extent: tuple[float, float, float, float]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -15,10 +14,12 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from common import whole_file
+from common.files import final_path
 from dataset.balance import bin_of
 from dataset.config import IndexConfig
 from dataset.looks import read_look
 from dataset.quality import Looked, Paired, frame_flags
+from dataset.samples_format import METADATA_KEY
 from dataset.split import block_numbers, near_validation, validation_blocks
 from recorder import Log, Pictures
 from recorder.quality import States, drive_numbers
@@ -26,7 +27,6 @@ from recorder.tags import Tag
 from recorder.topics import CAMERAS, Camera, camera_topic
 
 FORMAT: Final = 5
-METADATA_KEY: Final = b"bc.index"
 
 SCHEMA: Final = pa.schema(
     [
@@ -34,9 +34,8 @@ SCHEMA: Final = pa.schema(
         pa.field("row", pa.int64()),  # the frame's number in its log
         pa.field("camera", pa.string()),
         pa.field("log_time_ns", pa.int64()),
-        pa.field(
-            "offset", pa.int64()
-        ),  # of the JPEG, in bytes from the start of the log (or of its chunk, unpacked)
+        # of the JPEG, in bytes from the start of the log (or of its chunk, unpacked)
+        pa.field("offset", pa.int64()),
         pa.field("length", pa.int64()),  # of the JPEG, in bytes
         pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
         pa.field("steering", pa.float64()),
@@ -57,7 +56,7 @@ REPEATING: Final = ("session", "camera", "split")
 
 def session_name(log: Path) -> str:
     """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part, whose recording was killed."""
-    return re.sub(r"\.mcap(\.[0-9a-f]{6}\.part)?$", "", log.name)
+    return final_path(log).name.removesuffix(".mcap")
 
 
 def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:

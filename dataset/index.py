@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +22,8 @@ import pyarrow.parquet as pq
 
 from common import whole_file
 from common.errors import shown
+from common.files import final_path
+from common.locks import lock
 from common.progress import track
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -38,14 +39,13 @@ from dataset.frames import (
     write_table,
 )
 from dataset.looks import LOOKS_FOLDER
-from dataset.samples import FORMAT as SAMPLES_FORMAT
 from dataset.samples import Balance, SessionCounts, write_samples
+from dataset.samples_format import FORMAT as SAMPLES_FORMAT
+from dataset.samples_format import SAMPLES_NAME
 from dataset.shared import refuse_shared_pictures
 from recorder import Log, LogError
-from recorder.locks import lock
 from recorder.tags import read_tags, tags_path
 
-SAMPLES_NAME: Final = "samples.parquet"
 FRAMES_FOLDER: Final = "frames"
 STATE_NAME: Final = "state.json"
 LOCK_NAME: Final = ".lock"
@@ -201,7 +201,7 @@ def _is_ours(file: Path) -> bool:
     """Whether a file in the frames folder was made by us; also the part of one that a killed process left."""
     if file.is_symlink() or not file.is_file():
         return False
-    if re.search(r"\.parquet\.[0-9a-f]{6}\.part$", file.name):
+    if (final := final_path(file)) != file and final.suffix == ".parquet":
         return True
     return (read_metadata(file) or {}).keys() >= {"format", "fingerprint", "looked", "settings"}
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from dataset.errors import DatasetError
 from dataset.frames import read_metadata
-from dataset.index import FRAMES_FOLDER, SAMPLES_NAME
+from dataset.index import FRAMES_FOLDER
 from dataset.samples import is_excluded
+from dataset.samples_format import SAMPLES_NAME
 
 
 def find_leaks(index: Path) -> list[str]:

@@ -6,32 +6,34 @@
 
 The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen, and
 several processes share an epoch without a word between them. Threads decode some batches ahead.
+
+A picture that does not decode is left out of its batches, which are smaller then, and named in `Loader.skipped`.
 """
 
 from __future__ import annotations
 
 import os
-from collections import deque
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from dataset.buffers import Buffers
+from common import Skipped
+from common.closing import Closing
+from dataset.ahead import Fill, filled
+from dataset.buffers import Allocate, Buffers
 from dataset.crops import CROP_SHAPE, Crops
 from dataset.preprocess import Image
-from dataset.samples_file import LOADED, Samples, Split
+from dataset.samples_file import LOADED, Rows, Samples, Split
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
+UNDECODED: Final = "pictures that do not decode"
 
 _AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more fall out of the caches
-_JOBS: Final = 4  # for each thread of a batch: small enough that none waits long for the others' last one
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Batch:
     steering: NDArray[np.float32]  # (N,), -1..1
 
 
-class Loader:
+class Loader(Closing):
     """Batches of some rows of an index. Use it as a context manager, or call `close()`."""
 
     def __init__(
@@ -68,71 +70,87 @@ class Loader:
         self.rank = rank
         self.ranks = ranks
         self.threads = threads or os.cpu_count() or 1
+        self.rows: Rows = samples.rows(rows)
+        self.skipped = Skipped()  # each picture once, however often it was wanted
         self._samples = samples
-        self._rows = samples.rows(rows)
-        self._crops = Crops(self._rows, samples.logs, budget_bytes)
+        self._undecoded: set[int] = set()  # the pictures in `skipped`
+        self._crops = Crops(self.rows, samples.logs, budget_bytes)
         self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
-        part = -(-min(batch, len(self)) // ranks)
-        self._buffers = Buffers((part, *CROP_SHAPE), self._at_once + 1)
+        self._part = -(-min(batch, len(self)) // ranks)
+        self._buffers = Buffers((self._part, *CROP_SHAPE), self._at_once + 1)
 
     def close(self) -> None:
         self._samples.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def __len__(self) -> int:
         """Samples in an epoch, those of all ranks together."""
-        return len(self._rows)
+        return len(self.rows)
 
     @property
     def batches(self) -> int:
         """Batches in an epoch, for every rank the same number."""
         return -(-len(self) // self.batch)
 
+    @property
+    def pictures(self) -> int:
+        """Different pictures that the samples show."""
+        return len(self.rows.session)
+
     def order(self, epoch: int) -> NDArray[np.int64]:
         """Which sample comes when, in an epoch: every one once."""
         return np.random.default_rng((self.seed, epoch)).permutation(len(self))
 
-    def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
-        """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller."""
+    def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:
+        """The samples of each batch of an epoch that are this rank's, also those that will not decode."""
         if not 0 <= start_batch <= self.batches:
             raise ValueError(f"start_batch must be in 0 to {self.batches}, not {start_batch}")
-        return self._batches(self.order(epoch), start_batch)
+        return self._parts(self.order(epoch), start_batch)
+
+    def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
+        """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller, and
+        so is one with pictures that do not decode. Raises LogError where a log is damaged."""
+        return self._batches(self.parts(epoch, start_batch))
 
     def in_order(self) -> Iterator[Batch]:
         """All samples once, in the order of the index (for evaluation)."""
-        return self._batches(np.arange(len(self)), 0)
+        return self._batches(self._parts(np.arange(len(self)), 0))
 
-    def _batches(self, order: NDArray[np.int64], start_batch: int) -> Iterator[Batch]:
-        starts = range(start_batch * self.batch, len(order), self.batch)
-        waiting: deque[tuple[Batch, list[Future[None]]]] = deque()
-        pool = ThreadPoolExecutor(self.threads)
-        try:
-            for start in starts:
-                together = order[start : start + self.batch]
-                waiting.append(self._begin(np.array_split(together, self.ranks)[self.rank], pool))
-                if len(waiting) == self._at_once:
-                    yield _finished(*waiting.popleft())
-            while waiting:
-                yield _finished(*waiting.popleft())
-        finally:
-            pool.shutdown(cancel_futures=True)
+    def crops(self) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """Every picture once, unmirrored and unaltered: some numbers of pictures (as in `Rows.picture`) and their
+        crops (N, 128, 128, 3). None is kept here: whoever asks keeps them."""
+        size = max(1, self._part)
+        numbers = np.arange(self.pictures)
+        for part, crops, failed in self._filled(np.split(numbers, numbers[size::size]), self._crops.fill_plain):
+            self._skip(failed)
+            decoded = ~np.isin(part, failed)
+            yield part[decoded], crops[decoded] if failed else crops
 
-    def _begin(self, samples: NDArray[np.int64], pool: ThreadPoolExecutor) -> tuple[Batch, list[Future[None]]]:
-        """A batch, and the jobs that fill in its pictures."""
-        pictures = self._buffers.take()[: len(samples)]
-        size = max(1, -(-len(samples) // (_JOBS * self.threads)))
-        jobs = [
-            pool.submit(self._crops.fill, pictures[i : i + size], samples[i : i + size])
-            for i in range(0, len(samples), size)
-        ]
-        return Batch(pictures, self._rows.label[samples]), jobs
+    def use_memory(self, allocate: Allocate) -> None:
+        """From the next epoch on, take the memory of batches from `allocate`: such as a GPU copies from."""
+        self._buffers = Buffers((self._part, *CROP_SHAPE), self._at_once + 1, allocate)
+
+    def _parts(self, order: NDArray[np.int64], start_batch: int) -> Iterator[NDArray[np.int64]]:
+        for start in range(start_batch * self.batch, len(order), self.batch):
+            yield np.array_split(order[start : start + self.batch], self.ranks)[self.rank]
+
+    def _batches(self, parts: Iterable[NDArray[np.int64]]) -> Iterator[Batch]:
+        for samples, pictures, failed in self._filled(parts, self._crops.fill):
+            if failed:
+                self._skip(self.rows.picture[failed].tolist())
+                decoded = ~np.isin(samples, failed)
+                samples, pictures = samples[decoded], pictures[decoded]
+            yield Batch(pictures, self.rows.label[samples])
+
+    def _skip(self, pictures: list[int]) -> None:
+        for number in pictures:
+            if number not in self._undecoded:
+                self._undecoded.add(number)
+                self.skipped.add(UNDECODED, self._crops.name(number))
+
+    def _filled(
+        self, parts: Iterable[NDArray[np.int64]], fill: Fill
+    ) -> Iterator[tuple[NDArray[np.int64], Image, list[int]]]:
+        return filled(parts, fill, self._buffers, threads=self.threads, at_once=self._at_once)
 
 
 def load(
@@ -170,9 +188,3 @@ def load(
     except BaseException:
         samples.close()
         raise
-
-
-def _finished(batch: Batch, jobs: list[Future[None]]) -> Batch:
-    for job in jobs:
-        job.result()
-    return batch

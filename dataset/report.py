@@ -13,12 +13,15 @@ MOST_BINS = 101  # more lines than that nobody reads
 
 
 def sessions_table(indexed: Indexed) -> Table:
-    """Frames of each session, by what becomes of them."""
-    table = Table("session", *(["frames", "training", "validation", "gap", "left out"]), "", title="frames")
+    """Frames of each session, by what becomes of them; those without a label only where there are some."""
+    some_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
+    columns = ["frames", "training", "validation", "gap", "left out", *["no label"] * some_unlabelled]
+    table = Table("session", *columns, "", title="frames")
     for session in indexed.sessions:
         counts = indexed.counts[session]
         left_out = counts.excluded + counts.unusable + counts.not_asked_for
-        numbers = (counts.frames, counts.training, counts.validation, counts.gap, left_out)
+        numbers = [counts.frames, counts.training, counts.validation, counts.gap, left_out]
+        numbers += [counts.unlabelled] * some_unlabelled
         state = "read" if session in indexed.read else "unchanged"
         table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
     return table

@@ -22,32 +22,14 @@ from common import whole_file
 from dataset.balance import balance, bin_of, unbalanced
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.frames import METADATA_KEY, read_frames
+from dataset.frames import read_frames
+from dataset.labels import labels_of
 from dataset.quality import is_unusable
+from dataset.samples_format import FORMAT, METADATA_KEY, SCHEMA
 from dataset.where import Condition
 from recorder.tags import EXCLUDE
 from recorder.topics import CAMERAS
 
-FORMAT: Final = 3
-
-SCHEMA: Final = pa.schema(
-    [
-        pa.field("session", pa.string()),
-        pa.field("row", pa.int64()),
-        pa.field("camera", pa.string()),
-        pa.field("log_time_ns", pa.int64()),
-        pa.field("offset", pa.int64()),
-        pa.field("length", pa.int64()),
-        pa.field("chunk", pa.int64()),
-        pa.field("flip", pa.bool_()),
-        pa.field("alteration", pa.string()),  # "", or names joined by "+"
-        pa.field("seed", pa.int64()),  # of the alteration
-        pa.field("label", pa.float64()),  # steering, of this camera and this side: -1..1
-        pa.field("bin", pa.int64()),
-        pa.field("split", pa.string()),
-        pa.field("copy", pa.bool_()),  # added to fill up its bin
-    ]
-)
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
 
 
@@ -83,6 +65,7 @@ class SessionCounts:
     gap: int  # between the two
     excluded: int  # tagged so
     unusable: int  # steering out of range, or a broken picture
+    unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
     not_asked_for: int  # another camera, or not what --where chooses
 
     @classmethod
@@ -99,6 +82,7 @@ class _Session:
 
     position: NDArray[np.int32]  # in its frames file
     label: NDArray[np.float64]  # the camera's, unmirrored
+    recorded: NDArray[np.float64]  # the same as it was driven
     is_training: NDArray[np.bool_]
 
 
@@ -121,6 +105,7 @@ def write_samples(
         raise DatasetError(
             f"no frame can be used: no whole picture of {', '.join(config.cameras)} with steering in -1..1"
             f"{' that --where chooses' if config.where is not None else ''}, none that is not tagged {EXCLUDE}"
+            f"{' and has a label with this --label-shift' if config.label_shift_s else ''}"
         )
     label = np.concatenate([session.label for session in sessions])
     is_training = np.concatenate([session.is_training for session in sessions])
@@ -147,9 +132,9 @@ def write_samples(
         ):
             if end > start:
                 part_of = chosen.between(start, end)
-                position = session.position[part_of.frame - first_frame]
-                taken = read_frames(file, FROM_FRAMES).take(pa.array(position))
-                writer.write_table(_table(taken, session.label[part_of.frame - first_frame], part_of, config))
+                frame = part_of.frame - first_frame
+                taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
+                writer.write_table(_table(taken, session.label[frame], session.recorded[frame], part_of, config))
     return balanced, counts
 
 
@@ -175,23 +160,33 @@ def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) 
     is_wanted = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
     if condition is not None:
         is_wanted &= condition.holds(frames)
-    usable = is_wanted & ~is_bad & ~is_tagged
-    chosen = usable & (split != 2)
-    correction = np.select([camera == CAMERAS.index("left"), camera == CAMERAS.index("right")], [1.0, -1.0], 0.0)
-    label = (
-        np.clip(frames["steering"].to_numpy() + config.side_correction * correction, -1.0, 1.0) + 0.0
-    )  # no -0.0
+    is_good = ~is_bad & ~is_tagged
+    steering = labels_of(frames, is_good, split, config.label_smooth_s, config.label_shift_s)
+    usable = is_wanted & is_good
+    has_label = ~np.isnan(steering)
+    chosen = usable & has_label & (split != 2)
     at = np.flatnonzero(chosen)
+    label = _of_camera(steering[at], camera[at], config)
+    recorded = _of_camera(frames["steering"].to_numpy()[at], camera[at], config)
     counts = SessionCounts(
         frames=len(frames),
-        training=int((usable & (split == 0)).sum()),
-        validation=int((usable & (split == 1)).sum()),
+        training=int((chosen & (split == 0)).sum()),
+        validation=int((chosen & (split == 1)).sum()),
         gap=int((usable & (split == 2)).sum()),
         excluded=int((is_wanted & is_tagged).sum()),
         unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
+        unlabelled=int((usable & ~has_label & (split != 2)).sum()),
         not_asked_for=int((~is_wanted).sum()),
     )
-    return _Session(at.astype(np.int32), label[at], split[at] == 0), counts
+    return _Session(at.astype(np.int32), label, recorded, split[at] == 0), counts
+
+
+def _of_camera(
+    steering: NDArray[np.float64], camera: NDArray[np.int8], config: IndexConfig
+) -> NDArray[np.float64]:
+    """What the pictures of each camera call for: -1..1, never -0.0."""
+    correction = np.select([camera == CAMERAS.index("left"), camera == CAMERAS.index("right")], [1.0, -1.0], 0.0)
+    return np.clip(steering + config.side_correction * correction, -1.0, 1.0) + 0.0
 
 
 def _codes(column: pa.ChunkedArray, names: tuple[str, ...]) -> NDArray[np.int8]:
@@ -269,19 +264,26 @@ def _alterations(
     return alteration, seed
 
 
-def _table(frames: pa.Table, label: NDArray[np.float64], chosen: _Chosen, config: IndexConfig) -> pa.Table:
-    """The samples of one session: `frames` and `label` are those of each sample."""
+def _table(
+    frames: pa.Table,
+    label: NDArray[np.float64],
+    recorded: NDArray[np.float64],
+    chosen: _Chosen,
+    config: IndexConfig,
+) -> pa.Table:
+    """The samples of one session: `frames`, `label` and `recorded` are those of each sample."""
     names = config.alterations
     combinations = [
         "+".join(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1 << len(names))
     ]
-    label = np.where(chosen.flip, -label, label) + 0.0  # no -0.0
+    label, recorded = (np.where(chosen.flip, -steering, steering) + 0.0 for steering in (label, recorded))
     columns = {
         **{name: frames[name] for name in FROM_FRAMES},
         "flip": chosen.flip,
         "alteration": pa.DictionaryArray.from_arrays(chosen.alteration, combinations),
         "seed": chosen.seed,
         "label": label,
+        "recorded": recorded,
         "bin": bin_of(label, config.bins),
         "copy": chosen.is_copy,
     }

@@ -24,7 +24,7 @@ class SamplesDataset:
     altered as the index says.
 
     It may be pickled and used after a fork: a worker process opens the logs for itself, and raises DatasetError if
-    they have changed.
+    they have changed. An item whose picture does not decode raises DatasetError: a data set cannot be without it.
     """
 
     def __init__(self, index: Path | str, split: Split = "train") -> None:
@@ -53,7 +53,8 @@ class SamplesDataset:
             self._open()
         sample = at.__index__()
         picture = np.empty((1, *CROP_SHAPE), np.uint8)
-        self._crops.fill(picture, np.array([sample]))
+        for error in self._crops.fill(picture, np.array([sample])).values():
+            raise error
         return picture[0], self._rows.label[sample]
 
     def __getstate__(self) -> dict[str, Any]:

@@ -5,8 +5,9 @@ The rows are arrays, not Python objects: 18 bytes a sample and 24 bytes a pictur
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,9 +22,7 @@ from numpy.typing import NDArray
 from common.open_files import allow_open_files
 from dataset.alter import ALTERATIONS
 from dataset.errors import DatasetError
-from dataset.frames import METADATA_KEY
-from dataset.index import SAMPLES_NAME
-from dataset.samples import FORMAT
+from dataset.samples_format import FORMAT, METADATA_KEY, SAMPLES_NAME, SCHEMA
 from recorder import Log, LogError
 
 Split = Literal["train", "validation"]
@@ -31,7 +30,10 @@ Split = Literal["train", "validation"]
 LOADED: Final = ("session", "offset", "length", "chunk", "flip", "alteration", "seed", "label", "split")
 """The columns that a loader needs."""
 
-_WORDS: Final = ("session", "alteration", "split")  # of those, few different ones: read as numbers
+FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
+"""The columns that training and validation depend on."""
+
+_WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
 _UNREADABLE: Final = (
     OSError,
     ValueError,
@@ -103,11 +105,34 @@ class Samples:
     def driving_view(self, split: Split) -> pa.Table:
         """What the car itself sees: the centre camera, unmirrored and unaltered, each picture once.
 
-        Without pictures of the centre camera, those of the others.
+        Without pictures of the centre camera, those of the others. `label` is as recorded, whatever was learnt:
+        a network is always measured against what was driven.
         """
-        recorded: dict[str, Any] = {"split": _known(split), "flip": False, "copy": False}
-        center = self._table(None, **recorded, camera="center")
-        return center if len(center) else self._table(None, **recorded)
+        plain: dict[str, Any] = {"split": _known(split), "flip": False, "copy": False}
+        center = self._table(None, **plain, camera="center")
+        seen = center if len(center) else self._table(None, **plain)
+        try:
+            return seen.set_column(seen.schema.get_field_index("label"), "label", seen["recorded"])
+        except _UNREADABLE as error:
+            raise self._damaged(error) from None
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256, in hex, of all that training and validation read: which bytes of which logs, how they are
+        mirrored and altered, labels, and the split. It does not depend on where the index and its logs lie.
+        """
+        logs = {session: fingerprint for session, (_, fingerprint) in self.sources.items()}
+        digests = {name: hashlib.sha256() for name in FINGERPRINTED}
+        try:
+            for part in self._groups(FINGERPRINTED):
+                for name, digest in digests.items():
+                    digest.update(
+                        _hashable(part[name], SCHEMA.field(name).type, logs if name == "session" else {})
+                    )
+        except _UNREADABLE as error:
+            raise self._damaged(error) from None
+        told = [sorted(logs.values()), {name: digest.hexdigest() for name, digest in digests.items()}]
+        return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
     def rows(self, table: pa.Table) -> Rows:
         """Samples of this index as arrays. Raises DatasetError for what no index holds."""
@@ -118,19 +143,26 @@ class Samples:
 
     def _table(self, columns: Sequence[str] | None, **values: str | bool) -> pa.Table:
         """The rows of which these columns have these values."""
+        parts = []
         try:
-            # Row group by row group: read_table(filters=...) was seen to wait forever on a damaged file.
-            words = _WORDS if columns else ()
-            with pq.ParquetFile(self.path, read_dictionary=words, page_checksum_verification=True) as file:
-                parts = [file.schema_arrow.empty_table().select(columns or file.schema_arrow.names)]
-                for group in range(file.num_row_groups):
-                    part = file.read_row_group(group, columns)
-                    for name, value in values.items():
-                        part = part.filter(pc.equal(part[name], value))
-                    parts.append(part)
-                return pa.concat_tables(parts)
+            for part in self._groups(columns):
+                for name, value in values.items():
+                    part = part.filter(pc.equal(part[name], value))
+                parts.append(part)
+            return pa.concat_tables(parts)
         except _UNREADABLE as error:
             raise self._damaged(error) from None
+
+    def _groups(self, columns: Sequence[str] | None) -> Iterator[pa.Table]:
+        """The file part by part, the first one empty. Raises what is `_UNREADABLE`.
+
+        Row group by row group: read_table(filters=...) was seen to wait forever on a damaged file.
+        """
+        words = _WORDS if columns else ()
+        with pq.ParquetFile(self.path, read_dictionary=words, page_checksum_verification=True) as file:
+            yield file.schema_arrow.empty_table().select(columns or file.schema_arrow.names)
+            for group in range(file.num_row_groups):
+                yield file.read_row_group(group, columns)
 
     def _damaged(self, error: Exception) -> DatasetError:
         why = " ".join(str(error).split())
@@ -200,6 +232,16 @@ def _rows(table: pa.Table, sources: Mapping[str, object]) -> Rows:
         alterations,
         sessions,
     )
+
+
+def _hashable(column: pa.ChunkedArray, kind: pa.DataType, stands_for: Mapping[str, str]) -> bytes:
+    """The values of a column as bytes, the same however the file stores them; those of a word are the hash of
+    itself, or of what it stands for."""
+    if kind != pa.string():
+        return _numbers(column, kind.to_pandas_dtype()).tobytes()
+    number, words = _codes(column)
+    hashes = [hashlib.sha256(stands_for.get(word, word).encode()).digest()[:8] for word in words]
+    return np.array(hashes, "V8")[number].tobytes()
 
 
 def _distinct(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dataset import IndexConfig, build_index, frames, samples
+from dataset import IndexConfig, build_index, frames, samples, samples_format
 from dataset.looks import look_at_all
 from dataset.quality import FRAME_FLAGS
 from dataset.where import Condition
@@ -140,7 +140,7 @@ def test_the_example_for_a_picture_gives_its_bytes(folder: Path) -> None:
 # The columns
 
 
-@pytest.mark.parametrize(("title", "schema"), [("Frames", frames.SCHEMA), ("Samples", samples.SCHEMA)])
+@pytest.mark.parametrize(("title", "schema"), [("Frames", frames.SCHEMA), ("Samples", samples_format.SCHEMA)])
 def test_every_column_stands_on_the_page_with_its_type(title: str, schema: pa.Schema) -> None:
     table = columns_of(section(title))
     assert [name for names, _ in table for name in names] == schema.names

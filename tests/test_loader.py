@@ -224,9 +224,38 @@ def test_the_driving_view_is_what_the_car_sees(index: Path) -> None:
     ]
     with load(index, "validation", driving_view=True) as loader:
         [batch] = loader.in_order()
-    assert batch.steering.tolist() == np.array([row["label"] for row in expected], np.float32).tolist()
+    assert batch.steering.tolist() == np.array([row["recorded"] for row in expected], np.float32).tolist()
     for picture, row in zip(batch.pictures, expected, strict=True):
         assert (picture == shown(index, row)).all()
+
+
+def test_the_driving_view_tells_what_was_driven_whatever_is_learnt(own: Path) -> None:
+    def relabelled(table: pa.Table) -> pa.Table:
+        return table.set_column(table.schema.get_field_index("label"), "label", pa.array([0.5] * len(table)))
+
+    edited(own, relabelled)
+    with load(own) as loader:
+        assert {float(value) for batch in loader.in_order() for value in batch.steering} == {0.5}
+    with load(own, driving_view=True) as loader:
+        [batch] = loader.in_order()
+    expected = [
+        np.float32(row["recorded"])
+        for row in rows_of(own)
+        if row["camera"] == "center" and not row["flip"] and not row["copy"]
+    ]
+    assert batch.steering.tolist() == expected
+
+
+@pytest.mark.parametrize("value", [None, 1.5, float("nan")])
+def test_a_driving_view_that_makes_no_sense_is_refused(own: Path, value: float | None) -> None:
+    def spoilt(table: pa.Table) -> pa.Table:
+        column = pa.array([value] * len(table), pa.float64())
+        return table.set_column(table.schema.get_field_index("recorded"), "recorded", column)
+
+    for change in (spoilt, lambda table: table.drop_columns("recorded")):
+        edited(own, change)
+        with pytest.raises(DatasetError, match=r"samples\.parquet: damaged"):
+            load(own, driving_view=True)
 
 
 def test_one_sample_is_one_batch_and_a_split_without_samples_is_none(tmp_path: Path) -> None:
