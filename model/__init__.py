@@ -7,19 +7,42 @@ from common.lazy import lazy_names
 if TYPE_CHECKING:
     from model.config import TrainConfig
     from model.errors import RunError
+    from model.evaluation import Evaluation, evaluate
+    from model.export import export_onnx
     from model.pilot import Pilot, load_pilot
+    from model.progress import Epoch, Listener, Step
     from model.run import find_run
-    from model.training import Epoch, train
+    from model.training import Trained, train
 
-__all__ = ["Epoch", "Pilot", "RunError", "TrainConfig", "find_run", "load_pilot", "train"]
+__all__ = [
+    "Epoch",
+    "Evaluation",
+    "Listener",
+    "Pilot",
+    "RunError",
+    "Step",
+    "TrainConfig",
+    "Trained",
+    "evaluate",
+    "export_onnx",
+    "find_run",
+    "load_pilot",
+    "train",
+]
 
 __getattr__ = lazy_names(
     __name__,
     {
-        "Epoch": "model.training",
+        "Epoch": "model.progress",
+        "Evaluation": "model.evaluation",
+        "Listener": "model.progress",
         "Pilot": "model.pilot",
         "RunError": "model.errors",
+        "Step": "model.progress",
         "TrainConfig": "model.config",
+        "Trained": "model.training",
+        "evaluate": "model.evaluation",
+        "export_onnx": "model.export",
         "find_run": "model.run",
         "load_pilot": "model.pilot",
         "train": "model.training",

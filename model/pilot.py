@@ -10,8 +10,8 @@ import torch
 
 from dataset.preprocess import Image, preprocess
 from model.network import SteeringNetwork
-from model.run import checksum, load_config, load_network
-from model.training import as_input
+from model.predict import as_input
+from model.run import checksum, load_config, load_network, run_name
 
 
 class Pilot:
@@ -46,4 +46,4 @@ class Pilot:
 def load_pilot(run: Path) -> Pilot:
     """The pilot of a run folder. Raises RunError if the run is incomplete, damaged or of another version."""
     load_config(run)
-    return Pilot(load_network(run), run.resolve().name, checksum(run))
+    return Pilot(load_network(run), run_name(run), checksum(run))

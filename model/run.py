@@ -1,8 +1,10 @@
 """The run folder: weights, what made them, and how training went. Nothing in it is ever unpickled.
 
-runs/NAME/model.safetensors   the weights after the last finished epoch
+runs/NAME/model.safetensors   the weights of the best epoch: these drive
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
 runs/NAME/metrics.jsonl       one line an epoch
+runs/NAME/steps.jsonl         one line every few batches
+runs/NAME/last/               where training stands: see checkpoint.py
 """
 
 from __future__ import annotations
@@ -12,20 +14,26 @@ import hashlib
 import json
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
+from torch import Tensor
 
 from common import whole_file
+from common.files import remove_empty
+from common.untrusted import read_bounded
 from dataset.preprocess import DESCRIPTION
+from model.checkpoint import CHECKPOINT, LAST, checkpoint_path
 from model.errors import RunError
 from model.network import SteeringNetwork
 
-FORMAT: Final = 1
-WEIGHTS, CONFIG, METRICS = "model.safetensors", "config.json", "metrics.jsonl"
+FORMAT: Final = 2
+DRIVABLE: Final = (1, 2)  # format 1 says less of its training
+MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
+WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
 
 def create_run(folder: Path, config: dict[str, Any]) -> None:
@@ -33,40 +41,74 @@ def create_run(folder: Path, config: dict[str, Any]) -> None:
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
-        raise RunError(f"{folder}: this run exists already; give another --name") from None
-    stored = {"format": FORMAT, "preprocessing": DESCRIPTION, **config}
-    with whole_file(folder / CONFIG, overwrite=False) as part:
-        part.write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
+        raise RunError(
+            f"{folder}: this run exists already; give another --name, or go on with it: --resume {folder.name}"
+        ) from None
+    try:
+        write_config(folder, {"format": FORMAT, "preprocessing": DESCRIPTION, **config})
+    except BaseException:
+        remove_empty([folder])
+        raise
 
 
-def save_weights(folder: Path, network: SteeringNetwork) -> None:
+def write_config(folder: Path, config: dict[str, Any]) -> None:
+    with whole_file(folder / CONFIG, overwrite=True) as part:
+        part.write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
+
+
+def run_name(folder: Path) -> str:
+    """NAME of runs/NAME, and NAME-last of runs/NAME/last: the weights after its last epoch, not its best."""
+    folder = folder.resolve()
+    return f"{folder.parent.name}-{LAST}" if _is_last(folder) else folder.name
+
+
+def save_weights(folder: Path, weights: Mapping[str, Tensor], epoch: int) -> None:
     """Replace the run's weights in one step: a full disk or a crash leaves the old ones."""
-    weights = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
+    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in weights.items()}
     with whole_file(folder / WEIGHTS, overwrite=True) as part:
-        part.write_bytes(save(weights))  # `save_file` would let nobody else read them
+        part.write_bytes(save(weights, {"epoch": str(epoch)}))  # `save_file` would let nobody else read them
 
 
 @contextlib.contextmanager
-def kept_if_trained(folder: Path) -> Iterator[None]:
-    """Around the training of the run in `folder`, which this process has made: if that is stopped before its first
-    epoch is finished, the folder goes, and its name is free again."""
+def kept_if_learnt(folder: Path, has_learnt: Callable[[], bool]) -> Iterator[None]:
+    """Around the training of the run in `folder`, which this process has made: if that ends before anything that
+    it has learnt is saved, the folder goes, and its name is free again."""
     try:
         yield
     finally:
-        if not (folder / WEIGHTS).exists():
+        if not has_learnt():
             shutil.rmtree(folder)
 
 
-def add_metrics(folder: Path, metrics: dict[str, Any]) -> None:
-    """Add a line of JSON, in which a measure that does not exist (NaN) is null."""
-    metrics = {
-        name: {key: None if isinstance(v, float) and math.isnan(v) else v for key, v in value.items()}
-        if isinstance(value, dict)
-        else value
-        for name, value in metrics.items()
-    }
-    with (folder / METRICS).open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(metrics, allow_nan=False) + "\n")
+def add_line(path: Path, values: dict[str, Any]) -> None:
+    """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null."""
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(_without_nan(values), allow_nan=False) + "\n")
+    except OSError as error:
+        raise RunError(
+            f"{path}: cannot be written ({error.strerror}); `bc-train --resume` goes on later"
+        ) from None
+
+
+def keep_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
+    """Leave only the wanted lines; broken ones, which a killed training leaves, go."""
+    kept = []
+    with contextlib.suppress(FileNotFoundError):
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
+                if wanted(json.loads(line)):
+                    kept.append(line)
+    with whole_file(path, overwrite=True) as part:
+        part.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def newest_run(runs: Path) -> Path:
@@ -78,38 +120,70 @@ def newest_run(runs: Path) -> Path:
 
 
 def find_run(name: str | None, runs: Path) -> Path:
-    """A run by name (in `runs`) or by path; the newest one without a name."""
+    """A run by name (in `runs`) or by path; the newest one without a name. NAME/last has a run's last weights."""
     if name is None:
         return newest_run(runs)
     for folder in (runs / name, Path(name)):
-        if (folder / WEIGHTS).is_file():
+        if (folder / WEIGHTS).is_file() or _is_last(folder):
             return folder
-    raise RunError(
-        f"{runs / name}: no trained run there ({WEIGHTS} is missing); `bc-train --name {name}` makes it"
-    )
+    if checkpoint_path(runs / name).is_file():
+        raise RunError(f"{runs / name}: its first epoch is not finished; `bc-train --resume {name}`")
+    raise RunError(f"{runs / name}: no trained run there ({WEIGHTS} is missing); {_known(runs, WEIGHTS)}")
+
+
+def find_started(name: str, runs: Path) -> Path:
+    """A run by name (in `runs`) or by path, also one that has not finished an epoch. Raises RunError if there is
+    none."""
+    for folder in (runs / name, Path(name)):
+        if (folder / CONFIG).is_file():
+            return folder
+    raise RunError(f"{runs / name}: no run there ({CONFIG} is missing); {_known(runs, CONFIG)}")
+
+
+def _known(runs: Path, file: str) -> str:
+    """Which runs there are, for who has mistyped a name."""
+    names = sorted(path.parent.name for path in runs.glob(f"*/{file}"))
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return f"in {runs} are {', '.join(names[:8])}{more}" if names else f"none is in {runs}: `bc-train` makes one"
 
 
 def load_config(folder: Path) -> dict[str, Any]:
     """The run's config.json. Raises RunError if it is damaged, or newer than this toolkit."""
-    path = folder / CONFIG
+    path = (folder.parent if _is_last(folder) else folder) / CONFIG
     try:
-        config = json.loads(path.read_text(encoding="utf-8"))
+        config = json.loads(read_bounded(path, MOST_CONFIG_BYTES))
         version = config["format"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunError(f"{path}: cannot be read ({error}); was it written by bc-train?") from None
-    if version != FORMAT:
-        raise RunError(f"{path}: of format {version}, this toolkit reads format {FORMAT}; update the toolkit")
+    if version not in DRIVABLE:
+        raise RunError(
+            f"{path}: of format {version}, this toolkit reads {DRIVABLE[0]} to {FORMAT}; update the toolkit"
+        )
     if config.get("preprocessing") != DESCRIPTION:
         raise RunError(f"{path}: trained with another preprocessing than this toolkit's; train it again")
     return dict(config)
 
 
+def weights_path(folder: Path) -> Path:
+    """The file with the weights of a run, or of its last epoch (NAME/last)."""
+    return folder / (CHECKPOINT if _is_last(folder) else WEIGHTS)
+
+
+def _is_last(folder: Path) -> bool:
+    return folder.name == LAST and (folder / CHECKPOINT).is_file()
+
+
 def load_network(folder: Path) -> SteeringNetwork:
     """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape."""
-    path = folder / WEIGHTS
+    path = weights_path(folder)
     network = SteeringNetwork()
     try:
-        network.load_state_dict(load_file(path))
+        weights = load_file(path)
+        if _is_last(folder):
+            weights = {
+                name.removeprefix("network."): weights[name] for name in weights if name.startswith("network.")
+            }
+        network.load_state_dict(weights)
     except (OSError, SafetensorError) as error:
         raise RunError(f"{path}: cannot be read ({error}); train the run again") from None
     except RuntimeError:
@@ -119,5 +193,5 @@ def load_network(folder: Path) -> SteeringNetwork:
 
 def checksum(folder: Path) -> str:
     """SHA-256 of the run's weights: a drive's log says with it which network drove."""
-    with (folder / WEIGHTS).open("rb") as stream:
+    with weights_path(folder).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -5,180 +5,213 @@ bc-train --epochs 10
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import platform
+import contextlib
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from importlib.metadata import version
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from rich.progress import Progress, TaskID
-from torch.nn import functional
 
-from common.progress import progress_bar
-from dataset import Batch, Loader, Samples
-from dataset.samples_file import LOADED
-from model.config import Precision, TrainConfig
+from common import Skipped
+from common.interrupts import stop_signals
+from common.locks import try_lock
+from dataset import Samples
+from model.bar import open_bar
+from model.checkpoint import LAST
+from model.config import TrainConfig
+from model.distributed import group_of_processes, local_rank_of_process
 from model.errors import RunError
-from model.measures import Errors, constant_errors, errors
-from model.network import PARAMETERS, SteeringNetwork
-from model.run import add_metrics, create_run, kept_if_trained, save_weights
+from model.evaluation import by_session
+from model.learnt import count_learnt
+from model.loop import TrainingLoop
+from model.machine import Machine, choose_machine
+from model.progress import Epoch, Listener
+from model.provenance import data_fingerprint_of, machine_settings, provenance, training_of, versions
+from model.run import CONFIG, checksum, create_run, kept_if_learnt, load_config, run_name, write_config
 
-# The gradient of a batch is summed over parts of this size, which stay in the processor's cache: measured 410-480
-# samples/s against 370 for the whole batch at once.
-MICRO_BATCH: Final = 64
+MAY_CHANGE: Final = ("epochs", "patience", "device", "threads", "picture_memory_mb")
+"""Settings that a resumed run may be given anew."""
 
 
 @dataclass(frozen=True)
-class Epoch:
-    """How one epoch went."""
+class Trained:
+    """What came of a training."""
 
-    epoch: int  # from 1
-    training_loss: float  # mean squared error over the epoch's samples, while they were learnt
-    validation: Errors  # of the driving view: centre camera, unmirrored, unaltered
-    zero: Errors  # of always predicting 0 on the same pictures
-    mean: Errors  # of always predicting those pictures' own mean: no constant does better
-    seconds: float
-    samples_per_s: float
+    run: Path
+    epochs: list[Epoch]  # those of this call; only on the first of several ranks
+    skipped: list[Skipped]  # pictures that do not decode, as far as this process met them
+    notices: list[str]  # what a person should know before the run is used
+    remarks: list[str]  # what could be better
+    best_epoch: int  # whose weights drive
+    is_stopped_early: bool
 
 
 def train(
-    index: Path, run: Path, config: TrainConfig | None = None, report: Callable[[Epoch], None] | None = None
-) -> list[Epoch]:
-    """Train a new network on `index` and keep it in the new folder `run`; `report` is told of every epoch.
+    index: Path,
+    run: Path,
+    config: TrainConfig | None = None,
+    listeners: Sequence[Listener] = (),
+    *,
+    init: Path | None = None,
+    resume: bool = False,
+    show_progress: bool = True,
+    figures: bool = True,
+) -> Trained:
+    """Train a network on `index` and keep it in the new folder `run`.
 
-    Raises DatasetError if the index does not fit its logs, RunError if the run exists or diverges.
+    `init` is a run whose weights it starts from. `resume` goes on with the run where it was stopped, or killed;
+    the weights are then those of a run that never was, on the same processor with as many threads.
+    `figures` draws its curves, for which matplotlib is needed.
+    Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
+    Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
+    Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges.
     """
+    stored = load_config(run) if resume else {}
+    if resume:
+        config = _resumed(run, stored, config)
     config = config or TrainConfig()
-    samples = Samples(index)
-    try:
-        return _train(samples, run, config, report)
-    finally:
-        samples.close()
-
-
-def _train(
-    samples: Samples, run: Path, config: TrainConfig, report: Callable[[Epoch], None] | None
-) -> list[Epoch]:
-    if config.threads:
-        torch.set_num_threads(config.threads)
-    torch.manual_seed(config.seed)
-    dtype = training_dtype(config.precision)
-    budget = config.picture_memory_mb << 20
-    training = Loader(
-        samples, samples.of_split("train", LOADED), batch=config.batch, seed=config.seed, budget_bytes=budget
-    )
-    seen = samples.driving_view("validation")
-    validation = Loader(samples, seen, batch=config.batch, budget_bytes=budget)
-    if not len(training):
-        raise RunError(
-            f"{samples.path}: no training samples in it; record more, or give bc-index a smaller"
-            " --validation-share or --gap-s"
+    machine = choose_machine(config, local_rank_of_process())
+    with (
+        contextlib.closing(Samples(index)) as samples,
+        group_of_processes(machine.device) as group,
+        open_bar(is_shown=show_progress and group.is_first) as bar,
+        contextlib.ExitStack() as stack,
+    ):
+        for listener in listeners:
+            stack.callback(listener.close)
+        on_gpu = [machine.device] if machine.device.type == "cuda" else []
+        stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
+        loops: list[TrainingLoop] = []
+        if resume:
+            _refuse_other_samples(run, stored, samples)
+            group.first(lambda: stack.enter_context(_alone(run)))
+        else:
+            said = {**provenance(samples, config, machine, group.ranks), **_init_of(init)}
+            group.first(lambda: stack.enter_context(_created(run, said, lambda: any(x.has_learnt for x in loops))))
+        loop = TrainingLoop(samples, run, config, machine, group, listeners, bar)
+        loops.append(loop)
+        loop.notices += _of_validation(samples, init)
+        if resume:
+            loop.go_back()
+            if not loop.is_over:
+                loop.notices += _differences(run, stored, machine_settings(machine, group.ranks))
+                group.first(lambda: write_config(run, _gone_on(stored, config, machine, group.ranks)))
+        else:
+            if init is not None:
+                loop.start_from(init)
+            loop.begin()
+        with stop_signals() as stopped:
+            loop.train(stopped)
+        if group.is_first and figures:
+            loop.draw()
+        return Trained(
+            run,
+            loop.history,
+            loop.skipped,
+            loop.notices,
+            loop.remarks,
+            loop.position.best_epoch,
+            loop.is_stopped_early,
         )
-    recorded = seen["label"].to_numpy()
-    mean = float(np.mean(recorded)) if len(recorded) else float("nan")
 
-    network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    assert sum(p.numel() for p in network.parameters()) == PARAMETERS  # noqa: S101
-    optimizer = torch.optim.Adam(network.parameters(), lr=config.rate)
-    create_run(run, _provenance(samples, config, dtype))
 
-    history: list[Epoch] = []
-    with kept_if_trained(run), progress_bar() as progress:
-        for number in range(1, config.epochs + 1):
-            task = progress.add_task(f"epoch {number}/{config.epochs}", total=len(training), note="")
-            start_s = time.perf_counter()
-            loss = _one_epoch(network, optimizer, training.epoch(number), dtype, progress, task)
-            seconds = time.perf_counter() - start_s
-            if not math.isfinite(loss):
-                raise RunError(f"{run}: the loss is no longer finite in epoch {number}; try a smaller --rate")
-            save_weights(run, network)
-            epoch = Epoch(
-                number,
-                loss,
-                errors(predict(network, validation), recorded),
-                constant_errors(0.0, recorded),
-                constant_errors(mean, recorded),
-                seconds,
-                len(training) / seconds,
+def _resumed(run: Path, stored: dict[str, Any], config: TrainConfig | None) -> TrainConfig:
+    """The settings that a stopped run goes on with."""
+    before = training_of(stored, str(run / CONFIG))
+    if config is None:
+        return before
+    wanted = config.as_dict()
+    for name, value in before.as_dict().items():
+        if name not in MAY_CHANGE and wanted[name] != value:
+            flag = f"--{name.replace('_', '-')}"
+            raise RunError(
+                f"{run}: was begun with {flag} {value} and can only go on so; for {flag} {wanted[name]} train"
+                f" another run from its weights: --init {run.name}"
             )
-            add_metrics(run, asdict(epoch))
-            history.append(epoch)
-            progress.remove_task(task)
-            if report:
-                report(epoch)
-    return history
+    return config
 
 
-def _one_epoch(
-    network: SteeringNetwork,
-    optimizer: torch.optim.Optimizer,
-    batches: Iterator[Batch],
-    dtype: torch.dtype,
-    progress: Progress,
-    task: TaskID,
-) -> float:
-    """Learn from every batch once; the mean loss over the samples."""
-    network.train()
-    squared_error, count = 0.0, 0
-    start_s = time.perf_counter()
-    for batch in batches:
-        optimizer.zero_grad(set_to_none=True)
-        for part in range(0, len(batch.steering), MICRO_BATCH):
-            pictures = as_input(batch.pictures[part : part + MICRO_BATCH])
-            steering = torch.from_numpy(batch.steering[part : part + MICRO_BATCH])
-            with torch.autocast("cpu", dtype=dtype, enabled=dtype != torch.float32):
-                predicted = network(pictures)
-            loss = functional.mse_loss(predicted.float(), steering, reduction="sum")
-            (loss / len(batch.steering)).backward()  # type: ignore[no-untyped-call]
-            squared_error += loss.item()
-        optimizer.step()
-        count += len(batch.steering)
-        note = f"loss {squared_error / count:.4f}  {count / (time.perf_counter() - start_s):,.0f} samples/s"
-        progress.update(task, advance=len(batch.steering), note=note)
-    return squared_error / count
+def _refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -> None:
+    if data_fingerprint_of(stored, str(run / CONFIG)) != samples.fingerprint:
+        raise RunError(
+            f"{samples.path}: not the samples that {run} was trained on; build that index again, or train another"
+            f" run from its weights: --init {run.name}"
+        )
 
 
-@torch.inference_mode()
-def predict(network: SteeringNetwork, loader: Loader) -> NDArray[np.float64]:
-    """The network's steering (N,) for all of a loader's samples, in their order; float32 arithmetic."""
-    network.eval()
-    parts = [network(as_input(batch.pictures)).numpy() for batch in loader.in_order()]
-    return np.concatenate([*parts, np.zeros(0, np.float32)]).astype(np.float64)
+def _differences(run: Path, stored: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """What a resumed run is not gone on with as it was begun."""
+    before = stored.get("machine")
+    before = before if isinstance(before, dict) else {}
+    changed = [f"{name} {before.get(name)} to {now[name]}" for name in now if before.get(name) != now[name]]
+    return (
+        [f"{run}: goes on with other arithmetic ({', '.join(changed)}): other weights come of it"]
+        if changed
+        else []
+    )
 
 
-def as_input(pictures: NDArray[np.uint8]) -> torch.Tensor:
-    """Pictures (N, 128, 128, 3) as the network's (N, 3, 128, 128), without a copy: this is channels_last."""
-    return torch.from_numpy(pictures).permute(0, 3, 1, 2)
-
-
-def training_dtype(precision: Precision) -> torch.dtype:
-    """The arithmetic to train in on this machine."""
-    if precision != "auto":
-        return torch.bfloat16 if precision == "bfloat16" else torch.float32
-    capabilities = torch.cpu.get_capabilities()
-    has_bfloat16 = capabilities.get("avx512_bf16") or capabilities.get("amx_bf16") or capabilities.get("bf16")
-    return torch.bfloat16 if has_bfloat16 else torch.float32
-
-
-def _provenance(samples: Samples, config: TrainConfig, dtype: torch.dtype) -> dict[str, Any]:
-    """Where a run comes from: its settings, the exact log bytes it saw, and the versions that trained it."""
-    data = json.dumps(samples.metadata, sort_keys=True).encode()
+def _gone_on(stored: dict[str, Any], config: TrainConfig, machine: Machine, ranks: int) -> dict[str, Any]:
+    """The config of a resumed run: what it was begun with, and what it went on with."""
+    before = stored.get("resumed")
+    now = {"machine": machine_settings(machine, ranks), "versions": versions()}
     return {
-        "network": "bojarski2016-modified",
-        "parameters": PARAMETERS,
-        "training": {**config.as_dict(), "arithmetic": str(dtype).removeprefix("torch.")},
-        "data": {"fingerprint": hashlib.sha256(data).hexdigest(), **samples.metadata},
-        "versions": {
-            "python": platform.python_version(),
-            **{name: version(name) for name in ("behavioural-cloning-toolkit", "torch", "numpy", "pyarrow")},
-            "opencv": version("opencv-python-headless"),
-        },
+        **stored,
+        "training": config.as_dict(),
+        "resumed": [*(before if isinstance(before, list) else []), now],
     }
+
+
+def _of_validation(samples: Samples, init: Path | None) -> list[str]:
+    """What is to be said of the frames held out."""
+    seen = samples.driving_view("validation")
+    settings = samples.metadata["settings"]
+    if not len(seen):
+        if settings.get("validation_share") or settings.get("validation"):
+            return [
+                f"{samples.path}: no frame is held out, so nothing tells how good the network is; give bc-index a"
+                " smaller --block-s, or whole sessions with --validation SESSION"
+            ]
+        return []
+    if init is None:
+        return []
+    count = count_learnt(by_session(seen), samples, load_config(init))
+    if count == 0:
+        return []
+    known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
+    return [f"{samples.path}: {len(seen):,} frames are held out, but {init} {known}: their errors say too little"]
+
+
+def _init_of(init: Path | None) -> dict[str, Any]:
+    """Which weights a run starts from, and all that these have learnt from before."""
+    if init is None:
+        return {}
+    before = load_config(init)
+    earlier = before.get("init")
+    data = earlier.get("data") if isinstance(earlier, dict) else None
+    learnt = [before.get("data"), *(data if isinstance(data, list) else [])]
+    return {"init": {"run": run_name(init), "weights_sha256": checksum(init), "data": learnt}}
+
+
+@contextlib.contextmanager
+def _created(run: Path, config: dict[str, Any], has_learnt: Callable[[], bool]) -> Iterator[None]:
+    create_run(run, config)
+    with kept_if_learnt(run, has_learnt), _alone(run):
+        yield
+
+
+@contextlib.contextmanager
+def _alone(run: Path) -> Iterator[None]:
+    """Let one process at a time train this run."""
+    folder = run / LAST
+    folder.mkdir(exist_ok=True)
+    with (folder / ".lock").open("ab") as stream:
+        for _ in range(5):  # whoever only looks whether it is locked holds it for a moment
+            if try_lock(stream):
+                break
+            time.sleep(0.02)
+        else:
+            raise RunError(f"{run}: is being trained by another process; wait for it, or give another --name")
+        yield

@@ -84,7 +84,7 @@ def untrained_run(folder: Path, seed: int = 0) -> Path:
         if parameter.dim() > 1:
             torch.nn.init.kaiming_uniform_(parameter, nonlinearity="relu")
     create_run(folder, {"seed": seed})
-    save_weights(folder, network)
+    save_weights(folder, network.state_dict(), epoch=0)
     return folder
 
 

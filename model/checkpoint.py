@@ -1,0 +1,140 @@
+"""Where a training stands: `last/checkpoint.safetensors`, from which it goes on as if it had never stopped.
+
+One file, so that weights, moments of Adam and position are always of the same moment. No random state is in it:
+order, dropout and alterations are functions of (seed, epoch, batch), drawn anew in every step.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save
+from torch import Tensor, nn
+
+from common import whole_file
+from common.files import make_folder
+from model.errors import RunError
+
+FORMAT: Final = "1"
+LAST: Final = "last"
+CHECKPOINT: Final = "checkpoint.safetensors"
+
+_MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what torch.optim.Adam keeps of each parameter
+
+
+@dataclass(frozen=True)
+class Position:
+    """How far a training has come, and the sums of the epoch that it is in."""
+
+    epoch: int = 1  # that is being trained; epochs before it are finished
+    batch: int = 0  # batches of it that are learnt
+    squared_error: float = 0.0  # over its samples so far
+    samples: int = 0
+    seconds: float = 0.0
+    told_squared_error: float = 0.0  # those of the two that steps.jsonl tells of already
+    told_samples: int = 0
+    best_epoch: int = 0  # 0: none yet
+    best_deg: float = math.inf  # balanced RMSE of that epoch; infinite where nothing is held out
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value that no training has."""
+        numbers = (self.epoch - 1, self.batch, self.samples, self.told_samples, self.best_epoch)
+        if not all(isinstance(number, int) and 0 <= number < 2**53 for number in numbers):
+            raise ValueError("a position that is none")
+        sums = (self.squared_error, self.told_squared_error, self.seconds, self.best_deg)
+        if not all(isinstance(value, float) and value >= 0 for value in sums):
+            raise ValueError("a sum that is none")
+
+
+def checkpoint_path(run: Path) -> Path:
+    return run / LAST / CHECKPOINT
+
+
+def save_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam, position: Position) -> None:
+    """Replace the run's checkpoint in one step: a full disk or a crash leaves the old one."""
+    tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
+    for name, parameter in network.named_parameters():
+        moments = optimizer.state.get(parameter, {})  # empty before the first step
+        tensors |= {f"{moment}.{name}": tensor for moment, tensor in moments.items()}
+    contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    stored = {"format": FORMAT, "position": json.dumps(asdict(position))}
+    path = checkpoint_path(run)
+    make_folder(path.parent)
+    with whole_file(path, overwrite=True) as part:
+        part.write_bytes(save(contiguous, stored))
+
+
+def read_position(run: Path) -> Position:
+    """Where the run's checkpoint stands. Raises RunError if there is none, or if it is damaged."""
+    path = checkpoint_path(run)
+    if not path.is_file():
+        raise RunError(f"{path}: gone; train another run from its weights: --init {run.name}")
+    try:
+        with safe_open(path, framework="pt") as file:
+            stored = file.metadata() or {}
+        if stored.get("format") != FORMAT:
+            raise RunError(
+                f"{path}: of format {stored.get('format')}, this toolkit reads {FORMAT}; update the toolkit"
+            )
+        return Position(**json.loads(stored["position"]))
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> RunError:
+    return RunError(f"{path}: cannot be read ({error}); train anew, or with `--init`")
+
+
+def load_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam) -> Position:
+    """Put the network and its optimizer where the run's checkpoint left them, on their device; the position.
+
+    Raises RunError if the checkpoint is damaged, of another version, or of another network.
+    """
+    path = checkpoint_path(run)
+    position = read_position(run)
+    try:
+        tensors = load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise _unreadable(path, error) from None
+    named = dict(network.named_parameters())
+    has_moments = any(name.startswith("exp_avg.") for name in tensors)
+    kinds = ("network", *_MOMENTS) if has_moments else ("network",)
+    if tensors.keys() != {f"{kind}.{name}" for kind in kinds for name in named}:
+        raise RunError(f"{path}: the checkpoint of another network than this toolkit's")
+    with torch.no_grad():
+        for name, parameter in named.items():
+            parameter.copy_(_like(tensors[f"network.{name}"], parameter, path))
+            if has_moments:
+                optimizer.state[parameter] = _moments(name, parameter, tensors, optimizer, path)
+    return position
+
+
+def _moments(
+    name: str, parameter: Tensor, tensors: dict[str, Tensor], optimizer: torch.optim.Adam, path: Path
+) -> dict[str, Any]:
+    step = tensors[f"step.{name}"]
+    if step.shape != () or step.dtype != torch.float32 or not 1 <= step.item() < 2**53:
+        raise RunError(f"{path}: a step count that is none; train anew, or with `--init`")
+    is_fused = optimizer.defaults["fused"]
+    return {
+        "step": step.to(parameter.device) if is_fused else step,
+        # in the parameter's own memory format, as if they had never left it
+        **{
+            moment: torch.zeros_like(parameter).copy_(_like(tensors[f"{moment}.{name}"], parameter, path))
+            for moment in _MOMENTS[:2]
+        },
+    }
+
+
+def _like(tensor: Tensor, parameter: Tensor, path: Path) -> Tensor:
+    if tensor.shape != parameter.shape or tensor.dtype != parameter.dtype:
+        raise RunError(f"{path}: the checkpoint of another network than this toolkit's")
+    if not torch.isfinite(tensor).all():
+        raise RunError(f"{path}: holds numbers that are not finite; train anew with a smaller --rate")
+    return tensor

@@ -1,0 +1,80 @@
+"""The index that a run was trained on, found or built again."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from common.stored import settings_from
+from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
+from model.errors import RunError
+from model.provenance import data_fingerprint_of
+from model.run import CONFIG, checksum, find_run, load_config, run_name
+
+
+def index_of_run(run: Path, index: Path, sessions: Path) -> Path:
+    """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
+    from the run's settings and the logs of its sessions in `sessions`.
+
+    Raises RunError if these logs, or their tags, have changed since; DatasetError if one is gone.
+    """
+    stored = load_config(run)
+    where = str(run / CONFIG)
+    wanted = data_fingerprint_of(stored, where)
+    index = index.resolve()
+    own = index.with_name(f"{index.name}-{run_name(run)}")
+    for place in (index, own):
+        if _fingerprint(place) == wanted:
+            return place
+    settings, fingerprints = _data_of(stored, where)
+    build_index(find_logs(list(fingerprints), sessions), own, settings)
+    with contextlib.closing(Samples(own)) as samples:
+        changed = [name for name, (_, now) in samples.sources.items() if now != fingerprints[name]]
+        if changed:
+            raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
+        if samples.fingerprint != wanted:
+            raise RunError(
+                f"{own}: the same logs and settings as {run} had, but other samples: their tags have changed,"
+                " or it was made by another version of the toolkit"
+            )
+    return own
+
+
+def init_of_run(run: Path, runs: Path) -> Path | None:
+    """The run whose weights `run` was started from, in `runs`; None if it began with random ones.
+
+    Raises RunError if that run is gone, or has other weights by now.
+    """
+    stored = load_config(run).get("init")
+    if stored is None:
+        return None
+    try:
+        name, weights_sha256 = str(stored["run"]), str(stored["weights_sha256"])
+        if Path(name).name != name:
+            raise ValueError("a run's name is a path")
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"{run / CONFIG}: does not say which run it was started from ({error})") from None
+    init = find_run(name, runs)
+    if checksum(init) != weights_sha256:
+        raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
+    return init
+
+
+def _fingerprint(index: Path) -> str:
+    """Of an index's samples; empty if it cannot be used."""
+    try:
+        with contextlib.closing(Samples(index)) as samples:
+            return samples.fingerprint
+    except DatasetError:
+        return ""
+
+
+def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str, str]]:
+    try:
+        fingerprints = {str(name): str(log["fingerprint"]) for name, log in stored["data"]["logs"].items()}
+        if any(Path(name).name != name for name in fingerprints):
+            raise ValueError("a session's name is a path")
+        return settings_from(IndexConfig, stored["data"]["settings"]), fingerprints
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunError(f"{where}: its index settings cannot be used ({error})") from None

@@ -1,0 +1,56 @@
+"""One step of the optimizer: mean squared error of a batch, its gradient, Adam."""
+
+from __future__ import annotations
+
+import contextlib
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.parallel import DistributedDataParallel
+
+
+def make_optimizer(network: nn.Module, rate: float) -> torch.optim.Adam:
+    """Adam as in Kingma and Ba 2015 (arXiv 1412.6980), with its usual moments."""
+    is_on_gpu = next(network.parameters()).is_cuda
+    return torch.optim.Adam(network.parameters(), lr=rate, fused=is_on_gpu)
+
+
+def learn(
+    network: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    pictures: Tensor,
+    steering: Tensor,
+    *,
+    dtype: torch.dtype,
+    micro_batch: int,
+    batch: int | None = None,
+    ranks: int = 1,
+) -> Tensor:
+    """Learn from pictures (N, 3, 128, 128) uint8 and their steering (N,), on the network's device; the squared
+    error, summed over these samples, before the step.
+
+    The gradient is summed over parts of `micro_batch` samples. With several `ranks`, these samples are a part of
+    `batch`, and the network is a DistributedDataParallel, which averages the ranks' gradients.
+    """
+    optimizer.zero_grad(set_to_none=True)
+    squared_error = torch.zeros((), device=steering.device)
+    scale = ranks / (batch or len(steering))
+    parts = list(zip(torch.split(pictures, micro_batch), torch.split(steering, micro_batch), strict=True))
+    for number, (some_pictures, some_steering) in enumerate(parts, 1):
+        with _ranks_wait(network, is_last=number == len(parts)):
+            with torch.autocast(steering.device.type, dtype=dtype, enabled=dtype != torch.float32):
+                predicted = network(some_pictures)
+            loss = functional.mse_loss(predicted.float(), some_steering, reduction="sum")
+            (loss * scale).backward()  # type: ignore[no-untyped-call]
+        squared_error += loss.detach()
+    optimizer.step()
+    return squared_error
+
+
+def _ranks_wait(network: nn.Module, *, is_last: bool) -> contextlib.AbstractContextManager[None]:
+    """Ranks exchange their gradients once a batch, with its last part."""
+    if isinstance(network, DistributedDataParallel) and not is_last:
+        context: contextlib.AbstractContextManager[None] = network.no_sync()
+        return context
+    return contextlib.nullcontext()
