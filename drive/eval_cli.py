@@ -1,64 +1,158 @@
-"""`bc-eval`: how well a trained network drives, in numbers."""
+"""`bc-eval`: how good a trained network is, in numbers: on recorded frames, or driving."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, run_command, stderr, stdout
+from common.command import DONE, run_command, stderr, stdout, warn, warn_skipped
+from common.errors import shown
 
 if TYPE_CHECKING:
     from drive.closed_loop import Result
+    from model.evaluation import Evaluation
+
+
+def _default(metavar: str, value: str) -> Any:
+    """A flag that is None unless it is given: it goes with one way to measure only."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {value})")
 
 
 @dataclass(frozen=True)
 class Eval:
-    """Let a trained network drive the built-in simulator, and measure how well it does.
+    """Measure a trained network: on recorded frames that were held out, or driving the built-in simulator.
 
-    Every drive is in lock-step, so that the same run always gives the same numbers, and is logged.
+    bc-eval first
+    bc-eval first --session sunday
+    bc-eval first --simulator lake mountain
     """
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """The run, by name or folder; the newest one by default."""
-    simulator: tuple[str, ...] = ("lake", "mountain")
-    """Tracks to drive: lake, mountain, random:SEED."""
-    laps: float = 1.0
+    index: Annotated[Path | None, _default("PATH", "index")] = None
+    """The index whose frames are measured."""
+    split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
+    """Which of its frames: those that were held out, or those for training."""
+    session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
+    """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
+    sessions: Annotated[Path | None, _default("PATH", "sessions")] = None
+    """Where logs are kept, for --session."""
+    worst: Annotated[int | None, _default("INT", "10")] = None
+    """How many of the worst frames to list, at most one for each second of a session."""
+    simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
+    """Let it drive these tracks instead: lake, mountain, random:SEED; the same run gives the same numbers."""
+    laps: Annotated[float | None, _default("FLOAT", "1")] = None
     """How far to drive on each."""
-    speed: tuple[float, ...] = (10.0,)
+    speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
     """Set speeds in mph; every track is driven at each."""
-    logs: Path = Path("drives")
+    logs: Annotated[Path | None, _default("PATH", "drives")] = None
     """Folder for the drives' logs."""
+    force: bool = False
+    """Replace logs of the same names."""
     runs: Path = Path("runs")
     """Where runs are kept."""
     json: bool = False
-    """Print one JSON object a drive, and no table."""
-    force: bool = False
-    """Replace logs of the same names."""
+    """Print JSON and no table: one object, or with --simulator one a drive."""
+
+
+RECORDED = ("index", "split", "session", "sessions", "worst")
+DRIVEN = ("laps", "speed", "logs", "force")
 
 
 def evaluate(config: Eval) -> int:
+    _refuse_contradictions(config)
+    return _measure(config) if config.simulator is None else _drive(config, config.simulator)
+
+
+def _refuse_contradictions(config: Eval) -> None:
+    is_driven = config.simulator is not None
+    unused = [name for name in (RECORDED if is_driven else DRIVEN) if getattr(config, name) not in (None, False)]
+    if unused:
+        flags = ", ".join(f"--{name}" for name in unused)
+        raise UserError(
+            f"{flags}: of recorded frames, and --simulator drives: give one or the other"
+            if is_driven
+            else f"{flags}: only with --simulator TRACK: without it, recorded frames are measured"
+        )
+    if config.simulator == () or config.speed == ():
+        raise UserError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
+    if config.session == ():
+        raise UserError("nothing to measure: give --session at least one session")
+    if config.session is None and config.sessions is not None:
+        raise UserError("--sessions is where the logs of --session are: give it too")
+    if config.session is not None and (config.index is not None or config.split is not None):
+        raise UserError("--session measures whole sessions, of no index: leave out --index and --split")
+    if config.worst is not None and config.worst < 0:
+        raise UserError(f"--worst {config.worst}: a number of frames was expected, 0 for none")
+
+
+def _measure(config: Eval) -> int:
+    """Measure on recorded frames."""
+    from dataset import find_logs
+    from model import find_run
+    from model.evaluation import evaluate as evaluate_run
+    from model.evaluation import evaluate_sessions
+    from model.worst import worst_frames
+
+    run = find_run(config.run, config.runs)
+    split = config.split or "validation"
+    index = config.index or Path("index")
+    if config.session is None:
+        found = evaluate_run(run, index, split)
+        what: dict[str, Any] = {"index": str(index), "split": split}
+    else:
+        found = evaluate_sessions(run, find_logs(config.session, config.sessions or Path("sessions")))
+        what = {"index": None, "split": None}
+    worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
+    if config.json:
+        print(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
+    else:
+        from drive.eval_report import print_evaluation
+
+        print_evaluation(found, worst)
+    return _told(found, is_training=config.session is None and split == "train")
+
+
+def _told(found: Evaluation, *, is_training: bool) -> int:
+    """Say what a person should know before the numbers are used; the exit code."""
+    code = warn_skipped(found.skipped)
+    for notice in found.notices:
+        code = warn(notice)
+    run, count = found.as_dict()["run"], found.measures.frames
+    if found.learnt is None:
+        code = warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
+    elif found.learnt:
+        line = f"{run} has learnt from {found.learnt:,} of these {count:,} frames"
+        if is_training:
+            stderr().print(shown(f"bc-eval: {line}"), markup=False)
+        else:
+            code = warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
+    return code
+
+
+def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
+    """Let the network drive."""
     from drive.closed_loop import Course
     from drive.closed_loop import evaluate as evaluate_run
     from model import find_run, load_pilot
 
-    if not config.simulator or not config.speed:
-        raise UserError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
     pilot = load_pilot(find_run(config.run, config.runs))
     pilot.get_ready()
-    courses = [Course(track, config.laps, speed) for speed in config.speed for track in config.simulator]
+    laps = 1.0 if config.laps is None else config.laps
+    courses = [Course(track, laps, speed) for speed in config.speed or (10.0,) for track in tracks]
     console = stderr()
     results = []
     try:
         for result in evaluate_run(
             pilot,
             courses,
-            config.logs,
+            config.logs or Path("drives"),
             overwrite=config.force,
             said=lambda text: console.print(f"bc-eval: {text}"),
         ):
