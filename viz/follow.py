@@ -15,8 +15,9 @@ import rerun as rr
 from rich.markup import escape
 
 from common import Skipped, UserError
-from common.command import DONE, FAILED, stderr, warn, warn_skipped
-from viz.growing import GrowingLog, final_name
+from common.command import DONE, complain, stderr, warn, warn_skipped
+from common.files import final_path
+from viz.growing import GrowingLog
 from viz.messages import MessageSender
 from viz.rrd_file import APPLICATION, rrd_file
 from viz.viewer import Ports, end_viewer, wait_until_closed, wait_until_it_listens
@@ -49,7 +50,7 @@ def save_growing(path: Path, rrd: Path, *, overwrite: bool = False) -> Followed:
     """
     _refuse_windows()
     with rrd_file(rrd, overwrite=overwrite) as file, GrowingLog(path) as log:
-        file.recording.send_recording_name(final_name(path))
+        file.recording.send_recording_name(final_path(path).name)
         _send(log, file.recording, file.has_failed, keep_up=False)
     return Followed(log.notice, log.skipped)
 
@@ -60,9 +61,35 @@ def follow(path: Path, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
     What goes wrong with the log is told on stderr when it happens, and the viewer stays open. Raises UserError
     if the viewer does not start, or dies.
     """
+    return feed(_LogFollower(path, ports), viewer, ports)
+
+
+class Follower(threading.Thread):
+    """Sends what grows to a viewer, on a thread: a frozen viewer holds up whoever sends to it."""
+
+    def __init__(self, ports: Ports) -> None:
+        super().__init__(name="follower", daemon=True)
+        self.stop = threading.Event()
+        self.code = DONE
+        self._ports = ports
+
+    def _connected(self, name: str) -> rr.RecordingStream:
+        """A new recording of this name in the viewer."""
+        recording = rr.RecordingStream(APPLICATION)
+        recording.connect_grpc(self._ports.data_address)
+        recording.send_recording_name(name)
+        return recording
+
+    def _refuse_silence(self) -> None:
+        """Raise UserError unless the viewer, which takes nothing any more, is about to be closed."""
+        if not self.stop.wait(_GRACE_S):
+            raise UserError("the viewer has lost its connection and shows nothing new; open it again")
+
+
+def feed(follower: Follower, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
+    """Let `follower` feed an open, empty viewer until that is closed; the exit code. Raises as `follow` does."""
     _refuse_windows()
     wait_until_it_listens(viewer, ports)
-    follower = _Follower(path, ports)
     follower.start()
     try:
         wait_until_closed(viewer)
@@ -76,32 +103,27 @@ def follow(path: Path, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
     return follower.code
 
 
-class _Follower(threading.Thread):
-    """Sends a log to the viewer, on a thread: a frozen viewer holds up whoever sends to it."""
+class _LogFollower(Follower):
+    """Sends a log."""
 
     def __init__(self, path: Path, ports: Ports) -> None:
-        super().__init__(name="follower", daemon=True)
-        self.stop = threading.Event()
-        self.code = DONE
+        super().__init__(ports)
         self._path = path
-        self._ports = ports
 
     def run(self) -> None:
-        recording = rr.RecordingStream(APPLICATION)
-        recording.connect_grpc(self._ports.data_address)
-        recording.send_recording_name(final_name(self._path))
+        name = final_path(self._path).name
+        recording = self._connected(name)
         with GrowingLog(self._path) as log:
             try:
                 _send(log, recording, self.stop, keep_up=True)
                 if log.is_finished:
-                    stderr().print(f"bc-play: {escape(final_name(self._path))} is finished, all of it is shown")
+                    stderr().print(f"bc-play: {escape(name)} is finished, all of it is shown")
                 elif log.notice:
                     self.code = warn(log.notice)
-                elif not self.stop.wait(_GRACE_S):
-                    raise UserError("the viewer has lost its connection and shows nothing new; open it again")
+                else:
+                    self._refuse_silence()
             except UserError as error:
-                stderr().print(f"[red]bc-play:[/] {escape(str(error))}")
-                self.code = FAILED
+                self.code = complain("bc-play", error)
             skipped = warn_skipped(log.skipped)
             self.code = self.code or skipped
         with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
