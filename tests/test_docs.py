@@ -27,6 +27,8 @@ def flags() -> dict[str, set[str]]:
         for name, shown in zip(COMMANDS, pool.map(help_of, COMMANDS), strict=True):
             result[name] = flags_in(shown)
             subcommands = [f"{name} {sub}" for sub in re.findall(r"• (\w+) ", shown)]
+            if name == "bc-train":
+                subcommands.append("bc-train export")
             for subcommand, helped in zip(subcommands, pool.map(help_of, subcommands), strict=True):
                 result[subcommand] = flags_in(helped)
                 result[name] |= result[subcommand]

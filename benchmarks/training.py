@@ -1,0 +1,155 @@
+"""How fast the network is trained on a processor, beside the step alone, Keras, and PyTorch as first written.
+
+python -m venv keras && keras/bin/pip install tensorflow-cpu opencv-python-headless
+python benchmarks/training.py INDEX --keras-python keras/bin/python
+
+All learn the same samples of INDEX in batches of 256, each in a process of its own with all cores; an epoch is
+a turn, and the turns go round. The first round warms up and is not counted. The alterations of copies are done
+by `bc-train` alone: the others get the pictures as they are. Takes 16 GB of memory with Keras, and a machine that
+does nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Final
+
+import numpy as np
+
+from dataset import Samples
+from dataset.frames import write_table
+from dataset.samples_format import SAMPLES_NAME
+
+HERE: Final = Path(__file__).parent
+KERAS: Final = "Keras, `fit`"  # with its defaults: what the original used
+STEP: Final = "our step alone, on random pictures in memory"
+OURS: Final = {
+    "`bc-train`": ["train"],
+    "`bc-train --picture-memory-mb 0`: every picture is decoded": ["train", "--picture-memory-mb", "0"],
+    STEP: ["step"],
+    "our step alone, micro-batches of 32": ["step", "--micro-batch", "32"],
+    "our step alone, micro-batches of 128": ["step", "--micro-batch", "128"],
+    "our step alone, 256 at once": ["step", "--micro-batch", "256"],
+    "our step alone, float32": ["step", "--precision", "float32"],
+    "PyTorch as first written": ["plain"],
+}
+KERAS_SETTINGS: Final = {
+    KERAS: [],
+    "Keras, `mixed_bfloat16`": ["--precision", "mixed_bfloat16"],
+    "Keras, not compiled by XLA": ["--no-xla"],
+    "Keras, `mixed_bfloat16`, not compiled by XLA": ["--precision", "mixed_bfloat16", "--no-xla"],
+}
+
+
+@dataclass
+class Contender:
+    """A process that trains when it is told to."""
+
+    name: str
+    process: subprocess.Popen[str]
+    errors: IO[str]
+    seconds: list[float] = field(default_factory=list)  # of each epoch
+
+    def train_epoch(self) -> float:
+        """How many seconds it took."""
+        with suppress(BrokenPipeError):  # it has ended: then there is no answer either
+            print("go", file=self.process.stdin, flush=True)
+        answer = self.process.stdout.readline() if self.process.stdout else ""
+        if not answer:
+            self.process.wait()
+            self.errors.seek(0)
+            said = self.errors.read()[-2000:]
+            raise SystemExit(f"{self.name}: ended with code {self.process.returncode}\n{said}")
+        self.seconds.append(float(answer))
+        return self.seconds[-1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("index", type=Path)
+    parser.add_argument("--keras-python", help="the Python of an environment with TensorFlow; without, no Keras")
+    parser.add_argument("--rounds", type=int, default=3, help="turns that count")
+    parser.add_argument("--samples", type=int, default=2560, help="of an epoch, drawn from the training samples")
+    chosen = parser.parse_args()
+    commands = {name: [sys.executable, "training_torch.py", *arguments] for name, arguments in OURS.items()}
+    if chosen.keras_python:
+        keras = {name: [chosen.keras_python, "training_keras.py", *more] for name, more in KERAS_SETTINGS.items()}
+        commands |= keras
+    else:
+        print("Keras is left out: --keras-python says where it is installed", file=sys.stderr)
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        count = write_pictures(chosen.index, Path(name), chosen.samples)
+        contenders: dict[str, Contender] = {}
+        for number in range(1 + chosen.rounds):
+            for what, command in commands.items():
+                if what not in contenders:  # one by one: a start would disturb the others
+                    contenders[what] = start(what, command, Path(name), stack)
+                seconds = contenders[what].train_epoch()
+                print(f"round {number}: {what}: {count / seconds:,.0f} samples/s", file=sys.stderr)
+        print(f"{count:,} samples, {chosen.rounds} rounds, {os.cpu_count()} cores\n")
+        print_table({what: [count / s for s in contender.seconds] for what, contender in contenders.items()})
+
+
+def write_pictures(index: Path, folder: Path, count: int) -> int:
+    """Some training samples of `index` in `folder`: as an index, and as JPEG files with a list; how many."""
+    (folder / "index").mkdir()
+    with closing(Samples(index)) as samples, (folder / "samples.csv").open("w", newline="") as stream:
+        table = samples.of_split("train")
+        table = table.take(np.sort(np.random.default_rng(0).permutation(len(table))[:count]))
+        logs = {
+            session: {"log": str(log.path.absolute()), "fingerprint": log.fingerprint}
+            for session, log in samples.logs.items()
+        }
+        write_table(folder / "index" / SAMPLES_NAME, table, {**samples.metadata, "logs": logs})
+        listed = csv.writer(stream)
+        for number, row in enumerate(table.to_pylist()):
+            jpeg = samples.logs[row["session"]].read(row["offset"], row["length"], row["chunk"])
+            (folder / f"{number:06}.jpg").write_bytes(jpeg)
+            listed.writerow([f"{number:06}.jpg", int(row["flip"]), row["label"]])
+    return len(table)
+
+
+def start(name: str, command: list[str], folder: Path, stack: ExitStack) -> Contender:
+    """A contender that waits for its first turn; it ends with `stack`."""
+    python, script, *arguments = command
+    errors = stack.enter_context(tempfile.TemporaryFile("w+"))  # noqa: SIM115
+    process = stack.enter_context(
+        subprocess.Popen(
+            [python, HERE / script, folder, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+        )
+    )
+    return Contender(name, process, errors)
+
+
+def print_table(rates: dict[str, list[float]]) -> None:
+    """Medians of samples/s, and of their ratios to the others' rates in the same round."""
+    print("| | samples/s | to the step alone | to Keras |")
+    print("|---|---|---|---|")
+    for name, (first, *rest) in rates.items():
+        against = [
+            f"{statistics.median(mine / theirs for mine, theirs in zip(rest, rates[other][1:], strict=True)):.2f}"
+            if other in rates
+            else "-"
+            for other in (STEP, KERAS)
+        ]
+        spread = f"{statistics.median(rest):,.0f} ({min(rest):,.0f} to {max(rest):,.0f})"
+        if name == "`bc-train`":
+            print(f"| `bc-train`, its first epoch: CRCs, decoding, warming up | {first:,.0f} | - | - |")
+        print(f"| {name} | {spread} | {' | '.join(against)} |")
+
+
+if __name__ == "__main__":
+    main()
