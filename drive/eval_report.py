@@ -38,7 +38,7 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> Non
 def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
     of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
-    title = f"{shown(run_name(evaluation.run))} on {measures.frames:,} frames; errors in degrees"
+    title = f"{shown(run_name(evaluation.run))}: {measures.frames:,} frames; errors in degrees"
     table = _table(title, "", "network", "always zero", "always the mean")
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
         table.add_row(heading, *(_number(getattr(errors, name)) for errors in of.values()))

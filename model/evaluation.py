@@ -24,7 +24,7 @@ from dataset.frames import session_name
 from dataset.samples_file import Split
 from model.bar import open_bar
 from model.errors import RunError
-from model.learnt import count_learnt
+from model.learnt import by_session, count_learnt
 from model.measures import Errors, Measures, measure
 from model.network import SteeringNetwork
 from model.predict import as_input
@@ -172,14 +172,6 @@ def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
     if is_damaged:
         raise DatasetError(f"{samples.path}: damaged; remove it and give `bc-index`")
     return frames
-
-
-def by_session(frames: pa.Table) -> dict[str, pa.Table]:
-    session = frames["session"].combine_chunks().dictionary_encode()
-    number, names = session.indices.to_numpy(), session.dictionary.to_pylist()
-    ends = np.cumsum(np.bincount(number, minlength=len(names)))
-    parts = np.split(np.argsort(number, kind="stable"), ends[:-1])
-    return {name: frames.take(pa.array(part)) for name, part in sorted(zip(names, parts, strict=True))}
 
 
 def _measure(frames: pa.Table) -> Measures:

@@ -46,6 +46,15 @@ def count_learnt(frames: Mapping[str, pa.Table], samples: Samples, config: dict[
     return count
 
 
+def by_session(frames: pa.Table) -> dict[str, pa.Table]:
+    """The frames of each session."""
+    session = frames["session"].combine_chunks().dictionary_encode()
+    number, names = session.indices.to_numpy(), session.dictionary.to_pylist()
+    ends = np.cumsum(np.bincount(number, minlength=len(names)))
+    parts = np.split(np.argsort(number, kind="stable"), ends[:-1])
+    return {name: frames.take(pa.array(part)) for name, part in sorted(zip(names, parts, strict=True))}
+
+
 def _data(stored: dict[str, Any]) -> _Data:
     """Raises KeyError, TypeError, ValueError, AttributeError or OverflowError if it is none."""
     settings = stored["settings"]

@@ -23,8 +23,6 @@ from model.checkpoint import LAST
 from model.config import TrainConfig
 from model.distributed import group_of_processes, local_rank_of_process
 from model.errors import RunError
-from model.evaluation import by_session
-from model.learnt import count_learnt
 from model.loop import TrainingLoop
 from model.machine import Machine, choose_machine
 from model.progress import Epoch, Listener
@@ -177,6 +175,10 @@ def _of_validation(samples: Samples, init: Path | None) -> list[str]:
         return []
     if init is None:
         return []
+    try:  # making the split of another training again needs more than training does
+        from model.learnt import by_session, count_learnt
+    except ImportError as error:
+        return [f"{init}: whether it has learnt from the frames held out cannot be told here ({error})"]
     count = count_learnt(by_session(seen), samples, load_config(init))
     if count == 0:
         return []

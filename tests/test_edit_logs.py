@@ -449,7 +449,7 @@ def test_an_edit_that_fails_leaves_no_folder(tmp_path: Path, edit: Edit) -> None
 
 def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("recorder.writer.toolkit_version", lambda: "0.0.1")
+        patch.setattr("recorder.writer.version_of", lambda: "0.0.1")
         whole = drive(tmp_path / "a.mcap", range(20), gap_after=5)
     recover(whole, tmp_path / "b.mcap")
     trim(whole, tmp_path / "c.mcap", (0, 3))

@@ -222,7 +222,7 @@ def test_the_tables_show_the_numbers_of_the_json(here: Path, capsys: pytest.Capt
         return line.removeprefix(start).split()
 
     beside = ("network", "zero", "mean")
-    assert lines[0].startswith(f"{found['frames']} frames")
+    assert lines[0].startswith(f"toy: {found['frames']} frames")
     for heading, name in (("RMSE ", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
         assert numbers(heading) == [f"{found[who][name]:.2f}" for who in beside]
     balanced = [found["balanced_rmse_deg"], found["zero"]["balanced_rmse_deg"], found["mean"]["balanced_rmse_deg"]]
