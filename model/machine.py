@@ -10,8 +10,9 @@ import torch
 from model.config import Precision, TrainConfig
 from model.errors import RunError
 
-# What stays in a processor's cache: measured 410-480 samples/s, against 370 for a batch of 256 at once.
-CPU_MICRO_BATCH: Final = 64
+CPU_MICRO_BATCH: Final = {torch.bfloat16: 32, torch.float32: 16}
+"""What the first layer gives of so many pictures is less than 32 MiB: glibc takes more from the system each time, which
+zeroes it first. Measured: 445 samples/s with 32, 370 with 64, 230 with 256 at once."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,9 @@ def choose_machine(config: TrainConfig, local_rank: int = 0) -> Machine:
         device = torch.device("cpu")
     if config.threads:
         torch.set_num_threads(config.threads)
-    micro_batch = config.micro_batch or (CPU_MICRO_BATCH if device.type == "cpu" else config.batch)
-    return Machine(device, training_dtype(config.precision, device), micro_batch)
+    dtype = training_dtype(config.precision, device)
+    micro_batch = config.micro_batch or (CPU_MICRO_BATCH[dtype] if device.type == "cpu" else config.batch)
+    return Machine(device, dtype, micro_batch)
 
 
 def training_dtype(precision: Precision, device: torch.device) -> torch.dtype:
