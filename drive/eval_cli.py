@@ -121,10 +121,12 @@ def _measure(config: Eval) -> int:
 
 def _told(found: Evaluation, *, is_training: bool) -> int:
     """Say what a person should know before the numbers are used; the exit code."""
+    from model.run import run_name
+
     code = warn_skipped(found.skipped)
     for notice in found.notices:
         code = warn(notice)
-    run, count = found.as_dict()["run"], found.measures.frames
+    run, count = run_name(found.run), found.measures.frames
     if found.learnt is None:
         code = warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
     elif found.learnt:

@@ -5,7 +5,6 @@ bc-eval RUN
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -25,10 +24,10 @@ from dataset.samples_file import Split
 from model.bar import open_bar
 from model.errors import RunError
 from model.learnt import by_session, count_learnt
-from model.measures import Errors, Measures, measure
+from model.measures import Measures, measure
 from model.network import SteeringNetwork
 from model.predict import as_input
-from model.run import load_config, load_network, run_name
+from model.run import load_config, load_network, run_name, without_nan
 
 BATCH: Final = 64  # what stays in a processor's cache
 
@@ -181,13 +180,9 @@ def _measure(frames: pa.Table) -> Measures:
 def _told(measures: Measures) -> dict[str, Any]:
     return {
         "frames": measures.frames,
-        "network": _numbers(measures.network),
-        "zero": _numbers(measures.zero),
-        "mean": _numbers(measures.mean),
+        "network": without_nan(asdict(measures.network)),
+        "zero": without_nan(asdict(measures.zero)),
+        "mean": without_nan(asdict(measures.mean)),
         "balanced_rmse_deg": measures.balanced_rmse_deg,
         "bins": [asdict(part) for part in measures.bins],
     }
-
-
-def _numbers(errors: Errors) -> dict[str, float | None]:
-    return {name: None if math.isnan(value) else value for name, value in asdict(errors).items()}

@@ -84,7 +84,7 @@ def add_line(path: Path, values: dict[str, Any]) -> None:
     """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null."""
     try:
         with path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(_without_nan(values), allow_nan=False) + "\n")
+            stream.write(json.dumps(without_nan(values), allow_nan=False) + "\n")
     except OSError as error:
         raise RunError(
             f"{path}: cannot be written ({error.strerror}); `bc-train --resume` goes on later"
@@ -103,11 +103,12 @@ def keep_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
         part.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
+    """What JSON can hold: numbers that do not exist (NaN, infinite) become None."""
     if isinstance(value, dict):
-        return {key: _without_nan(each) for key, each in value.items()}
+        return {key: without_nan(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(each) for each in value]
+        return [without_nan(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

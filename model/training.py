@@ -90,7 +90,7 @@ def train(
             group.first(lambda: stack.enter_context(_created(run, said, lambda: any(x.has_learnt for x in loops))))
         loop = TrainingLoop(samples, run, config, machine, group, listeners, bar)
         loops.append(loop)
-        loop.notices += _of_validation(samples, init)
+        loop.notices += _of_validation(samples, len(loop.validation), init)
         if resume:
             loop.go_back()
             if not loop.is_over:
@@ -162,11 +162,10 @@ def _gone_on(stored: dict[str, Any], config: TrainConfig, machine: Machine, rank
     }
 
 
-def _of_validation(samples: Samples, init: Path | None) -> list[str]:
-    """What is to be said of the frames held out."""
-    seen = samples.driving_view("validation")
+def _of_validation(samples: Samples, held_out: int, init: Path | None) -> list[str]:
+    """What is to be said of the frames held out, of which there are so many."""
     settings = samples.metadata["settings"]
-    if not len(seen):
+    if not held_out:
         if settings.get("validation_share") or settings.get("validation"):
             return [
                 f"{samples.path}: no frame is held out, so nothing tells how good the network is; give bc-index a"
@@ -179,11 +178,11 @@ def _of_validation(samples: Samples, init: Path | None) -> list[str]:
         from model.learnt import by_session, count_learnt
     except ImportError as error:
         return [f"{init}: whether it has learnt from the frames held out cannot be told here ({error})"]
-    count = count_learnt(by_session(seen), samples, load_config(init))
+    count = count_learnt(by_session(samples.driving_view("validation")), samples, load_config(init))
     if count == 0:
         return []
     known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
-    return [f"{samples.path}: {len(seen):,} frames are held out, but {init} {known}: their errors say too little"]
+    return [f"{samples.path}: {held_out:,} frames are held out, but {init} {known}: their errors say too little"]
 
 
 def _init_of(init: Path | None) -> dict[str, Any]:
