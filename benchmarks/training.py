@@ -37,7 +37,7 @@ OURS: Final = {
     "`bc-train --picture-memory-mb 0`: every picture is decoded": ["train", "--picture-memory-mb", "0"],
     STEP: ["step"],
     "our step alone, micro-batches of 16": ["step", "--micro-batch", "16"],
-    "our step alone, micro-batches of 64": ["step", "--micro-batch", "64"],
+    "our step alone, micro-batches of 32": ["step", "--micro-batch", "32"],
     "our step alone, 256 at once": ["step", "--micro-batch", "256"],
     "our step alone, float32": ["step", "--precision", "float32"],
     "PyTorch as first written": ["plain"],

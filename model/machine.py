@@ -7,12 +7,12 @@ from typing import Final
 
 import torch
 
+from common.memory import keep_freed_memory
 from model.config import Precision, TrainConfig
 from model.errors import RunError
 
-CPU_MICRO_BATCH: Final = {torch.bfloat16: 32, torch.float32: 16}
-"""What the first layer gives of so many pictures is less than 32 MiB: more, glibc takes from the system each time,
-which zeroes it first. Measured: 445 samples/s with 32, 370 with 64, 230 with 256 at once."""
+CPU_MICRO_BATCH: Final = 64
+"""As fast as the whole batch of 256 at once, in half the memory."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,11 @@ def choose_machine(config: TrainConfig, local_rank: int = 0) -> Machine:
         torch.backends.cudnn.benchmark = True  # one shape again and again: the fastest kernel is worth a search
     else:
         device = torch.device("cpu")
+        keep_freed_memory()
     if config.threads:
         torch.set_num_threads(config.threads)
     dtype = training_dtype(config.precision, device)
-    micro_batch = config.micro_batch or (CPU_MICRO_BATCH[dtype] if device.type == "cpu" else config.batch)
+    micro_batch = config.micro_batch or (CPU_MICRO_BATCH if device.type == "cpu" else config.batch)
     return Machine(device, dtype, micro_batch)
 
 
