@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x11recorder/bc.proto\x12\x02\x62\x63\"T\n\x0cVehicleState\x12\x10\n\x08steering\x18\x01 \x01(\x01\x12\x10\n\x08throttle\x18\x02 \x01(\x01\x12\r\n\x05\x62rake\x18\x03 \x01(\x01\x12\x11\n\tspeed_mph\x18\x04 \x01(\x01\"\x80\x02\n\x0cPilotCommand\x12\x1a\n\x12predicted_steering\x18\x01 \x01(\x01\x12\x10\n\x08steering\x18\x02 \x01(\x01\x12\x10\n\x08throttle\x18\x03 \x01(\x01\x12\'\n\x06\x64river\x18\x04 \x01(\x0e\x32\x17.bc.PilotCommand.Driver\x12\x15\n\rset_speed_mph\x18\x05 \x01(\x01\x12\x11\n\tdecode_ms\x18\x06 \x01(\x01\x12\x12\n\nnetwork_ms\x18\x07 \x01(\x01\x12\x10\n\x08total_ms\x18\x08 \x01(\x01\"7\n\x06\x44river\x12\x0b\n\x07UNKNOWN\x10\x00\x12\t\n\x05PILOT\x10\x01\x12\t\n\x05HUMAN\x10\x02\x12\n\n\x06\x45XPERT\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x11recorder/bc.proto\x12\x02\x62\x63\"T\n\x0cVehicleState\x12\x10\n\x08steering\x18\x01 \x01(\x01\x12\x10\n\x08throttle\x18\x02 \x01(\x01\x12\r\n\x05\x62rake\x18\x03 \x01(\x01\x12\x11\n\tspeed_mph\x18\x04 \x01(\x01\"\xc4\x02\n\x0cPilotCommand\x12\x1a\n\x12predicted_steering\x18\x01 \x01(\x01\x12\x10\n\x08steering\x18\x02 \x01(\x01\x12\x10\n\x08throttle\x18\x03 \x01(\x01\x12\'\n\x06\x64river\x18\x04 \x01(\x0e\x32\x17.bc.PilotCommand.Driver\x12\x15\n\rset_speed_mph\x18\x05 \x01(\x01\x12\x11\n\tdecode_ms\x18\x06 \x01(\x01\x12\x12\n\nnetwork_ms\x18\x07 \x01(\x01\x12\x10\n\x08total_ms\x18\x08 \x01(\x01\x12\x10\n\x08parse_ms\x18\t \x01(\x01\x12\x1c\n\x0f\x65xpert_steering\x18\n \x01(\x01H\x00\x88\x01\x01\"7\n\x06\x44river\x12\x0b\n\x07UNKNOWN\x10\x00\x12\t\n\x05PILOT\x10\x01\x12\t\n\x05HUMAN\x10\x02\x12\n\n\x06\x45XPERT\x10\x03\x42\x12\n\x10_expert_steeringb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -34,7 +34,7 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_VEHICLESTATE']._serialized_start=25
   _globals['_VEHICLESTATE']._serialized_end=109
   _globals['_PILOTCOMMAND']._serialized_start=112
-  _globals['_PILOTCOMMAND']._serialized_end=368
-  _globals['_PILOTCOMMAND_DRIVER']._serialized_start=313
-  _globals['_PILOTCOMMAND_DRIVER']._serialized_end=368
+  _globals['_PILOTCOMMAND']._serialized_end=436
+  _globals['_PILOTCOMMAND_DRIVER']._serialized_start=361
+  _globals['_PILOTCOMMAND_DRIVER']._serialized_end=416
 # @@protoc_insertion_point(module_scope)

@@ -18,7 +18,7 @@ class VehicleState(_message.Message):
     def __init__(self, steering: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., speed_mph: _Optional[float] = ...) -> None: ...
 
 class PilotCommand(_message.Message):
-    __slots__ = ("predicted_steering", "steering", "throttle", "driver", "set_speed_mph", "decode_ms", "network_ms", "total_ms")
+    __slots__ = ("predicted_steering", "steering", "throttle", "driver", "set_speed_mph", "decode_ms", "network_ms", "total_ms", "parse_ms", "expert_steering")
     class Driver(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNKNOWN: _ClassVar[PilotCommand.Driver]
@@ -37,6 +37,8 @@ class PilotCommand(_message.Message):
     DECODE_MS_FIELD_NUMBER: _ClassVar[int]
     NETWORK_MS_FIELD_NUMBER: _ClassVar[int]
     TOTAL_MS_FIELD_NUMBER: _ClassVar[int]
+    PARSE_MS_FIELD_NUMBER: _ClassVar[int]
+    EXPERT_STEERING_FIELD_NUMBER: _ClassVar[int]
     predicted_steering: float
     steering: float
     throttle: float
@@ -45,4 +47,6 @@ class PilotCommand(_message.Message):
     decode_ms: float
     network_ms: float
     total_ms: float
-    def __init__(self, predicted_steering: _Optional[float] = ..., steering: _Optional[float] = ..., throttle: _Optional[float] = ..., driver: _Optional[_Union[PilotCommand.Driver, str]] = ..., set_speed_mph: _Optional[float] = ..., decode_ms: _Optional[float] = ..., network_ms: _Optional[float] = ..., total_ms: _Optional[float] = ...) -> None: ...
+    parse_ms: float
+    expert_steering: float
+    def __init__(self, predicted_steering: _Optional[float] = ..., steering: _Optional[float] = ..., throttle: _Optional[float] = ..., driver: _Optional[_Union[PilotCommand.Driver, str]] = ..., set_speed_mph: _Optional[float] = ..., decode_ms: _Optional[float] = ..., network_ms: _Optional[float] = ..., total_ms: _Optional[float] = ..., parse_ms: _Optional[float] = ..., expert_steering: _Optional[float] = ...) -> None: ...
