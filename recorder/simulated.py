@@ -7,18 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-
 from common import Skipped, UserError
 from common.files import refuse_existing
 from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.pose import pose_message
 from recorder.record import Imported
 from recorder.topics import CAMERAS
-from recorder.writer import LogWriter, timestamp
+from recorder.writer import LogWriter
 from simulator.expert import Expert
-from simulator.pose import Pose
 from simulator.recovery import drive_for_recording
 from simulator.simulation import Simulation
 from simulator.udacity_folder import UdacityFolder
@@ -88,7 +86,7 @@ def record_simulated(
                 steering=step.steering, throttle=step.throttle, brake=step.brake, speed_mph=step.speed_mph
             )
             writer.vehicle(time_ns, rows, state)
-            writer.pose(time_ns, rows, _pose_message(step.pose, time_ns))
+            writer.pose(time_ns, rows, pose_message(step.pose, time_ns))
             if folder is not None:
                 folder.row(
                     time_ns,
@@ -105,19 +103,3 @@ def record_simulated(
         if folder is not None:
             folder.close()
     return Imported(log, rows, rows * len(CAMERAS), Skipped())
-
-
-def _pose_message(pose: Pose, time_ns: int) -> PoseInFrame:
-    """As Foxglove wants it: metres, x east, y north, z up; attitude a quaternion (yaw, pitch, roll)."""
-    message = PoseInFrame(timestamp=timestamp(time_ns), frame_id="world")
-    message.pose.position.x, message.pose.position.y, message.pose.position.z = pose.x_m, pose.y_m, pose.z_m
-    # nose up is a negative turn about the y axis, which points to the left
-    (cy, sy), (cp, sp), (cr, sr) = (
-        (math.cos(angle / 2), math.sin(angle / 2)) for angle in (pose.heading_rad, -pose.pitch_rad, pose.roll_rad)
-    )
-    q = message.pose.orientation
-    q.w = cr * cp * cy + sr * sp * sy
-    q.x = sr * cp * cy - cr * sp * sy
-    q.y = cr * sp * cy + sr * cp * sy
-    q.z = cr * cp * sy - sr * sp * cy
-    return message

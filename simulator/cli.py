@@ -33,6 +33,12 @@ class Sim:
     """Telemetries a second of simulated time; it must divide 50."""
     real_time: bool = False
     """Let simulated time pass no faster than the clock. Otherwise it waits for each answer, and hurries."""
+    tell_world: bool = False
+    """Tell with each telemetry what the real simulator does not: time, place, laps, what the expert would do."""
+    expert_speed: float = 10.0
+    """Set speed in mph of the expert whose commands --tell-world tells."""
+    leave_off_road: bool = False
+    """Leave a car that is off the road to whoever drives; put it back only after 15 s without progress."""
     replay: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """A recording of the Udacity simulator: the pictures of its centre camera are told in their order."""
     count: int | None = None
@@ -48,8 +54,13 @@ class Sim:
 
 
 def sim(config: Sim) -> int:
+    if not 0 < config.port < 65536:
+        raise UserError(f"--port {config.port}: a port is a number from 1 to 65535")
+    if not 0 <= config.wait < math.inf:
+        raise UserError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
+    if config.count is not None and (config.count < 1 or config.replay is None):
+        raise UserError(f"--count {config.count}: how many pictures of --replay to tell is a number above 0")
     client = SimulatorClient(config.host, config.port, wait_s=config.wait)
-    stderr().print(f"bc-sim: connecting to {client.url}")
     try:
         return _replay(config, client) if config.replay is not None else _drive(config, client)
     except WaitTimeoutError as error:
@@ -59,21 +70,26 @@ def sim(config: Sim) -> int:
 def _drive(config: Sim, client: SimulatorClient) -> int:
     import cv2
 
-    from simulator.autonomous import drive_autonomously
+    from simulator.autonomous import GIVE_UP_S, drive_autonomously
+    from simulator.expert import Expert
     from simulator.simulation import Simulation
     from simulator.vehicle import STEP_S
 
+    if not 0 < config.expert_speed < math.inf:
+        raise UserError(f"--expert-speed {config.expert_speed:g}: a set speed is a number of mph above 0")
     if not 0 < config.laps < math.inf:
         raise UserError(f"--laps {config.laps:g}: how far to drive is a number above 0")
     steps = 1 / (config.rate * STEP_S) if config.rate > 0 else 0.0
     if steps < 0.99 or abs(steps - round(steps)) > 1e-6:
         raise UserError(f"--rate {config.rate:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
+    stderr().print(f"bc-sim: connecting to {client.url}")
     cv2.setNumThreads(1)  # the network that drives needs the other cores more
     try:
         simulation = Simulation(config.track)
     except ValueError as error:
         stderr().print(f"bc-sim: --track: {error}")
         return BAD_USAGE
+    expert = Expert(simulation.track.line, config.expert_speed) if config.tell_world else None
     with progress_bar() as bar:
         task = bar.add_task(f"driving {config.track}", total=round(config.laps * 1000), note="")
         driven = drive_autonomously(
@@ -82,8 +98,13 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
             laps=config.laps,
             rate_hz=config.rate,
             real_time=config.real_time,
+            expert=expert,
+            leave_off_road=config.leave_off_road,
             progress=lambda laps: bar.update(task, completed=round(laps * 1000)),
+            lost=lambda: bar.console.print(f"bc-sim: disconnected; waiting for a server for {config.wait:g} s"),
         )
+    if driven.gave_up:
+        stderr().print(f"bc-sim: the car did not get on for {GIVE_UP_S:g} s of simulated time: given up")
     if config.json:
         print(json.dumps(driven.as_dict()))
     else:
@@ -101,10 +122,18 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
     from simulator.replay import replay
 
     assert config.replay is not None  # noqa: S101
+    if config.tell_world:
+        raise UserError("--tell-world: nobody knows the world of --replay's pictures; leave one of them out")
+    driven = ("track", "laps", "rate", "real_time", "leave_off_road", "expert_speed")
+    if others := [f"--{name.replace('_', '-')}" for name in driven if getattr(config, name) != getattr(Sim, name)]:
+        raise UserError(
+            f"{', '.join(others)}: of driving, and --replay only tells pictures; leave one of them out"
+        )
     images = config.replay / "IMG" if (config.replay / "IMG").is_dir() else config.replay
     pictures = sorted(images.glob("center_*.jpg"))[: config.count]
     if not pictures:
         raise UserError(f"{images}: no center_*.jpg in it; give a folder that the simulator recorded into")
+    stderr().print(f"bc-sim: connecting to {client.url}")
     start_s = 0.0
 
     def jpegs() -> Iterator[bytes]:

@@ -13,15 +13,16 @@ import json
 import math
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import websocket
 from websocket import ABNF
 
 FRAME_BYTES: Final = 1016  # payload of one websocket frame (websocket-sharp's FragmentLength)
 PING_S: Final = 25.0
+CLOSE_S: Final = 3.0  # how long a server may take to close too
 RETRY_S: Final = 0.05  # the real one retries without any delay, about 10,000 times a second
 MAX_STEERING_DEG: Final = 25.0
 
@@ -34,6 +35,7 @@ class Telemetry:
     throttle: float  # 0..1
     speed_mph: float
     jpeg: bytes  # the centre camera
+    world: Mapping[str, float] | None = None  # the real simulator never tells one
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ class SimulatorClient:
     ) -> None:
         """``wait_s`` limits the wait for a server that is not there. ``decimal_comma`` writes (and reads) numbers
         as a machine with such a locale does."""
+        host = f"[{host}]" if ":" in host else host  # IPv6
         self.url = f"ws://{host}:{port}/socket.io/?EIO=4&transport=websocket"
         self.wait_s = wait_s
         self.decimal_comma = decimal_comma
@@ -73,15 +76,15 @@ class SimulatorClient:
         self.bad_steers = 0  # received and not understood: each has cost a telemetry
         self.connections = 0
 
-    def run(self, next_telemetry: Callable[[Answer], Told]) -> None:
-        """Connect and drive until `next_telemetry` returns None.
+    def run(self, next_telemetry: Callable[[Answer], Told], lost: Callable[[], object] = lambda: None) -> None:
+        """Connect and drive until `next_telemetry` returns None. `lost` is called when the server has gone.
 
         It is called twice when a connection opens, and then once for each command.
 
         Raises WaitTimeoutError where no server answers for `wait_s`.
         """
         while self._one_connection(self._connect(), next_telemetry):
-            pass
+            lost()
 
     def _connect(self) -> websocket.WebSocket:
         deadline_s = time.monotonic() + self.wait_s
@@ -93,6 +96,8 @@ class SimulatorClient:
                     suppress_origin=True,
                     sockopt=((socket.IPPROTO_TCP, socket.TCP_NODELAY, 0),),
                 )
+            except ValueError as error:  # of an address that is none
+                raise WaitTimeoutError(f"{self.url}: {error}") from None
             except (OSError, websocket.WebSocketException):
                 if time.monotonic() > deadline_s:
                     raise WaitTimeoutError(f"no server at {self.url} within {self.wait_s:g} s") from None
@@ -123,7 +128,7 @@ class SimulatorClient:
         except (OSError, websocket.WebSocketException):
             return True
         finally:
-            connection.close()
+            self._close(connection)
 
     def _receive(self, connection: websocket.WebSocket, until_s: float) -> list[Answer]:
         connection.settimeout(max(0.01, until_s - time.monotonic()))
@@ -174,18 +179,33 @@ class SimulatorClient:
     def _event(self, telemetry: Telemetry | Literal["manual"]) -> str:
         if telemetry == "manual":
             return '42["telemetry",null]'
-        fields = {
+        fields: dict[str, Any] = {
             "steering_angle": self._n4(telemetry.steering * MAX_STEERING_DEG),
             "throttle": self._n4(telemetry.throttle),
             "speed": self._n4(telemetry.speed_mph),
             "image": base64.b64encode(telemetry.jpeg).decode("ascii"),
         }
+        if telemetry.world is not None:
+            fields["world"] = dict(telemetry.world)
         return f'42["telemetry",{json.dumps(fields, separators=(",", ":"))}]'
 
     def _n4(self, value: float) -> str:
         """C#'s "N4": thousands separators and four decimals, in the machine's culture."""
         text = f"{value:,.4f}"
         return text.translate(str.maketrans(",.", ".,")) if self.decimal_comma else text
+
+    @staticmethod
+    def _close(connection: websocket.WebSocket) -> None:
+        """As the library's own `close`, which swallows a Ctrl-C."""
+        try:
+            connection.settimeout(CLOSE_S)
+            connection.send_close()
+            while connection.recv_frame().opcode != ABNF.OPCODE_CLOSE:  # type: ignore[no-untyped-call]
+                pass
+        except (OSError, websocket.WebSocketException):
+            pass  # the server has gone
+        finally:
+            connection.shutdown()  # type: ignore[no-untyped-call]
 
     @staticmethod
     def _send(connection: websocket.WebSocket, message: str) -> None:
