@@ -9,6 +9,8 @@ from common.flags import arg
 from dataset.alter import Alteration
 from recorder.topics import Camera
 
+Drives = Literal["all", "takeovers"]
+
 
 @dataclass(frozen=True)
 class IndexConfig:
@@ -34,6 +36,8 @@ class IndexConfig:
     """Labels are the steering so many seconds later, because people react late; 0: at the frame itself."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""
+    drives: Drives = "all"
+    """What to take of drives: all frames; or takeovers: only those that an expert or a human drove."""
     where: Annotated[str | None, arg(metavar="SQL")] = None
     """Which frames to use: a condition on the columns of the frames, such as "speed_mph > 5"."""
     block_s: float = 10.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ from common import whole_file
 from common.files import final_path
 from dataset.balance import bin_of
 from dataset.config import IndexConfig
+from dataset.drivers import DRIVERS, EXPERT, Commands, is_taken, read_commands
 from dataset.looks import read_look
 from dataset.quality import Looked, Paired, frame_flags
 from dataset.samples_format import METADATA_KEY
@@ -26,7 +28,7 @@ from recorder.quality import States, drive_numbers
 from recorder.tags import Tag
 from recorder.topics import CAMERAS, Camera, camera_topic
 
-FORMAT: Final = 5
+FORMAT: Final = 6
 
 SCHEMA: Final = pa.schema(
     [
@@ -38,10 +40,11 @@ SCHEMA: Final = pa.schema(
         pa.field("offset", pa.int64()),
         pa.field("length", pa.int64()),  # of the JPEG, in bytes
         pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
-        pa.field("steering", pa.float64()),
+        pa.field("steering", pa.float64()),  # where an expert drove, what he commanded
         pa.field("throttle", pa.float64()),
         pa.field("brake", pa.float64()),
         pa.field("speed_mph", pa.float64()),
+        pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" where nobody says
         pa.field("drive", pa.int64()),
         pa.field("block", pa.int64()),
         pa.field("split", pa.string()),  # "train", "validation", or "gap": left out between the two
@@ -50,7 +53,7 @@ SCHEMA: Final = pa.schema(
         pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
     ]
 )
-REPEATING: Final = ("session", "camera", "split")
+REPEATING: Final = ("session", "camera", "driver", "split")
 """Columns of few values, which are read as dictionaries: a fraction of the memory."""
 
 
@@ -85,6 +88,7 @@ def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
         "gap_s": config.gap_s,
         "validation": session in config.validation if config.validation else config.validation_share,
         "seed": config.seed,
+        "drives": config.drives,
     }
 
 
@@ -118,12 +122,28 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
 
     `index` is the index's folder, which holds what was seen when its pictures were looked at.
     """
-    vehicle = log.vehicle()
-    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
     looked = read_look(index, session, log.fingerprint)
-    return frames_of(states, pictures, session, config, tags, looked)
+    return frames_of(states, pictures, session, config, tags, looked, driver)
+
+
+def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
+    """The vehicle states of a log (N,), and who drove at each, as a position in `DRIVERS`.
+
+    Where an expert drove, the steering is what he commanded at that picture, for it is that which he would teach:
+    the wheels follow later. Raises LogError for a damaged log.
+    """
+    vehicle = log.vehicle()
+    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    commands = read_commands(log)
+    state, command = paired_rows(commands, states)
+    driver = np.zeros(len(states.row), np.int8)
+    driver[state] = commands.driver[command]
+    commanded = states.steering.copy()
+    commanded[state] = commands.steering[command]
+    return replace(states, steering=np.where(driver == EXPERT, commanded, states.steering)), driver
 
 
 def frames_of(
@@ -133,18 +153,26 @@ def frames_of(
     config: IndexConfig,
     tags: Sequence[Tag] = (),
     looked: Looked | None = None,
+    driver: NDArray[np.int8] | None = None,
 ) -> pa.Table:
-    """The frames of a session from its vehicle states and from where its pictures lie."""
+    """The frames of a session from its vehicle states, from where its pictures lie, and from who drove at each
+    state (as `driven_states` gives it; without, nobody says)."""
+    if driver is None:
+        driver = np.zeros(len(states.row), np.int8)
     drive = drive_numbers(states.time_ns)
-    block = block_numbers(states.time_ns, drive, config.block_s)
-    split = _split_of(states, block, session, config)
+    taken = is_taken(driver, config.drives)
+    # A stretch of which something is taken may be short: its blocks begin with it, so that none is cut in two.
+    is_edge = (np.diff(drive) != 0) | (np.diff(taken) != 0)
+    stretch = np.concatenate([[0], np.cumsum(is_edge)])[: len(drive)]
+    block = block_numbers(states.time_ns, stretch, config.block_s)
+    split = _split_of(states, block, taken, session, config)
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     bins = np.where(in_range, bin_of(np.where(in_range, states.steering, 0.0), config.bins), -1)
 
     parts: list[dict[str, NDArray[Any]]] = []
     paired: dict[Camera, Paired] = {}
     for number, camera in enumerate(CAMERAS):
-        state, found = _rows_of(pictures[camera], states)
+        state, found = paired_rows(pictures[camera], states)
         paired[camera] = Paired(state, found)
         parts.append(
             {
@@ -165,6 +193,7 @@ def frames_of(
         "length": length,
         "chunk": chunk,
         **{name: getattr(states, name)[state] for name in ("steering", "throttle", "brake", "speed_mph")},
+        "driver": pa.DictionaryArray.from_arrays(driver[state], list(DRIVERS)),
         "drive": drive[state],
         "block": block[state],
         "split": pa.DictionaryArray.from_arrays(split[state], ["train", "validation", "gap"]),
@@ -175,12 +204,20 @@ def frames_of(
     return pa.table({name: pa.array(column) for name, column in columns.items()}).cast(SCHEMA)
 
 
-def _split_of(states: States, block: NDArray[np.int64], session: str, config: IndexConfig) -> NDArray[np.int8]:
-    """0 for training, 1 for validation, 2 for the gap between them."""
+def _split_of(
+    states: States, block: NDArray[np.int64], taken: NDArray[np.bool_], session: str, config: IndexConfig
+) -> NDArray[np.int8]:
+    """0 for training, 1 for validation, 2 for the gap between them.
+
+    Validation is a share of what is taken, and never all of it: blocks of which nothing is used do not count.
+    Takeovers are few and of any length, so that chance may hold out most of them: then it is the other way round.
+    """
     if config.validation:
         return np.full(len(block), int(session in config.validation), np.int8)
-    chosen = validation_blocks(block, config.validation_share, config.seed, session)
+    chosen = validation_blocks(block[taken], config.validation_share, config.seed, session)
     is_validation = np.isin(block, chosen)
+    if not taken.all() and 2 * is_validation.sum() > taken.sum():
+        is_validation = taken & ~is_validation
     near = near_validation(states.time_ns, is_validation, config.gap_s)
     return np.where(near, 2, is_validation).astype(np.int8)
 
@@ -197,17 +234,17 @@ def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
     return pa.array(names, pa.list_(pa.string()))
 
 
-def _rows_of(pictures: Pictures, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs pictures with vehicle states by row number and log time: (positions of states, of pictures)."""
+def paired_rows(messages: Pictures | Commands, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs messages with vehicle states by row number and log time: (positions of states, of messages)."""
     count = len(states.row)
-    row = np.concatenate([states.row, pictures.sequence])
-    time_ns = np.concatenate([states.time_ns, pictures.log_time_ns])
-    order = np.lexsort((time_ns, row))  # stable: of what is alike, states come before pictures
+    row = np.concatenate([states.row, messages.sequence])
+    time_ns = np.concatenate([states.time_ns, messages.log_time_ns])
+    order = np.lexsort((time_ns, row))  # stable: of what is alike, states come before messages
     is_new = np.ones(len(order), np.bool_)
     is_new[1:] = (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)
     first = order[np.maximum.accumulate(np.where(is_new, np.arange(len(order)), 0))]
     state = np.empty(len(order), np.int64)
-    state[order] = first  # the first of those alike; a picture's is a state, if there is one
+    state[order] = first  # the first of those alike; a message's is a state, if there is one
     state = state[count:]
     found = np.flatnonzero(state < count)
     return state[found], found

@@ -8,9 +8,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from dataset.config import IndexConfig
-from dataset.frames import frames_of
+from dataset.frames import driven_states, frames_of
 from recorder import Log
-from recorder.quality import States
 from recorder.topics import CAMERAS, camera_topic
 
 
@@ -21,10 +20,9 @@ def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfi
     The split is computed anew from the log. It depends on neither tags nor cameras nor --where: frames that these
     kept from training count as for it.
     """
-    vehicle = log.vehicle()
-    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
-    indexed = frames_of(states, pictures, session, config)
+    indexed = frames_of(states, pictures, session, config, driver=driver)
     return np.isin(_moments(frames), _moments(indexed.filter(pc.equal(indexed["split"], "train"))))
 
 

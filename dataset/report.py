@@ -13,15 +13,17 @@ MOST_BINS = 101  # more lines than that nobody reads
 
 
 def sessions_table(indexed: Indexed) -> Table:
-    """Frames of each session, by what becomes of them; those without a label only where there are some."""
+    """Frames of each session, by what becomes of them; two of them only where there are some."""
+    some_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
     some_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
-    columns = ["frames", "training", "validation", "gap", "left out", *["no label"] * some_unlabelled]
+    columns = ["frames", "training", "validation", "gap", "left out"]
+    columns += ["not taken over"] * some_piloted + ["no label"] * some_unlabelled
     table = Table("session", *columns, "", title="frames")
     for session in indexed.sessions:
         counts = indexed.counts[session]
         left_out = counts.excluded + counts.unusable + counts.not_asked_for
         numbers = [counts.frames, counts.training, counts.validation, counts.gap, left_out]
-        numbers += [counts.unlabelled] * some_unlabelled
+        numbers += [counts.not_taken_over] * some_piloted + [counts.unlabelled] * some_unlabelled
         state = "read" if session in indexed.read else "unchanged"
         table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
     return table

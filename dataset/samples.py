@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from common import whole_file
 from dataset.balance import balance, bin_of, unbalanced
 from dataset.config import IndexConfig
+from dataset.drivers import DRIVERS, is_taken
 from dataset.errors import DatasetError
 from dataset.frames import read_frames
 from dataset.labels import labels_of
@@ -67,6 +68,7 @@ class SessionCounts:
     unusable: int  # steering out of range, or a broken picture
     unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
     not_asked_for: int  # another camera, or not what --where chooses
+    not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> SessionCounts:
@@ -104,7 +106,9 @@ def write_samples(
     if not sizes.sum():
         raise DatasetError(
             f"no frame can be used: no whole picture of {', '.join(config.cameras)} with steering in -1..1"
-            f"{' that --where chooses' if config.where is not None else ''}, none that is not tagged {EXCLUDE}"
+            f"{' that --where chooses' if config.where is not None else ''}"
+            f"{' of a stretch that was taken over' if config.drives == 'takeovers' else ''}"
+            f", none that is not tagged {EXCLUDE}"
             f"{' and has a label with this --label-shift' if config.label_shift_s else ''}"
         )
     label = np.concatenate([session.label for session in sessions])
@@ -157,11 +161,15 @@ def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) 
     split = _codes(frames["split"], ("train", "validation", "gap"))
     is_bad = is_unusable(frames)
     is_tagged = is_excluded(frames)
-    is_wanted = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
+    driver = _codes(frames["driver"], DRIVERS)
+    is_asked_for = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
     if condition is not None:
-        is_wanted &= condition.holds(frames)
+        is_asked_for &= condition.holds(frames)
+    is_wanted = is_asked_for & is_taken(driver, config.drives)
     is_good = ~is_bad & ~is_tagged
-    steering = labels_of(frames, is_good, split, config.label_smooth_s, config.label_shift_s)
+    # no label depends on another driver's steering, nor on the other side of the split
+    side = split + 4 * driver
+    steering = labels_of(frames, is_good, side, config.label_smooth_s, config.label_shift_s)
     usable = is_wanted & is_good
     has_label = ~np.isnan(steering)
     chosen = usable & has_label & (split != 2)
@@ -176,7 +184,8 @@ def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) 
         excluded=int((is_wanted & is_tagged).sum()),
         unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
         unlabelled=int((usable & ~has_label & (split != 2)).sum()),
-        not_asked_for=int((~is_wanted).sum()),
+        not_asked_for=int((~is_asked_for).sum()),
+        not_taken_over=int((is_asked_for & ~is_wanted).sum()),
     )
     return _Session(at.astype(np.int32), label, recorded, split[at] == 0), counts
 

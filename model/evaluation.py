@@ -14,22 +14,15 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import torch
-from numpy.typing import NDArray
 
 from common import Skipped
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames import session_name
 from dataset.samples_file import Split
-from model.bar import open_bar
-from model.errors import RunError
 from model.learnt import by_session, count_learnt
 from model.measures import Measures, measure
-from model.network import SteeringNetwork
-from model.predict import as_input
-from model.run import load_config, load_network, run_name, without_nan
-
-BATCH: Final = 64  # what stays in a processor's cache
+from model.predict import BATCH, predict_crops
+from model.run import load_config, run_name, without_nan
 
 _FROM_INDEX: Final = pa.schema(
     [
@@ -129,16 +122,14 @@ def evaluate_sessions(run: Path, logs: Sequence[Path]) -> Evaluation:
 
 def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
     config = load_config(run)
-    network = load_network(run).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     loader = Loader(samples, seen, batch=BATCH, budget_bytes=0)  # each picture is looked at once
-    steering, is_decoded = (values[loader.rows.picture] for values in _predict(network, loader))
+    predicted, has_crop = predict_crops([run], loader.crops(), loader.pictures)
+    steering, is_decoded = predicted[0, loader.rows.picture], has_crop[loader.rows.picture]
     if not is_decoded.any():
         _, name = next(iter(loader.skipped))
         raise DatasetError(
             f"none of {len(seen):,} pictures decodes, such as that of {name}; look with `bc-log check`"
         )
-    if not np.isfinite(steering[is_decoded]).all():
-        raise RunError(f"{run}: its network predicts what is no number; train it again")
     frames = _from_index(seen, samples).append_column("predicted", pa.array(steering)).filter(pa.array(is_decoded))
     return Evaluation(
         run,
@@ -147,18 +138,6 @@ def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
         count_learnt(by_session(frames), samples, config),
         loader.skipped,
     )
-
-
-@torch.inference_mode()
-def _predict(network: SteeringNetwork, loader: Loader) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The network's steering for each of a loader's pictures, and which of them decode."""
-    predicted, is_decoded = np.zeros(loader.pictures), np.zeros(loader.pictures, np.bool_)
-    with open_bar(is_shown=True) as bar, bar.task("frames", loader.pictures) as task:
-        for numbers, crops in loader.crops():
-            predicted[numbers] = network(as_input(crops)).numpy()
-            is_decoded[numbers] = True
-            task.advance(len(numbers))
-    return predicted, is_decoded
 
 
 def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:

@@ -64,6 +64,7 @@ def _data(stored: dict[str, Any]) -> _Data:
         validation_share=float(settings["validation_share"]),
         validation=tuple(map(str, settings["validation"])),
         seed=int(settings["seed"]),
+        drives="takeovers" if settings.get("drives") == "takeovers" else "all",
     )
     logs = tuple((str(session), str(source["fingerprint"])) for session, source in stored["logs"].items())
     for session, _ in logs:

@@ -25,7 +25,7 @@ from dataset.where import Condition
 from driving import PATIENCE_S, environment, road_jpeg
 from logs import START_NS, STEP_NS
 from recorder import Log, LogWriter
-from recorder.bc_pb2 import VehicleState
+from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.tags import Tag, add_tag
 from recorder.topics import Camera
 
@@ -80,6 +80,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for camera in CAMERAS:
                 writer.picture(camera, time_ns, row, picture(camera, row))
             writer.vehicle(time_ns, row, VehicleState(steering=steering, throttle=0.5, speed_mph=speed_mph))
+            driver = PilotCommand.EXPERT if 30 <= row < 50 else PilotCommand.PILOT
+            writer.command(time_ns, row, PilotCommand(steering=steering, driver=driver))
     with Log(log) as opened:
         fingerprint = opened.fingerprint
     add_tag(log, fingerprint, Tag(10, 15, "recovery"))
@@ -203,6 +205,7 @@ CHOICES: dict[str, Callable[[dict[str, Any]], bool]] = {
     "'recovery' in tags or steering <> 0": lambda row: "recovery" in row["tags"] or row["steering"] != 0,
     "'rain' not in tags and len(flags) = 0": lambda row: "rain" not in row["tags"] and not row["flags"],
     "session like 'lake%' and drive = 0": lambda row: True,
+    "driver in ('expert', 'human')": lambda row: row["driver"] == "expert",
     "row between 5 and 9": lambda row: 5 <= row["row"] <= 9,
     "speed_mph > 5 and not isnan(speed_mph)": lambda row: row["speed_mph"] > 5,
     "camera = 'center' or abs(steering) > 0.1": lambda row: (

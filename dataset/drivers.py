@@ -1,0 +1,50 @@
+"""Who drove, frame by frame: in a drive, the network (the pilot), an expert or a human."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.config import Drives
+from recorder import Log
+
+Driver = Literal["", "pilot", "human", "expert"]
+DRIVERS: Final[tuple[Driver, ...]] = get_args(Driver)
+"""In the order of PilotCommand.Driver; empty where nobody says, as in a session that is no drive."""
+
+EXPERT: Final = DRIVERS.index("expert")
+_TAKEOVERS: Final = (EXPERT, DRIVERS.index("human"))
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What was commanded in a drive; arrays of one length, in the order of writing, empty for other sessions."""
+
+    sequence: NDArray[np.int64]
+    log_time_ns: NDArray[np.int64]
+    driver: NDArray[np.int8]  # position in DRIVERS
+    steering: NDArray[np.float64]  # as sent
+
+
+def read_commands(log: Log) -> Commands:
+    """Raises LogError for a damaged log."""
+    numbers, steering = array("q"), array("d")
+    for message, command in log.commands():
+        # one that a later version of the schema knows is nobody to us
+        driver = command.driver if 0 <= command.driver < len(DRIVERS) else 0
+        numbers.extend((message.sequence, message.log_time_ns, driver))
+        steering.append(command.steering)
+    sequence, log_time_ns, drove = np.array(numbers, np.int64).reshape(-1, 3).T
+    return Commands(sequence, log_time_ns, drove.astype(np.int8), np.array(steering, np.float64))
+
+
+def is_taken(driver: NDArray[np.int8], drives: Drives) -> NDArray[np.bool_]:
+    """Which rows of a session (N,) are to be used, by who drove (positions in `DRIVERS`); all of a session that
+    does not say."""
+    if drives == "all" or not driver.any():
+        return np.ones(len(driver), np.bool_)
+    return np.isin(driver, _TAKEOVERS)
