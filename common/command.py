@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from common.errors import Skipped, UserError, shown
-from common.interrupts import signals_to
+from common.interrupts import STOPPING, signals_to
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -57,7 +57,7 @@ def warn_skipped(skipped: Skipped) -> int:
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     """`kill` cleans up as Ctrl-C does. A second signal must not interrupt the cleaning up."""
-    for other in (signal.SIGINT, signal.SIGTERM):
+    for other in STOPPING:
         signal.signal(other, signal.SIG_IGN)
     raise KeyboardInterrupt
 

@@ -7,20 +7,33 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import Final
+
+HANG_UP: Final = getattr(signal, "SIGHUP", None)  # None on Windows
+STOPPING: Final[tuple[signal.Signals, ...]] = (
+    signal.SIGINT,
+    signal.SIGTERM,
+    *([] if HANG_UP is None else [HANG_UP]),
+)
+"""What asks a command to end."""
 
 
 @contextlib.contextmanager
 def signals_to(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
-    """SIGINT and SIGTERM call `handler` in the block, and afterwards again what they did before.
+    """SIGINT, SIGTERM and SIGHUP call `handler` in the block, and afterwards again what they did before.
+
+    SIGHUP (the terminal is closed) stays ignored where it was, as under `nohup`.
 
     Outside the main thread, which alone hears signals, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in STOPPING}
     before = {
-        number: previous for number, previous in handlers.items() if previous is not None
+        number: previous
+        for number, previous in handlers.items()
+        if previous is not None and not (number == HANG_UP and previous == signal.SIG_IGN)
     }  # None: not Python's
     try:
         for number in before:
@@ -44,7 +57,7 @@ def stop_signals() -> Iterator[threading.Event]:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Nothing stops the block half-way: SIGINT and SIGTERM that come meanwhile take effect when it is left.
+    """Nothing stops the block half-way: signals of `STOPPING` that come meanwhile take effect when it is left.
 
     If anything is raised in the block, that is what its caller hears, and not of the signal: the error may
     name a file that stays. Outside the main thread, which alone hears signals, nothing need be put off.

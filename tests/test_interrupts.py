@@ -7,10 +7,10 @@ import threading
 
 import pytest
 
-from common.interrupts import stop_signals, uninterrupted
+from common.interrupts import HANG_UP, STOPPING, stop_signals, uninterrupted
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", STOPPING)
 def test_a_signal_is_noted_and_interrupts_nothing(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with stop_signals() as stopped:
@@ -18,6 +18,18 @@ def test_a_signal_is_noted_and_interrupts_nothing(number: signal.Signals) -> Non
         signal.raise_signal(number)
         assert stopped.is_set()
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.skipif(HANG_UP is None, reason="this system has no terminals that hang up")
+def test_a_terminal_that_is_closed_is_passed_over_under_nohup() -> None:
+    assert HANG_UP is not None
+    before = signal.signal(HANG_UP, signal.SIG_IGN)
+    try:
+        with stop_signals() as stopped:
+            signal.raise_signal(HANG_UP)
+            assert not stopped.is_set()
+    finally:
+        signal.signal(HANG_UP, before)
 
 
 def test_a_signal_waits_for_the_end_of_what_must_not_be_interrupted() -> None:
