@@ -55,6 +55,10 @@ class _Known:
 
 _NOTHING: Final = _Known()
 
+_MOST_SCANS: Final = 100
+"""A progressive picture has some ten. Each is decoded over the whole picture: thousands of them, which fit into
+50 KB, take seconds."""
+
 
 def _find_end(data: bytes) -> int:
     """Where the bytes after the end marker begin. Raises ValueError or IndexError if there is no sound end."""
@@ -77,6 +81,8 @@ def _find_end(data: bytes) -> int:
             known = _after(known, marker, segment)
         if marker == _SOS:
             scans += 1
+            if scans > _MOST_SCANS:
+                raise ValueError("too many scans")
             end = _SCAN_END.search(data, position)
             if end is None:
                 raise ValueError("cut off")

@@ -16,7 +16,7 @@ from recorder.errors import RecordingError
 from recorder.jpeg import is_whole_jpeg
 from recorder.record import Imported
 from recorder.telemetry import TelemetryError, parse_telemetry
-from recorder.telemetry_server import Answer, TelemetryServer
+from recorder.telemetry_server import QUIET_S, Answer, Steer, TelemetryServer
 from recorder.writer import EventLevel, LogWriter
 
 RATE_S = 1.0  # the rows a second that are shown are those of this last while
@@ -45,7 +45,7 @@ def listen_for_telemetry(
         writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
         with StatusLine() as status:
             session = _Session(writer, status)
-            server = TelemetryServer(session, host=host, port=port)
+            server = TelemetryServer(session, host=host, port=port, said=session.warn)
             session.say(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
                 on_started(writer.part)
@@ -65,6 +65,7 @@ class _Session:
         self._status = status
         self._text = ""
         self._connections = 0
+        self._first_connected_s: float | None = None  # until it has told something, or nothing for too long
         self._telemetries = 0
         self._manuals = 0
         self._last_ns = 0
@@ -78,15 +79,19 @@ class _Session:
         self._event(time.time_ns(), "connected")
         self._connections += 1
         if self._connections == 1:
+            self._first_connected_s = time.monotonic()
             self.say("connected, waiting for telemetry")
 
     def disconnected(self, sid: str, reason: str) -> None:
         self._event(time.time_ns(), f"disconnected: {reason}")
 
-    def telemetry(self, sid: str, data: object) -> Answer:
+    def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         received_ns = time.time_ns()
         self._last_s = time.monotonic()
         return Answer(None, lambda _: self._note(received_ns, data))
+
+    def stopping(self, sid: str) -> Steer | None:
+        return None  # nobody was steered
 
     def tick(self) -> None:
         self._writer.flush_if_due()
@@ -96,11 +101,20 @@ class _Session:
             self._rate = (self.rows - rows) / (now_s - since_s)
             self._rate_from = (now_s, self.rows)
         if self._telemetries:
+            self._first_connected_s = None
             self._text = (
                 f"{self.rows:,} rows, {self.rows:,} pictures, {self._writer.bytes_written / 1e6:.1f} MB,"
                 f" {self._rate:.0f} rows/s, {len(self.skipped):,} skipped"
             )
+        elif self._first_connected_s is not None and now_s - self._first_connected_s >= QUIET_S:
+            self._first_connected_s = None
+            self.say("connected, but no telemetry comes: choose Autonomous Mode in the simulator")
         self._status.show(self._text)
+
+    def warn(self, text: str) -> None:
+        """Something else than a simulator has connected."""
+        self._event(time.time_ns(), text, "WARNING")
+        self.say(text)
 
     def say(self, text: str) -> None:
         """Show it in the status line; where there is none, print it."""

@@ -1,7 +1,7 @@
 """Serving clients of Socket.IO 2, which is what the real simulator is, beside modern ones on the same port.
 
-Such a client never announces that it connects, so that python-socketio 5 drops its every event in silence; and it
-sends the heartbeats that a modern server sends itself. Both are put right per connection; nothing is patched.
+Such a client never announces that it connects, so that python-socketio 5 drops its every event in silence. That is
+put right per connection; nothing is patched. (The heartbeats that it sends itself are answered in `connection`.)
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import socketio
-from engineio import packet
 
 CONNECT, EVENT = "0", "2"  # Socket.IO packet types, the first character of an Engine.IO message
 
@@ -22,16 +21,6 @@ def accept_old_clients(server: socketio.Server) -> None:
 
     def on_connect(sid: str, environ: dict[str, Any]) -> Any:
         unannounced.add(sid)
-        connection = engine.sockets[sid]
-        receive = connection.receive
-
-        def receive_with_pings(received_packet: packet.Packet) -> None:
-            if received_packet.packet_type == packet.PING:  # a modern client never sends one
-                connection.send(packet.Packet(packet.PONG, data=received_packet.data))
-            else:
-                receive(received_packet)
-
-        connection.receive = receive_with_pings
         return connected(sid, environ)
 
     def on_message(sid: str, data: str | bytes) -> None:
@@ -39,12 +28,7 @@ def accept_old_clients(server: socketio.Server) -> None:
             unannounced.discard(sid)
             if isinstance(data, str) and data.startswith(EVENT):
                 received(sid, CONNECT)  # a modern client's first message is this one
-        try:
-            received(sid, data)
-        except (ValueError, RecursionError):  # not JSON, or too deep: a telemetry is answered even then
-            if not (isinstance(data, str) and data.startswith('2["telemetry"')):
-                raise
-            received(sid, '2["telemetry","not JSON"]')
+        received(sid, data)
 
     def on_disconnect(sid: str, reason: str) -> None:
         unannounced.discard(sid)

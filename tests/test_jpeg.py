@@ -136,6 +136,15 @@ def test_half_a_picture_with_another_one_behind_it_is_refused() -> None:
     assert not is_whole_jpeg(data[: len(data) // 2] + data)
 
 
+def test_a_picture_of_thousands_of_scans_is_refused() -> None:
+    """Each makes OpenCV go over the whole picture once more, and takes fourteen bytes."""
+    data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    last = data.rindex(b"\xff\xda")
+    assert is_whole_jpeg(data)
+    assert is_whole_jpeg(data[:-2] + 50 * data[last:-2] + data[-2:])
+    assert not is_whole_jpeg(data[:-2] + 2000 * data[last:-2] + data[-2:])
+
+
 def test_a_picture_without_a_size_is_refused() -> None:
     data = encoded("baseline", False)
     size_at = data.index(b"\xff\xc0") + 5

@@ -309,11 +309,13 @@ def test_broken_packets_cost_no_traceback_and_others_are_served_on(tmp_path: Pat
                             pass  # until the server hangs up
         assert tell(port, DRIVEN[:3]) == ["manual"] * 3
         assert process.end() == 0
-        assert len(process.stderr) == 2, process.stderr  # waiting, connected
+        assert len(process.stderr) == 3, process.stderr  # waiting, connected, and once what was broken
+        assert sum("protocol" in line for line in process.stderr) == 1
     messages = read_messages(tmp_path / "live.mcap")
     assert len(messages["/camera/center"]) == 3
     events = [decoded.message for _, decoded in messages["/events"]]
     assert events.count("disconnected: broken packet") >= len(BROKEN)
+    assert sum(event.startswith("hung up on a client") for event in events) == 1
     assert events.count("connected") == sum(event.startswith("disconnected: ") for event in events)
 
 

@@ -1,0 +1,307 @@
+"""Clients that mean harm: nobody keeps the others waiting, takes memory without end, or stays for ever."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import random
+import select
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import websocket
+
+from drive.config import DriveConfig
+from drive.server import DriveServer
+from driving import PATIENCE_S, untrained_run
+from logs import read_messages
+from model import load_pilot
+from recorder import broken_packets, connection, green, telemetry_server, threaded_server, visitors
+from recorder.telemetry_server import MAX_MESSAGE_BYTES, ServerMode
+from recorder.wire import FRAME_BYTES, TOO_LARGE, Wire
+from serving import (
+    MODES,
+    UNUSED,
+    Book,
+    PollingClient,
+    RawClient,
+    Serving,
+    fields,
+    malformed,
+    steered,
+    tell,
+    wait_until,
+)
+
+
+@pytest.fixture(params=MODES)
+def mode(request: pytest.FixtureRequest) -> ServerMode:
+    chosen: ServerMode = request.param
+    return chosen
+
+
+def sent_until_hung_up(stream: socket.socket, data: bytes, pause_s: float = 0.0, most: int = 1 << 30) -> int:
+    """How often `data` could be sent."""
+    stream.settimeout(PATIENCE_S)
+    count = 0
+    with contextlib.suppress(ConnectionError):
+        while count < most:
+            stream.sendall(data)
+            count += 1
+            time.sleep(pause_s)
+            if select.select([stream], [], [], 0)[0] and not stream.recv(1 << 16):
+                break
+    return count
+
+
+# Those who take their time
+
+
+@pytest.mark.parametrize(
+    "begin",
+    ["GET {} HTTP/1.1\r\nX: ", "POST {} HTTP/1.1\r\nContent-Length: 99999\r\n\r\n"],
+    ids=["a head without end", "a body that drips"],
+)
+def test_a_request_that_comes_byte_by_byte_is_not_waited_for(
+    begin: str, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Serving(mode, Book()) as serving:
+        path = PollingClient(serving.port).path
+        monkeypatch.setattr(visitors, "REQUEST_S", 0.2)
+        with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as slow:
+            slow.sendall(begin.format(path).encode())
+            # a byte is never long in coming: only the whole is
+            assert sent_until_hung_up(slow, b"x", pause_s=0.01, most=2_000) < 2_000
+        monkeypatch.setattr(visitors, "REQUEST_S", PATIENCE_S)
+        assert len(tell(serving.port, range(3))) == 3
+
+
+def test_clients_that_leave_before_their_answer_leave_no_open_file(
+    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At once, and not when memory is looked through next: that may be hours later."""
+    files = Path("/proc/self/fd")
+    if not files.exists():
+        pytest.skip("open files were not counted: this system does not list them")
+    with Serving(mode, Book()) as serving:
+        assert len(tell(serving.port, range(1))) == 1
+        monkeypatch.setattr(visitors, "REQUEST_S", 0.05)
+        before = len(list(files.iterdir()))
+        gc.disable()
+        try:
+            for _ in range(5):
+                with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as slow:
+                    slow.sendall(b"GET / HTTP/1.1\r\nX: ")
+                    sent_until_hung_up(slow, b"x", pause_s=0.01)
+            wait_until(lambda: len(list(files.iterdir())) <= before)
+        finally:
+            gc.enable()
+
+
+def test_more_connections_than_are_served_are_told_and_their_places_come_free(
+    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for host in (green, threaded_server):
+        monkeypatch.setattr(host, "MOST_CONNECTIONS", 4)
+    with Serving(mode, Book()) as serving, ExitStack() as crowd:
+        for _ in range(8):
+            crowd.enter_context(socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S))
+        wait_until(lambda: visitors.CROWD in serving.said)
+        crowd.close()
+        assert len(tell(serving.port, range(3))) == 3
+
+
+def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(
+    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(telemetry_server, "MOST_CONNECTIONS", 5)
+    with Serving(mode, Book()) as serving:
+        for _ in range(5):
+            PollingClient(serving.port)
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            PollingClient(serving.port)
+        refused.value.close()
+        assert visitors.CROWD in serving.said
+        assert len(tell(serving.port, range(3))) == 3  # it keeps no simulator out
+
+
+# Those who do not read
+
+
+def test_a_client_that_does_not_read_its_answers_keeps_nobody_else_waiting(mode: ServerMode) -> None:
+    book = Book()
+    with Serving(mode, book) as serving:
+        deaf = RawClient(serving.port)
+        frame = websocket.ABNF.create_frame(b'42["telemetry",1]', websocket.ABNF.OPCODE_TEXT).format()
+        deaf.stream.setblocking(False)
+        while select.select([], [deaf.stream], [], 0.5)[1]:  # until the server reads no more either
+            with contextlib.suppress(BlockingIOError):
+                deaf.stream.send(frame * 1000)
+        assert len(tell(serving.port, range(5))) == 5
+        ticks = book.ticks
+        wait_until(lambda: book.ticks > ticks)
+        serving.stop()
+        deaf.vanish()
+
+
+def test_what_a_client_does_not_read_is_bounded(mode: ServerMode) -> None:
+    """By polling, where nothing is read before it is asked for."""
+    book = Book()
+    with Serving(mode, book) as serving:
+        client = PollingClient(serving.port)
+        for _ in range(connection.MOST_UNREAD + 1):
+            client.request('42["telemetry",1]')
+        wait_until(lambda: "disconnected" in book.calls)
+        assert book.calls.count("telemetry") <= connection.MOST_UNREAD + 1
+        assert connection.NOT_READ in serving.said
+
+
+def test_heartbeats_that_nobody_reads_are_not_kept(mode: ServerMode) -> None:
+    """A client asks for answer after answer, and reads none."""
+    with Serving(mode, Book()) as serving:
+        deaf = RawClient(serving.port)
+        ping = websocket.ABNF.create_frame(b"2" + b"x" * 100, websocket.ABNF.OPCODE_TEXT).format()
+        enough = 200_000  # 40 MB in answers: more than any system keeps for a connection
+        with contextlib.suppress(ConnectionError):
+            for _ in range(enough // 100):
+                deaf.stream.sendall(ping * 100)
+        wait_until(lambda: connection.NOT_READ in serving.said)
+        deaf.vanish()
+        assert len(tell(serving.port, range(3))) == 3
+
+
+def test_a_message_that_was_sent_in_part_is_the_last_one() -> None:
+    near, far = socket.socketpair()
+    with near, far:
+        near.settimeout(0.05)
+        wire = shaken(near, far)
+        far.sendall(b"\x81\x82\0\0\0\0hi")
+        with pytest.raises(OSError, match="timed out"):
+            wire.send("x" * 10_000_000)
+        assert wire.wait() is None
+
+
+def shaken(near: socket.socket, far: socket.socket) -> Wire:
+    headers = {
+        "Host": "x",
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",  # RFC 6455
+        "Sec-WebSocket-Version": "13",
+    }
+    wire = Wire(
+        near,
+        [(name.encode(), value.encode()) for name, value in headers.items()],
+        most_bytes=1000,
+        lock=threading.Lock(),
+        give_way=lambda: None,
+    )
+    assert b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo=" in far.recv(1000)
+    return wire
+
+
+# Those who send without end
+
+
+@pytest.mark.parametrize("content", [b"", b"x"])
+def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: bytes, mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        client = RawClient(serving.port)
+        size = bytes([0x80 | len(content)])
+        client.stream.sendall(b"\x01" + size + bytes(4) + content)
+        most = 2 * MAX_MESSAGE_BYTES // FRAME_BYTES
+        with contextlib.suppress(ConnectionError):
+            for _ in range(most // 1000):
+                client.stream.sendall((b"\x00" + size + bytes(4) + content) * 1000)
+        client.until_hung_up()
+        wait_until(lambda: connection.HUNG_UP[TOO_LARGE] in serving.said)
+
+
+@pytest.mark.parametrize("header", ["Content-Length: -1", "Content-Length: x", "Transfer-Encoding: chunked"])
+def test_a_body_whose_size_is_not_told_is_not_read(header: str, mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        client = PollingClient(serving.port)
+        with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
+            stream.sendall(f"POST {client.path} HTTP/1.1\r\nHost: x\r\n{header}\r\n\r\n".encode())
+            assert sent_until_hung_up(stream, b"x" * 65536, most=1000) < 1000
+        assert len(tell(serving.port, range(3))) == 3
+
+
+def test_what_a_client_sends_is_not_sent_back_at_length(mode: ServerMode) -> None:
+    book = Book()
+    with Serving(mode, book) as serving:
+        client = RawClient(serving.port, "40", "2" + "x" * 100_000)
+        while not (message := str(client.websocket.recv())).startswith("3"):
+            pass
+        assert len(message) <= 101
+        client.websocket.send("40/" + "x" * 100_000 + ",")
+        client.until_hung_up()
+        assert broken_packets.BROKEN in serving.said
+
+
+def test_a_client_has_one_place_however_often_it_connects(mode: ServerMode) -> None:
+    book = Book()
+    with Serving(mode, book) as serving:
+        client = RawClient(serving.port, *["40"] * 50)
+        client.tell(1)
+        assert client.command() == steered(UNUSED)
+        client.close()
+        wait_until(lambda: "disconnected" in book.calls)
+        assert book.calls == ["connected", "telemetry", "answered", "disconnected"]
+
+
+# Malformed telemetries, by everything that drives
+
+
+@contextlib.contextmanager
+def driving(mode: ServerMode, log: Path, pilot_run: Path) -> Iterator[DriveServer]:
+    """bc-drive's own server, in a thread."""
+    stop = threading.Event()
+    with DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0, mode=mode) as server:
+        thread = threading.Thread(target=server.run, args=(stop.is_set,))
+        thread.start()
+        try:
+            yield server
+        finally:
+            stop.set()
+            thread.join(PATIENCE_S)
+
+
+def test_malformed_telemetries_are_answered_and_the_good_ones_in_between_driven(
+    mode: ServerMode, tmp_path: Path
+) -> None:
+    run = untrained_run(tmp_path / "run")
+    log = tmp_path / "run.mcap"
+    chance = random.Random(11)
+    good: list[tuple[str, str]] = []
+    told = {"manual": 0, "steer": 0}
+    with driving(mode, log, run) as server:
+        client = RawClient(server.port)
+        for number in range(500):
+            data = malformed(chance)
+            client.websocket.send('42["telemetry",' + data + "]")
+            name, command = client.command()
+            told[name] += 1
+            assert (name == "manual") == (data == "null"), data[:80]
+            assert name == "manual" or -1 <= float(command["steering_angle"].replace(",", ".")) <= 1
+            if number % 9 == 0:
+                client.tell(fields(number % 7))
+                name, command = client.command()
+                told[name] += 1
+                good.append((str(number % 7), command["steering_angle"]))
+        client.close()
+    summary = server.session.summary
+    assert summary.telemetries == sum(told.values())
+    assert summary.frames >= len(good)
+    assert summary.frames + summary.malformed == told["steer"]
+    assert summary.malformed > 250
+    assert len(set(good)) == 7  # each picture its steering, whatever came before it
+    assert len({angle for _, angle in good}) == 7
+    assert len(read_messages(log)["/pilot/command"]) == summary.frames
