@@ -58,6 +58,10 @@ class StatusLine:
         if not self._is_shown:
             self._status.console.print(text, markup=False)
 
+    def note(self, text: str) -> None:
+        """Print a line that stays, above the status line."""
+        self._status.console.print(text, markup=False)
+
     def __enter__(self) -> Self:
         if self._is_shown:
             self._status.start()

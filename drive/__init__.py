@@ -6,21 +6,22 @@ from common.lazy import lazy_names
 
 if TYPE_CHECKING:
     from drive.closed_loop import Course, Result, evaluate
+    from drive.config import DriveConfig
     from drive.driver import Decision, Driver
     from drive.errors import DriveError
-    from drive.server import DriveServer, open_log
+    from drive.server import DriveServer
     from drive.speed import SpeedController
 
 __all__ = [
     "Course",
     "Decision",
+    "DriveConfig",
     "DriveError",
     "DriveServer",
     "Driver",
     "Result",
     "SpeedController",
     "evaluate",
-    "open_log",
 ]
 
 __getattr__ = lazy_names(
@@ -28,12 +29,12 @@ __getattr__ = lazy_names(
     {
         "Course": "drive.closed_loop",
         "Decision": "drive.driver",
+        "DriveConfig": "drive.config",
         "DriveError": "drive.errors",
         "DriveServer": "drive.server",
         "Driver": "drive.driver",
         "Result": "drive.closed_loop",
         "SpeedController": "drive.speed",
         "evaluate": "drive.closed_loop",
-        "open_log": "drive.server",
     },
 )

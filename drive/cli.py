@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.table import Table
 
-from common.command import DONE, run_command, stderr
+from common import UserError
+from common.command import DONE, run_command, stderr, stdout, warn
 from common.files import refuse_existing
 from common.interrupts import stop_signals
-from drive.speed import check_set_speed
+from common.preview import preview
+from common.progress import StatusLine
+from drive.config import DriveConfig
+
+if TYPE_CHECKING:
+    from drive.server import DriveServer
 
 
 @dataclass(frozen=True)
 class Drive:
     """Drive the simulator with a trained network, and log the drive.
 
-    Start the simulator in autonomous mode before or after; Ctrl-C ends the drive and finishes the log.
+    Start the simulator in autonomous mode before or after; Ctrl-C brakes the car and finishes the log.
+
+    bc-drive first --log run.mcap --viewer window
+    bc-drive first --simulator mountain
     """
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
@@ -30,8 +41,31 @@ class Drive:
     """Start the built-in simulator on a track (lake, mountain, random:SEED), and end when it has driven."""
     laps: float = 1.0
     """How far the built-in simulator drives."""
+    real_time: bool = False
+    """The built-in simulator goes no faster than the clock; otherwise it hurries from answer to answer."""
+    takeover: bool = False
+    """The built-in simulator's expert takes over where the network leaves the lane; `bc-index --sessions drives
+    --drives takeovers` makes samples of that."""
+    aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
+    """So often, train on what the expert did where it took over, and drive again (dataset aggregation)."""
+    epochs: int = 5
+    """Epochs of each training of --aggregate."""
+    sessions: Path = Path("sessions")
+    """Where the logs are that the run was trained on, for --aggregate."""
     speed: float = 10.0
     """Set speed in mph."""
+    slow_in_curves: bool = False
+    """Drive slower where the steering is far from straight."""
+    smooth: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.0
+    """Smooth the steering with this time constant; 0 sends what the network gives."""
+    steering_rate: float = 0.0
+    """The most that the steering (-1..1) may change in a second; 0: as fast as the network wants."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """The network's arithmetic; auto takes what is fastest on this processor."""
+    viewer: Annotated[str, tyro.conf.arg(metavar="window|web|ADDRESS|FILE.rrd|off")] = "off"
+    """Show the drive while it goes on: in a window, in a browser, in a viewer that runs already, or in a file."""
+    server: Literal["eventlet", "threading"] = "eventlet"
+    """What serves the simulator."""
     host: str = "127.0.0.1"
     """Address to listen on; other machines are let in by 0.0.0.0."""
     port: int = 4567
@@ -39,43 +73,135 @@ class Drive:
     runs: Path = Path("runs")
     """Where runs are kept."""
     force: bool = False
-    """Replace a log of the same name."""
+    """Replace a log of the same name, and the file of --viewer."""
 
 
 def drive(config: Drive) -> int:
-    check_set_speed(config.speed)
+    _refuse_contradictions(config)
+    settings = DriveConfig(
+        set_speed_mph=config.speed,
+        slow_in_curves=config.slow_in_curves,
+        smooth_s=config.smooth,
+        max_steering_per_s=config.steering_rate,
+        takeover=config.takeover,
+    )
+    if config.aggregate is not None:
+        return _aggregate(config, settings)
+    if config.log is not None and config.log.suffix != ".mcap":
+        raise UserError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
 
     from drive.closed_loop import Course, drive_built_in
-    from drive.server import DriveServer, open_log
+    from drive.errors import DriveError
+    from drive.process import prepare_process
+    from drive.server import DriveServer
     from model import find_run, load_pilot
 
-    course = Course(config.simulator, config.laps, config.speed) if config.simulator is not None else None
-    console = stderr()
-    pilot = load_pilot(find_run(config.run, config.runs))
+    course = None
+    if config.simulator is not None:
+        course = Course(config.simulator, config.laps, config.real_time)
+    pilot = load_pilot(find_run(config.run, config.runs), config.precision)
     pilot.get_ready()
-    with stop_signals() as stopped, open_log(path, pilot, config.speed, overwrite=config.force) as log:
+    prepare_process()
+    with StatusLine() as status, stop_signals() as stopped:
         server = DriveServer(
             pilot,
-            log,
+            settings,
+            path,
+            overwrite=config.force,
             host=config.host,
-            port=config.port,
-            set_speed_mph=config.speed,
-            say=lambda text: console.print(f"bc-drive: {text}"),
+            port=config.port if course is None else 0,  # nobody else's simulator
+            mode=config.server,
+            is_built_in=course is not None,
+            say=lambda text: status.note(f"bc-drive: {text}"),
+            show=status.show,
         )
-        if course is None:
-            console.print(f"bc-drive: {pilot.run} is waiting for a simulator on {config.host}:{server.port}")
-            server.run(until=stopped.is_set)
-        else:
-            book = drive_built_in(server, course, stopped)
-            if book:
-                print(
-                    f"{course.track}: {book['laps']:.2f} laps, {book['interventions']} interventions,"
-                    f" autonomy {book['autonomy_percent']:.1f} %"
-                )
-    extra = f", {server.malformed:,} malformed telemetries" if server.malformed else ""
-    print(f"{path}: {server.frames:,} frames{extra}; look at it with `bc-play {path}`")
+
+        with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
+            if config.viewer != "off":
+                # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
+                after.enter_context(preview(server.session.writer.part, config.viewer, overwrite=config.force))
+            if course is None:
+                waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
+                status.note(f"bc-drive: {waiting}")
+                server.run(until=stopped.is_set)
+            else:
+                drive_built_in(server, course, stopped, shows_progress=False)
+            if server.session.is_empty:
+                raise DriveError(f"{path}: nothing was driven: {server.why_nothing}")
+    return _told(server)
+
+
+def _refuse_contradictions(config: Drive) -> None:
+    """Raise UserError for flags that would be passed over."""
+
+    def given(*names: str) -> str:
+        changed = [name for name in names if getattr(config, name) != getattr(Drive, name)]
+        return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+
+    if config.simulator is None and (flags := given("laps", "real_time", "aggregate")):
+        raise UserError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
+    if config.simulator is not None and (flags := given("host", "port")):
+        raise UserError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
+    if config.aggregate is None and (flags := given("epochs", "sessions")):
+        raise UserError(f"{flags}: only with --aggregate N")
+    if config.aggregate is not None and (flags := given("log", "viewer", "precision", "port", "force")):
+        raise UserError(
+            f"{flags}: not with --aggregate, which names its logs itself and shows a table; leave it out"
+        )
+
+
+def _told(server: DriveServer) -> int:
+    """Print how it went; the exit code."""
+    code = DONE
+    for session in server.sessions:
+        log = session.writer.path
+        print(f"{log}: {session.log.frames:,} frames; look at it with `bc-play {log}`")
+        for line in session.summary.lines():
+            print(f"  {line}")
+        if session.log.dropped_pictures or session.log.dropped_rows:
+            code = warn(
+                f"{log}: the disk was too slow: {session.log.dropped_pictures:,} pictures and"
+                f" {session.log.dropped_rows:,} rows were not written; log to a faster one with --log"
+            )
+    return code
+
+
+def _aggregate(config: Drive, settings: DriveConfig) -> int:
+    """Drive and train by turns."""
+    from drive.aggregate import Aggregation, Places, Round
+    from drive.closed_loop import Course
+    from model import TrainConfig, find_run
+
+    rounds: list[Round] = []
+    console = stderr()
+
+    def say(text: str) -> None:
+        console.print(f"bc-drive: {text}", markup=False)
+
+    assert config.simulator is not None  # noqa: S101
+    assert config.aggregate is not None  # noqa: S101
+    course = Course(config.simulator, config.laps, config.real_time)
+    places = Places(config.sessions, Path("drives"), config.runs)
+    try:
+        training = TrainConfig(epochs=config.epochs)
+    except ValueError as error:
+        raise UserError(f"--epochs {config.epochs}: {error}") from None
+    run = find_run(config.run, config.runs)
+    aggregation = Aggregation(run, course, settings, config.aggregate, places, training)
+    try:
+        for done in aggregation.rounds(config.server, say):
+            rounds.append(done)
+    finally:  # what was driven is shown, whatever stops the rest
+        if rounds:
+            table = Table(box=None, pad_edge=False)
+            for heading in ("run", "laps", "interventions", "autonomy", "log"):
+                table.add_column(heading, justify="left" if heading in ("run", "log") else "right")
+            for each in rounds:
+                autonomy = f"{each.autonomy_percent:.1f} %"
+                table.add_row(each.run, f"{each.laps:.2f}", str(each.interventions), autonomy, str(each.log))
+            stdout().print(table)
     return DONE
 
 

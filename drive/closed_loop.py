@@ -11,28 +11,35 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from common.files import refuse_existing
 from common.interrupts import stop_signals
+from drive.config import DriveConfig
 from drive.errors import DriveError
-from drive.server import DriveServer, open_log
-from drive.speed import check_set_speed
+from drive.server import DriveServer
 from model import Pilot
 from simulator.track import load_track
+
+SIMULATOR_METADATA: Final = "bc.simulator"
+"""The metadata record of a log that holds the simulator's own book of the drive."""
+
+
+END_S: Final = 10.0
+"""How long a simulator that is told to end may take."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """What to drive: a track (lake, mountain, random:SEED), how far, and how fast."""
+    """What to drive: a track (lake, mountain, random:SEED), and how far."""
 
     track: str
     laps: float = 1.0
-    set_speed_mph: float = 10.0
+    real_time: bool = False
+    """No faster than the clock; otherwise simulated time waits for each answer, and hurries."""
 
     def __post_init__(self) -> None:
         """Raises DriveError for a course that nobody can drive."""
-        check_set_speed(self.set_speed_mph)
         if not 0 < self.laps < math.inf:
             raise DriveError(f"--laps {self.laps:g}: how far to drive is a number above 0")
         try:
@@ -46,16 +53,17 @@ class Result:
     """How a drive went: the simulator's own book (see `simulator.autonomous.Driven`), and its log."""
 
     course: Course
+    config: DriveConfig
     log: Path
     book: dict[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        return {"set_speed_mph": self.course.set_speed_mph, "log": str(self.log), **self.book}
+        return {"set_speed_mph": self.config.set_speed_mph, "log": str(self.log), **self.book}
 
 
 def evaluate(
     pilot: Pilot,
-    courses: Sequence[Course],
+    drives: Sequence[tuple[Course, DriveConfig]],
     logs: Path,
     *,
     overwrite: bool = False,
@@ -65,53 +73,73 @@ def evaluate(
 
     Raises DriveError where the simulator fails, UserError where a log exists and may not be overwritten.
     """
-    paths = [_log_path(pilot, course, logs) for course in courses]
+    paths = [_log_path(pilot, course, config, logs) for course, config in drives]
     for path in paths:  # before the first drive, not after it
         refuse_existing(path, overwrite)
     if len(set(paths)) < len(paths):
         raise DriveError("the same track at the same speed is named twice")
-    for course, path in zip(courses, paths, strict=True):
-        said(f"{pilot.run} on {course.track} at {course.set_speed_mph:g} mph, {course.laps:g} laps")
+    for (course, config), path in zip(drives, paths, strict=True):
+        said(f"{pilot.run} on {course.track} at {config.set_speed_mph:g} mph, {course.laps:g} laps")
         with (
             stop_signals() as stopped,
-            open_log(path, pilot, course.set_speed_mph, overwrite=overwrite) as log,
+            DriveServer(pilot, config, path, overwrite=overwrite, port=0, is_built_in=True) as server,
         ):
-            server = DriveServer(pilot, log, port=0, set_speed_mph=course.set_speed_mph)
             book = drive_built_in(server, course, stopped)
             if not book:
                 raise KeyboardInterrupt
-            log.add_metadata("bc.drive", {name: str(value) for name, value in book.items()})
-        yield Result(course, path, book)
+        yield Result(course, config, path, book)
 
 
-def _log_path(pilot: Pilot, course: Course, logs: Path) -> Path:
-    return logs / f"{pilot.run}-{course.track.replace(':', '-')}-{course.set_speed_mph:g}mph.mcap"
+def _log_path(pilot: Pilot, course: Course, config: DriveConfig, logs: Path) -> Path:
+    return logs / f"{pilot.run}-{course.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
 
 
-def drive_built_in(server: DriveServer, course: Course, stopped: threading.Event) -> dict[str, Any]:
-    """Serve until the built-in simulator has driven its course or `stopped` is set; the simulator's book, empty
-    if it was stopped. Raises DriveError if the simulator fails."""
-    with _simulator(course, server.port) as process:
+def drive_built_in(
+    server: DriveServer, course: Course, stopped: threading.Event, *, shows_progress: bool = True
+) -> dict[str, Any]:
+    """Serve until the built-in simulator has driven its course or `stopped` is set; the simulator's book, which is
+    kept in the log too, empty if it was stopped. Raises DriveError if the simulator fails.
+
+    Without `shows_progress`, the simulator draws no bar on the terminal.
+    """
+    with _simulator(server, course, shows_progress=shows_progress) as process:
         server.run(until=lambda: stopped.is_set() or process.poll() is not None)
         if process.poll() is None:
             return {}
-        output, _ = process.communicate()
+        output, said = process.communicate()
         if process.returncode != 0:
-            raise DriveError(f"the simulator on {course.track} ended with exit code {process.returncode}")
+            why = (said or b"").decode(errors="replace").strip().rpartition("\n")[2]
+            code = f"the simulator on {course.track} ended with exit code {process.returncode}"
+            raise DriveError(f"{code}: {why}" if why else code)
         book: dict[str, Any] = json.loads(output)
+        if book["gave_up"] and not shows_progress:  # else the simulator has said so itself
+            server.say("the car did not get on for a minute: given up")
+        server.session.note(SIMULATOR_METADATA, {name: str(value) for name, value in book.items()})
         return book
 
 
 @contextmanager
-def _simulator(course: Course, port: int) -> Iterator[subprocess.Popen[bytes]]:
+def _simulator(server: DriveServer, course: Course, *, shows_progress: bool) -> Iterator[subprocess.Popen[bytes]]:
+    config = server.config
     command = [
-        *(sys.executable, "-m", "simulator.cli", "--json", "--port", str(port)),
-        *("--track", course.track, "--laps", str(course.laps)),
+        *(sys.executable, "-P", "-m", "simulator.cli", "--json", "--tell-world", "--port", str(server.port)),
+        *("--track", course.track, "--laps", str(course.laps), "--expert-speed", str(config.set_speed_mph)),
+        *(["--leave-off-road"] if config.takeover else []),  # the expert brings the car back himself
+        *(["--real-time"] if course.real_time else []),
     ]
     # In a session of its own: Ctrl-C reaches only us, and the drive ends between two telemetries.
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=None if shows_progress else subprocess.PIPE,
+        start_new_session=True,
+    )
     try:
         yield process
     finally:
         process.terminate()
-        process.wait()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

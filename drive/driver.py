@@ -1,120 +1,173 @@
-"""What happens to each telemetry: decode, crop, predict, command; and what is written down of it."""
+"""What happens to each telemetry: decode, crop, predict, command."""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
-import cv2
-
-from dataset import decode
 from dataset.preprocess import Image
+from drive.braking import EmergencyBrake
+from drive.clock import DriveClock
+from drive.config import DriveConfig
+from drive.course_events import CourseEvents
+from drive.picture import camera_picture
 from drive.speed import SpeedController
+from drive.steering import SteeringFilter
+from drive.takeover import Takeover
 from model import Pilot
-from recorder import LogWriter
-from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.telemetry import Telemetry, TelemetryError, parse_telemetry
+
+USUAL_SIZE: Final = (160, 320)  # height, width
+NONSENSE_S: Final = 1.0
+"""So long the car rolls on, steered as before, while nothing usable comes; then it is braked."""
+
+NO_NUMBER: Final = "the network gave no number"
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The answer to one telemetry, and what led to it (None where the telemetry could not be used)."""
+    """The answer to one telemetry, and what led to it.
+
+    `telemetry` and `crop` are None where the telemetry could not be used; `problem` says why. Where the network
+    gave no number there is a `problem` too, but nothing was wrong with the telemetry: both are there.
+    """
 
     steering: float  # -1..1, as sent
     throttle: float  # -1..1, as sent
     decimal_comma: bool
+    driver: Literal["pilot", "expert"] = "pilot"
     telemetry: Telemetry | None = None
     crop: Image | None = None
-    predicted_steering: float = 0.0
-    decode_ms: float = 0.0
+    predicted_steering: float = 0.0  # the network's, whoever drives; not clamped, NaN if it gave no number
+    parse_ms: float = 0.0  # from the telemetry's last byte until its numbers are read
+    decode_ms: float = 0.0  # JPEG and crop
     network_ms: float = 0.0
+    set_speed_mph: float = 0.0  # lower than asked for in a curve, if that was asked for
     problem: str = ""
+    events: tuple[str, ...] = ()  # what has begun or ended with this telemetry
 
 
 class Driver:
     """Drives one connected simulator."""
 
-    def __init__(self, pilot: Pilot, set_speed_mph: float) -> None:
+    def __init__(self, pilot: Pilot, config: DriveConfig) -> None:
         self._pilot = pilot
-        self._speed = SpeedController(set_speed_mph)
+        self._clock = DriveClock()
+        self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
+        self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves)
+        self._brake = EmergencyBrake()
+        self._takeover = Takeover() if config.takeover else None
+        self._course = CourseEvents()
         self._steering = 0.0
+        self._speed_mph = 0.0
         self._decimal_comma = False
+        self._nonsense_since_s: float | None = None
+        self._gave_number = True
+        self._said_size = False
 
-    def decide(self, data: object) -> Decision:
-        """The command for what the simulator told. Never raises: nonsense keeps the steering and lets go of the
-        throttle, because an unanswered telemetry would stop the simulator's loop for good."""
-        start_s = time.perf_counter()
+    def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
+        """The command for what the simulator told.
+
+        `received_s` is when the last byte of it had come, by `time.perf_counter()`; `now_s` the time of a
+        monotonic clock, for smoothing and braking where the simulator does not tell its own.
+
+        Never raises, because an unanswered telemetry would stop the simulator's loop for good. Where one cannot be
+        used, the steering is kept and the throttle let go; after `NONSENSE_S` of nothing else the car is braked.
+        """
+        now_s = time.monotonic() if now_s is None else now_s
         try:
-            telemetry = parse_telemetry(data)
-            picture = decode(telemetry.jpeg)
-        except ValueError as error:  # TelemetryError is one
-            what = str(error) if isinstance(error, TelemetryError) else f"image: {error}"
-            return Decision(self._steering, 0.0, self._decimal_comma, problem=what)
+            told = parse_telemetry(data)
+        except TelemetryError as error:
+            parsed_s = time.perf_counter()
+            decision = self._without(str(error), self._clock.at(now_s, None))
+        else:
+            parsed_s = time.perf_counter()
+            decision = self._answer(told, parsed_s, self._clock.at(now_s, told.world))
+            if told.world is not None:
+                decision = replace(decision, events=(*self._course.after(told.world), *decision.events))
+        self._steering = decision.steering
+        return replace(decision, parse_ms=(parsed_s - received_s) * 1e3)
+
+    def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
+        """The answer to a telemetry; whether its picture can be used is found out here."""
+        self._decimal_comma, self._speed_mph = told.decimal_comma, told.speed_mph
+        try:
+            picture = camera_picture(told.jpeg)
+        except ValueError as error:
+            return self._without(f"image: {error}", time_s)
         crop = self._pilot.crop(picture)
         decoded_s = time.perf_counter()
         predicted = self._pilot.predict(crop)
         predicted_s = time.perf_counter()
-        if not math.isfinite(predicted):
-            return Decision(self._steering, 0.0, telemetry.decimal_comma, problem="the network gave no number")
-        self._steering = min(max(predicted, -1.0), 1.0)
-        self._decimal_comma = telemetry.decimal_comma
+
+        decision = (
+            self._drive(told, predicted, time_s) if math.isfinite(predicted) else self._without_number(time_s)
+        )
+        events = decision.events
+        if picture.shape[:2] != USUAL_SIZE and not self._said_size:
+            self._said_size = True
+            height, width = picture.shape[:2]
+            events = (*events, f"pictures of {width}x{height} pixels, not 320x160: driven on all the same")
+        return replace(
+            decision,
+            telemetry=told,
+            crop=crop,
+            predicted_steering=predicted,
+            decode_ms=(decoded_s - parsed_s) * 1e3,
+            network_ms=(predicted_s - decoded_s) * 1e3,
+            events=events,
+        )
+
+    def _drive(self, told: Telemetry, predicted: float, time_s: float) -> Decision:
+        events = []
+        if self._brake.is_on:
+            events.append("the brakes are released")
+        self._brake.release()
+        self._nonsense_since_s, self._gave_number = None, True
+        wanted = min(max(predicted, -1.0), 1.0)
+        if self._takeover is not None:
+            events += self._takeover.after(time_s, told.world, wanted)
+        if self._takeover is not None and self._takeover.expert_drives and told.world is not None:
+            steering, throttle = told.world.expert_steering, told.world.expert_throttle
+            self._filter.note(time_s, steering)
+        else:
+            steering = self._filter.at(time_s, wanted)
+            throttle = self._speed.throttle(told.speed_mph, steering)
+        return self._decision(steering, throttle, events=events)
+
+    def _without(self, problem: str, time_s: float) -> Decision:
+        """There is nothing to drive on."""
+        if self._nonsense_since_s is None:
+            self._nonsense_since_s = time_s
+        if not self._brake.is_on and time_s - self._nonsense_since_s < NONSENSE_S:
+            self._filter.note(time_s, self._steering)
+            return self._decision(self._steering, 0.0, problem)
+        return self._braked(problem, time_s, f"nothing usable for {NONSENSE_S:g} s: the car is braked")
+
+    def _without_number(self, time_s: float) -> Decision:
+        """The network may never give one again: there is no reason to wait."""
+        was_news, self._gave_number = self._gave_number, False
+        decision = self._braked(NO_NUMBER, time_s, "the car is braked")
+        return replace(decision, events=(NO_NUMBER, *decision.events)) if was_news else decision
+
+    def _braked(self, problem: str, time_s: float, event: str) -> Decision:
+        events = [] if self._brake.is_on else [event]
+        self._filter.note(time_s, self._steering)
+        throttle = self._brake.throttle(time_s, self._speed_mph)
+        return self._decision(self._steering, throttle, problem, events)
+
+    def _decision(
+        self, steering: float, throttle: float, problem: str = "", events: list[str] | None = None
+    ) -> Decision:
+        is_expert = self._takeover is not None and self._takeover.expert_drives
         return Decision(
-            self._steering,
-            self._speed.throttle(telemetry.speed_mph),
-            telemetry.decimal_comma,
-            telemetry,
-            crop,
-            predicted,
-            (decoded_s - start_s) * 1e3,
-            (predicted_s - decoded_s) * 1e3,
+            steering,
+            throttle,
+            self._decimal_comma,
+            driver="expert" if is_expert else "pilot",
+            set_speed_mph=self._speed.set_speed_for(steering),
+            problem=problem,
+            events=tuple(events or ()),
         )
-
-    @property
-    def set_speed_mph(self) -> float:
-        return self._speed.set_speed_mph
-
-
-class DriveLog:
-    """Writes decisions down; frames are numbered from 0, and their times never go back."""
-
-    def __init__(self, writer: LogWriter) -> None:
-        self._writer = writer
-        self._last_ns = 0
-        self.frames = 0
-
-    def decision(self, decision: Decision, set_speed_mph: float, total_ms: float) -> None:
-        """One answered telemetry; one that could not be used becomes an event."""
-        if decision.telemetry is None or decision.crop is None:
-            self.event(f"bad telemetry: {decision.problem}", is_problem=True)
-            return
-        time_ns, sequence, told = self._now_ns(), self.frames, decision.telemetry
-        self._writer.picture("center", time_ns, sequence, told.jpeg)
-        state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
-        self._writer.vehicle(time_ns, sequence, state)
-        ok, png = cv2.imencode(".png", decision.crop, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        if not ok:  # cannot happen with a crop of ours; said rather than lost in silence
-            raise RuntimeError("OpenCV could not write a PNG of the crop")
-        self._writer.crop(time_ns, sequence, png.tobytes())
-        command = PilotCommand(
-            predicted_steering=decision.predicted_steering,
-            steering=decision.steering,
-            throttle=decision.throttle,
-            driver=PilotCommand.PILOT,
-            set_speed_mph=set_speed_mph,
-            decode_ms=decision.decode_ms,
-            network_ms=decision.network_ms,
-            total_ms=total_ms,
-        )
-        self._writer.command(time_ns, sequence, command)
-        self.frames += 1
-
-    def event(self, text: str, *, is_problem: bool = False) -> None:
-        self._writer.event(self._now_ns(), text, "WARNING" if is_problem else "INFO", "drive")
-
-    def flush_if_due(self) -> None:
-        self._writer.flush_if_due()
-
-    def _now_ns(self) -> int:
-        self._last_ns = max(time.time_ns(), self._last_ns + 1)
-        return self._last_ns

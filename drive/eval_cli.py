@@ -51,6 +51,10 @@ class Eval:
     """How far to drive on each."""
     speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
     """Set speeds in mph; every track is driven at each."""
+    precision: Annotated[
+        Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
+    ] = None
+    """The arithmetic of a network that drives; auto takes what is fastest on this processor, as bc-drive does."""
     logs: Annotated[Path | None, _default("PATH", "drives")] = None
     """Folder for the drives' logs."""
     force: bool = False
@@ -62,7 +66,7 @@ class Eval:
 
 
 RECORDED = ("index", "split", "session", "sessions", "worst")
-DRIVEN = ("laps", "speed", "logs", "force")
+DRIVEN = ("laps", "speed", "precision", "logs", "force")
 
 
 def evaluate(config: Eval) -> int:
@@ -142,18 +146,23 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
     """Let the network drive."""
     from drive.closed_loop import Course
     from drive.closed_loop import evaluate as evaluate_run
+    from drive.config import DriveConfig
     from model import find_run, load_pilot
 
-    pilot = load_pilot(find_run(config.run, config.runs))
+    pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
     pilot.get_ready()
     laps = 1.0 if config.laps is None else config.laps
-    courses = [Course(track, laps, speed) for speed in config.speed or (10.0,) for track in tracks]
+    drives = [
+        (Course(track, laps), DriveConfig(set_speed_mph=speed))
+        for speed in config.speed or (10.0,)
+        for track in tracks
+    ]
     console = stderr()
     results = []
     try:
         for result in evaluate_run(
             pilot,
-            courses,
+            drives,
             config.logs or Path("drives"),
             overwrite=config.force,
             said=lambda text: console.print(f"bc-eval: {text}"),
@@ -178,7 +187,7 @@ def _table(results: list[Result]) -> Table:
         book = result.book
         table.add_row(
             result.course.track,
-            f"{result.course.set_speed_mph:g}",
+            f"{result.config.set_speed_mph:g}",
             f"{book['mean_speed_mph']:.1f}",
             f"{book['laps']:.2f}",
             str(book["interventions"]),

@@ -2,98 +2,225 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import time
 from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
 
+from common import UserError
 from dataset.preprocess import DESCRIPTION
-from drive.driver import Decision, DriveLog, Driver
+from drive.config import DriveConfig
+from drive.session import WATCHDOG_S, DriveSession
 from model import Pilot
 from recorder import LogWriter
-from recorder.telemetry_server import Answer, Steer, TelemetryServer
+from recorder.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+
+QUIET_S: Final = 3.0
+"""Whoever has connected and tells nothing for so long is in its menu, or no simulator."""
+MOST_SIMULATORS: Final = 8
+"""At once; each has a log of its own. One more is told to drive by itself."""
+WAITING: Final = "connected, waiting for telemetry"
+MENU: Final = "connected, but no telemetry comes: choose Autonomous Mode in the simulator"
+BRAKING_S: Final = 5.0
+"""From 30 mph the car stands in under 3 s; a simulator that does not go on is not waited for any longer."""
 
 
 class DriveServer:
-    """Drives the real simulator and modern Socket.IO clients, any number of them, on one port."""
+    """Drives the real simulator and modern Socket.IO clients on one port.
+
+    The drive is logged to `log`. A second simulator at the same time is driven too, and logged beside it. As a
+    context manager it finishes the logs.
+    """
 
     def __init__(
         self,
         pilot: Pilot,
-        log: LogWriter,
+        config: DriveConfig,
+        log: Path,
         *,
+        overwrite: bool = False,
         host: str = "127.0.0.1",
         port: int = 4567,
-        set_speed_mph: float = 10.0,
+        mode: ServerMode = "eventlet",
+        is_built_in: bool = False,
         say: Callable[[str], None] = lambda text: None,
+        show: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible."""
+        """Opens the log and starts to listen; port 0 takes a free one.
+
+        `say` is told what happens, `show` ten times a second how the drive goes.
+        `is_built_in`: it is the built-in simulator. Its silence is no fault, for it loses no telemetry; it does
+        not come back.
+        Raises UserError if `log` exists and may not be overwritten, ListenError if the port is taken.
+        """
         self._pilot = pilot
-        self._set_speed_mph = set_speed_mph
-        self._say = say
-        self._log = DriveLog(log)
-        self._drivers: dict[str, Driver] = {}
-        self.malformed = 0
-        self.manual = 0
-        self._server = TelemetryServer(self, host=host, port=port)
+        self.config = config
+        self._log = log
+        self._is_built_in = is_built_in
+        self.say = say
+        self._show = show
+        self._said: set[str] = set()
+        self._connections = 0
+        self._of: dict[str, DriveSession] = {}
+        self._quiet: dict[str, float] = {}  # those that have told nothing yet -> when they connected
+        self._pushed: set[str] = set()  # those of them that were sent a command all the same
+        self._stopping_since_s: float | None = None
+        self.sessions: list[DriveSession] = []
+        with ExitStack() as stack:
+            self._stack = stack
+            self._open_session(log, overwrite)
+            self._server = TelemetryServer(self, host=host, port=port, mode=mode, said=say)
+            self._stack = stack.pop_all()
         self.port = self._server.port
 
     @property
-    def frames(self) -> int:
-        """Telemetries that were driven on and logged."""
-        return self._log.frames
+    def session(self) -> DriveSession:
+        """The first simulator's: the one of the log that was asked for."""
+        return self.sessions[0]
+
+    @property
+    def why_nothing(self) -> str:
+        """What to say of a drive without a single telemetry."""
+        if self._connections:
+            return "a simulator connected, but told no telemetry; choose Autonomous Mode there"
+        return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
 
     def run(self, until: Callable[[], bool]) -> None:
-        """Serve until `until()` is true.
+        """Serve until `until()` is true, or a log cannot be written any more, and every car is braked to a stand.
 
-        Raises UserError if the log cannot be written any more.
+        Raises UserError if a log could not be written.
         """
-        self._server.run(until)
+        self._server.run(lambda: (until() or self._failure is not None) and self._is_at_rest())
+        if self._failure is not None:
+            raise self._failure
 
     def connected(self, sid: str) -> None:
-        self._log.event("connected")
-        self._say("connected, waiting for telemetry")
+        """Whose log it gets is seen when it tells telemetry: others connect too, and tell none."""
+        self._connections += 1
+        self._quiet[sid] = time.monotonic()
+        if not self._of:
+            self._say_once(WAITING)
 
     def disconnected(self, sid: str, reason: str) -> None:
-        self._drivers.pop(sid, None)
-        self._log.event(f"disconnected: {reason}")
-        self._say(f"disconnected after {self.frames:,} frames ({reason}); waiting")
+        self._quiet.pop(sid, None)
+        self._pushed.discard(sid)
+        session = self._of.pop(sid, None)
+        if session is not None:
+            session.disconnected(reason)
+            if not self._is_built_in:
+                frames = f"{session.writer.path} has {session.log.frames:,} frames so far"
+                self.say(f"disconnected ({reason}): {frames}" + ("" if self._of else "; waiting"))
 
-    def telemetry(self, sid: str, data: object) -> Answer:
-        if data is None:  # a human holds a key
-            return Answer(None, self._note_manual)
-        driver = self._drivers.get(sid)
-        if driver is None:
-            driver = self._drivers[sid] = Driver(self._pilot, self._set_speed_mph)
-        decision = driver.decide(data)
-        return Answer(
-            Steer(decision.steering, decision.throttle, decision.decimal_comma),
-            lambda total_ms: self._note(decision, driver.set_speed_mph, total_ms),
-        )
+    def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
+        self._quiet.pop(sid, None)
+        session = self._of.get(sid)
+        if session is None and len(self._of) >= MOST_SIMULATORS:
+            self._say_once(f"more than {MOST_SIMULATORS} simulators at once: the others are not driven")
+            return Answer(None, lambda total_ms: None)
+        try:
+            session = session or self._session_for(sid)
+        except UserError as error:  # whoever is driven already is driven on
+            self._say_once(f"a second simulator is not driven: {error}")
+            return Answer(None, lambda total_ms: None)
+        return session.telemetry(data, received_s)
 
     def tick(self) -> None:
-        self._log.flush_if_due()
+        now_s = time.monotonic()
+        if not self._is_built_in and self._stopping_since_s is None:
+            self._push_the_silent(now_s)
+        if not self.session.is_empty:
+            self._show(self.session.summary.status(now_s))
+        for sid, since_s in list(self._quiet.items()):
+            if now_s - since_s >= QUIET_S:
+                del self._quiet[sid]
+                self._say_once(MENU)
 
-    def _note_manual(self, total_ms: float) -> None:
-        self.manual += 1
-        if self.manual == 1:
-            self._log.event("manual: a human drives")
+    def stopping(self, sid: str) -> Steer | None:
+        session = self._of.get(sid)
+        return None if session is None else session.rest()
 
-    def _note(self, decision: Decision, set_speed_mph: float, total_ms: float) -> None:
-        self.malformed += decision.telemetry is None
-        self._log.decision(decision, set_speed_mph, total_ms)
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    @property
+    def _failure(self) -> UserError | None:
+        return next((session.log.failure for session in self.sessions if session.log.failure is not None), None)
+
+    def _is_at_rest(self) -> bool:
+        now_s = time.monotonic()
+        if self._stopping_since_s is None:
+            self._stopping_since_s = now_s
+            for session in self._of.values():
+                session.stop()
+        is_late = now_s - self._stopping_since_s >= BRAKING_S
+        return is_late or all(session.stands for session in self._of.values())
+
+    def _say_once(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self.say(text)
+
+    def _push_the_silent(self, now_s: float) -> None:
+        for sid, session in list(self._of.items()):  # whoever cannot be sent anything disconnects meanwhile
+            steer = session.push()
+            if steer is not None:
+                self._server.push(sid, steer)
+        for sid, since_s in list(self._quiet.items()):
+            if sid not in self._pushed and now_s - since_s >= WATCHDOG_S:
+                self._pushed.add(sid)
+                self._server.push(sid, Steer(0.0, 0.0, decimal_comma=False))
+
+    def _session_for(self, sid: str) -> DriveSession:
+        """For one that tells for the first time since it connected."""
+        free = [session for session in self.sessions if not session.is_connected]
+        session = free[0] if free else self._open_session(self._free_name(), overwrite=False)
+        self._of[sid] = session
+        self._said -= {WAITING, MENU}
+        session.connected()
+        if self._stopping_since_s is not None:
+            session.stop()
+        if session is not self.session:
+            self.say(
+                f"a second simulator has connected: it is driven too, and logged to {session.writer.path};"
+                " close one of them if that is not meant"
+            )
+        return session
+
+    def _free_name(self) -> Path:
+        """Beside the log: run-2.mcap for run.mcap."""
+        names = (self._log.with_stem(f"{self._log.stem}-{number}") for number in itertools.count(2))
+        taken = {session.writer.path for session in self.sessions}
+        return next(name for name in names if name not in taken and not os.path.lexists(name))
+
+    def _open_session(self, path: Path, overwrite: bool) -> DriveSession:
+        """Flushed twice a second, so that a killed drive loses no more than that."""
+        writer = LogWriter(path, drive_metadata(self._pilot, self.config), overwrite=overwrite, live=True)
+        session = self._stack.enter_context(DriveSession(self._pilot, self.config, writer, self.say))
+        self.sessions.append(session)
+        return session
 
 
-def drive_metadata(pilot: Pilot, set_speed_mph: float) -> dict[str, str]:
+def drive_metadata(pilot: Pilot, config: DriveConfig) -> dict[str, str]:
     """What a drive's log says of itself."""
     return {
         "source": "drive",
         "driver": "pilot",
         "run": pilot.run,
         "weights_sha256": pilot.weights_sha256,
-        "set_speed_mph": f"{set_speed_mph:g}",
+        "arithmetic": pilot.arithmetic,
+        **{
+            name: f"{value:g}" if isinstance(value, float) else str(value)
+            for name, value in asdict(config).items()
+        },
         **{f"preprocessing.{name}": value for name, value in DESCRIPTION.items()},
     }
-
-
-def open_log(path: Path, pilot: Pilot, set_speed_mph: float, *, overwrite: bool) -> LogWriter:
-    """The log of a drive: flushed every second, so that a killed drive loses no more than that."""
-    return LogWriter(path, drive_metadata(pilot, set_speed_mph), overwrite=overwrite, live=True)

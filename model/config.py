@@ -31,8 +31,7 @@ class TrainConfig:
     precision: Precision = "auto"
     """Arithmetic of the forward and backward pass; auto: bfloat16 where the device has it."""
     micro_batch: int = 0
-    """Samples that go through the network at once, for the same result; 0: 32 on a processor (16 in float32), on
-    a GPU all."""
+    """Samples that go through the network at once, for the same result; 0: 64 on a processor, on a GPU all."""
     threads: int = 0
     """Processor threads; 0: as many as there are cores."""
     picture_memory_mb: int = 1024

@@ -61,6 +61,14 @@ def init_of_run(run: Path, runs: Path) -> Path | None:
     return init
 
 
+def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
+    """What the index was made with that `run` was trained on, and the fingerprints of its logs by session.
+
+    Raises RunError if the run does not tell.
+    """
+    return _data_of(load_config(run), str(run / CONFIG))
+
+
 def _fingerprint(index: Path) -> str:
     """Of an index's samples; empty if it cannot be used."""
     try:

@@ -27,10 +27,10 @@ from common.interrupts import uninterrupted
 from common.locks import lock
 from common.versions import version_of
 from recorder import topics
-from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.picture_size import PNG_START
 from recorder.quality import StatesWritten, summary
-from recorder.topics import Camera, camera_topic
+from recorder.topics import Camera, camera_topic, prediction_topic
 
 CHUNK_BYTES: Final = 256 * 1024
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
@@ -127,6 +127,10 @@ class LogWriter:
 
     def command(self, time_ns: int, sequence: int, command: PilotCommand) -> None:
         self._write(topics.PILOT_COMMAND, command, time_ns, sequence)
+
+    def prediction(self, run: str, time_ns: int, sequence: int, prediction: Prediction) -> None:
+        """What the network of a run says of a recorded picture."""
+        self._write(prediction_topic(_utf8(run)), prediction, time_ns, sequence)
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
         self._write(topics.POSE, pose, time_ns, sequence)

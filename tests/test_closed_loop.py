@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 
 from common import UserError
 from drive.closed_loop import Course, evaluate
+from drive.config import DriveConfig
 from driving import Process as Child
 from driving import command, one_line_of, run, untrained_run
 from model import load_pilot
@@ -168,11 +169,11 @@ def pilot_run(folder: Path) -> Path:
 
 def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp_path: Path) -> None:
     """One here, one as a user calls it."""
-    course = Course("lake", 0.005)
+    drives = [(Course("lake", 0.005), DriveConfig())]
     with Child(
         command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.005, "--logs", tmp_path / "b", "--json")
     ) as child:
-        (here,) = evaluate(load_pilot(pilot_run), [course], tmp_path / "a")
+        (here,) = evaluate(load_pilot(pilot_run), drives, tmp_path / "a")
         assert child.join() == 0, child.stderr
     (line,) = child.stdout.splitlines()
     there = json.loads(line)
@@ -193,7 +194,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
         CompressedImage.FromString(data).data for _, _, data in theirs
     ]
     with Log(here.log) as log:
-        assert log.read_metadata("bc.drive")["trajectory_sha256"] == there["trajectory_sha256"]
+        assert log.read_metadata("bc.simulator")["trajectory_sha256"] == there["trajectory_sha256"]
 
 
 def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_run: Path, tmp_path: Path) -> None:
@@ -212,12 +213,12 @@ def test_an_evaluation_of_nothing_is_one_line(pilot_run: Path, tmp_path: Path) -
 
 def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    done = run("bc-drive", pilot_run, "--log", log, "--port", 0, "--simulator", "lake", "--laps", 0.005)
+    done = run("bc-drive", pilot_run, "--log", log, "--simulator", "lake", "--laps", 0.005)
     assert done.returncode == 0, done.stderr
-    driven, logged = done.stdout.splitlines()
-    assert driven.startswith("lake: ")
-    assert "interventions" in driven
+    logged, driven, *rest = done.stdout.splitlines()
     assert logged.startswith(f"{log}: ")
+    assert "laps" in driven
+    assert "autonomy" in rest[0]
     with Log(log) as written:
         assert written.counts["/camera/center"] == written.counts["/pilot/command"] > 10
 

@@ -8,6 +8,7 @@ import signal
 import socket
 import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,14 +25,21 @@ from mcap.reader import NonSeekingReader, make_reader
 
 import driving
 from dataset import decode
+from drive.cli import Drive as DriveCommand
+from drive.cli import drive as drive_command
+from drive.cli import main as drive_main
+from drive.config import DriveConfig
+from drive.server import MOST_SIMULATORS, DriveServer
 from driving import PATIENCE_S, DriveProcess, Process, one_line_of, road_jpeg, run, untrained_run
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover, recovered_name
 from recorder.telemetry import MAX_IMAGE_BYTES
+from rrd import contents, free_ports
 from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
 from simulator.replay import replay
+from udacity import call
 
 REPLAYED, MODERN, TOGETHER, COMMA, MANUAL = 60, 12, 15, 10, 3
 TOPICS = ("/camera/center", "/vehicle", "/pilot/input", "/pilot/command")
@@ -85,6 +93,11 @@ class ModernClient:
             assert self._came.wait_for(lambda: len(self.answers) >= expected, PATIENCE_S), "not answered"
             return self.answers[-1]
 
+    def wait_for(self, answers: int) -> None:
+        """Until so many have come, asked for or not."""
+        with self._came:
+            assert self._came.wait_for(lambda: len(self.answers) >= answers, PATIENCE_S), "not answered"
+
     def close(self) -> None:
         self._client.disconnect()
 
@@ -135,12 +148,17 @@ class Drive:
     second: str = ""
     exit_code: int = -1
     stdout: str = ""
+    stderr: str = ""
     log: Path = Path()
 
     @property
     def frames(self) -> int:
-        """Those that were driven on, of all scenarios."""
-        return REPLAYED + MODERN + 2 * TOGETHER + len(self.between) + MANUAL + COMMA + 1
+        """Those that were driven on, of all scenarios, but for the second simulator's."""
+        return REPLAYED + MODERN + TOGETHER + len(self.between) + MANUAL + COMMA + 1
+
+    @property
+    def second_log(self) -> Path:
+        return self.log.with_name("run-2.mcap")
 
 
 def drive_manually(port: int) -> list[Answer]:
@@ -213,7 +231,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
 
         assert not log.exists()
         done.exit_code = server.end(signal.SIGINT)
-        done.stdout = server.stdout
+        done.stdout, done.stderr = server.stdout, "\n".join(server.stderr)
     done.log = log
     return done
 
@@ -301,6 +319,78 @@ def test_old_and_modern_clients_are_served_at_once(drive: Drive) -> None:
     assert [float(answer["steering_angle"]) for answer in modern] == pytest.approx(alone, abs=1e-6)
 
 
+def test_a_second_simulator_has_a_log_of_its_own_and_that_is_said(drive: Drive) -> None:
+    assert images(drive.second_log, "/camera/center") == drive.told[:TOGETHER]
+    assert [sequence for sequence, _, _ in messages(drive.second_log, "/vehicle")] == list(range(TOGETHER))
+    (said,) = [line for line in drive.stderr.splitlines() if "second simulator" in line]
+    assert str(drive.second_log) in said
+    assert f"{drive.second_log}: {TOGETHER} frames" in drive.stdout
+
+
+def test_so_many_simulators_are_driven_at_once_and_no_more(pilot_run: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    pilot, log = load_pilot(pilot_run), tmp_path / "run.mcap"
+    names = [str(number) for number in range(MOST_SIMULATORS + 2)]
+    with DriveServer(pilot, DriveConfig(), log, port=0, say=said.append) as server:
+        for name in names:
+            server.connected(name)
+        answers = [server.telemetry(name, fields(0), time.perf_counter()) for name in names]
+        for answer in answers:
+            answer.then(1.0)
+    assert [answer.command is None for answer in answers] == [False] * MOST_SIMULATORS + [True] * 2
+    assert len(list(tmp_path.glob("*.mcap"))) == MOST_SIMULATORS
+    assert sum("are not driven" in line for line in said) == 1
+
+
+def test_who_connects_and_tells_nothing_takes_nobody_the_log(pilot_run: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0) as server:
+        server.connected("in its menu")
+        server.connected("a simulator")
+        server.telemetry("a simulator", fields(0), time.perf_counter()).then(1.0)
+    assert list(tmp_path.iterdir()) == [log]
+    assert len(images(log, "/camera/center")) == 1
+
+
+def test_a_simulator_that_comes_while_the_others_are_braked_is_braked_too(pilot_run: Path, tmp_path: Path) -> None:
+    rolling = fields(0, speed="9.0000")
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
+        server.connected("a")
+        server.telemetry("a", rolling, time.perf_counter()).then(1.0)
+        assert not server._is_at_rest()  # as at a Ctrl-C
+        server.connected("b")
+        answer = server.telemetry("b", rolling, time.perf_counter())
+        answer.then(1.0)
+    assert answer.command is not None
+    assert answer.command.throttle == -1.0
+
+
+def test_a_second_log_that_cannot_be_opened_leaves_the_first_drive_alone(pilot_run: Path, tmp_path: Path) -> None:
+    log, said = tmp_path / f"{'x' * 238}.mcap", list[str]()  # as long as a name may be, and the second's is longer
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+        commands = []
+        for name in ("a", "b", "a", "b"):
+            answer = server.telemetry(name, fields(0), time.perf_counter())
+            answer.then(1.0)
+            commands.append(answer.command)
+    assert [command is None for command in commands] == [False, True, False, True]
+    assert sum("is not driven" in line for line in said) == 1
+    assert len(images(log, "/camera/center")) == 2
+
+
+def test_who_goes_when_he_is_sent_something_unasked_ends_nobodys_drive(
+    pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drive.session.WATCHDOG_S", 0.0)  # both are silent for too long
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
+        for name in ("a", "b"):
+            server.connected(name)
+            server.telemetry(name, fields(0), time.perf_counter()).then(1.0)
+        monkeypatch.setattr(server._server, "push", lambda sid, steer: server.disconnected(sid, "gone"))
+        server.tick()
+        assert not any(session.is_connected for session in server.sessions)
+
+
 @pytest.mark.parametrize("name", MALFORMED_NAMES)
 def test_a_malformed_telemetry_is_answered_by_the_last_steering_and_no_throttle(drive: Drive, name: str) -> None:
     event, answer = drive.malformed[name]
@@ -332,7 +422,7 @@ def test_manual_is_answered_by_manual(drive: Drive) -> None:
     assert drive.manual.count("manual") == MANUAL
     assert sum(isinstance(answer, Steer) for answer in drive.manual) == MANUAL
     events = [LogMessage.FromString(data).message for _, _, data in messages(drive.log, "/events")]
-    assert events.count("manual: a human drives") == 1
+    assert events.count("manual: a human drives") == MANUAL  # each stretch
 
 
 def test_a_client_with_decimal_commas_is_understood_and_answered_in_kind(drive: Drive) -> None:
@@ -351,7 +441,7 @@ def test_a_client_with_decimal_commas_is_understood_and_answered_in_kind(drive: 
 
 def test_ctrl_c_finishes_the_log_under_its_name(drive: Drive) -> None:
     assert drive.exit_code == 0
-    assert list(drive.log.parent.iterdir()) == [drive.log]
+    assert set(drive.log.parent.iterdir()) == {drive.log, drive.second_log}
     assert drive.stdout.startswith(f"{drive.log}: {drive.frames:,} frames")
     with Log(drive.log) as log:
         assert log.counts["/camera/center"] == drive.frames
@@ -417,6 +507,23 @@ def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [
+        (("--laps", "2"), "--laps: only with the built-in simulator"),
+        (("--real-time",), "--real-time: only with the built-in simulator"),
+        (("--simulator", "lake", "--host", "::1"), "--host: the built-in simulator"),
+        (("--epochs", "3", "--sessions", "x"), "--epochs, --sessions: only with --aggregate"),
+        (("--simulator", "lake", "--aggregate", "1", "--viewer", "web", "--force"), "--viewer, --force: not with"),
+    ],
+)
+def test_flags_that_would_be_passed_over_are_refused(
+    flags: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(drive_main, *flags) == 1
+    assert told in capsys.readouterr().err
+
+
 def test_no_run_is_one_line(tmp_path: Path) -> None:
     done = run("bc-drive", cwd=tmp_path)
     assert done.returncode == 1
@@ -433,46 +540,148 @@ def test_a_web_page_of_another_site_is_not_let_in(pilot_run: Path, tmp_path: Pat
         websocket.create_connection(url, timeout=PATIENCE_S, suppress_origin=True).close()
 
 
-def test_at_the_end_the_car_is_let_roll_out(pilot_run: Path, tmp_path: Path) -> None:
-    """It would keep its last command; and whoever still tells after that gets no other one."""
+def test_at_the_end_the_car_is_braked_to_a_stand(pilot_run: Path, tmp_path: Path) -> None:
+    """It would keep its last command, and one that brakes would reverse it in the end."""
     with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
         commands: list[Steer] = []
+        speed_mph = 9.0
         client = SimulatorClient(port=process.wait_until_it_listens(), wait_s=0)
 
         def next_telemetry(answer: Answer) -> Told:
+            nonlocal speed_mph
             if isinstance(answer, Steer):
                 commands.append(answer)
+                speed_mph = max(0.0, speed_mph + min(answer.throttle, 0.0))
                 if len(commands) == 10:
                     process.popen.send_signal(signal.SIGINT)
-            return Telemetry(0.0, 0.0, 5.0, road_jpeg(len(commands)))
+            return Telemetry(0.0, 0.0, speed_mph, road_jpeg(len(commands)))
 
         with pytest.raises(WaitTimeoutError):  # it tells on and on, until nobody is there any more
             client.run(next_telemetry)
         assert process.join() == 0
-    sent = [PilotCommand.FromString(data) for _, _, data in messages(tmp_path / "run.mcap", "/pilot/command")]
+    braking = [command.throttle for command in commands[10:]]
+    assert braking.count(-1.0) >= 8
     assert commands[-1] == Steer(0.0, 0.0)
+    sent = [PilotCommand.FromString(data) for _, _, data in messages(tmp_path / "run.mcap", "/pilot/command")]
     assert [command.steering for command in commands[:-1]] == pytest.approx(
         [command.steering for command in sent], abs=1e-6
     )
 
 
-def test_a_full_disk_ends_the_drive_in_one_line_that_names_the_file(pilot_run: Path, tmp_path: Path) -> None:
+def test_a_simulator_that_falls_silent_is_steered_once_without_being_asked(
+    pilot_run: Path, tmp_path: Path
+) -> None:
+    log = tmp_path / "run.mcap"
+    with DriveProcess(pilot_run, log) as process:
+        client = ModernClient(process.wait_until_it_listens())
+        answer = client.tell(fields(1))
+        client.wait_for(2)
+        assert client.answers == [answer, answer]
+        client.tell(fields(2))
+        client.wait_for(4)  # once for each silence
+        client.close()
+        assert process.end() == 0
+    events = [LogMessage.FromString(data) for _, _, data in messages(log, "/events")]
+    pushed = [event for event in events if event.message.startswith("no telemetry for a second")]
+    assert [event.level for event in pushed] == [LogMessage.WARNING] * 2
+
+
+def test_a_client_that_tells_nothing_is_told_what_to_do(pilot_run: Path, tmp_path: Path) -> None:
+    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+        client = ModernClient(process.wait_until_it_listens())
+        process.wait_for("connected, but no telemetry comes: choose Autonomous Mode")
+        client.close()
+        assert process.end() == 1
+    assert "told no telemetry" in process.stderr[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_drive_without_a_simulator_leaves_no_log(pilot_run: Path, tmp_path: Path) -> None:
+    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+        process.wait_until_it_listens()
+        assert process.end() == 1
+    assert "no simulator connected" in process.stderr[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_threads_serve_as_eventlet_does(drive: Drive, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with DriveProcess(drive.run, log, "--server", "threading") as process:
+        port = process.wait_until_it_listens()
+        assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.told) == drive.commands
+        modern = ModernClient(port)
+        assert [modern.tell(fields(i)) for i in range(MODERN)] == drive.modern
+        modern.close()
+        assert process.end() == 0
+    assert images(log, "/camera/center")[:REPLAYED] == drive.told
+
+
+def test_a_drive_is_shown_in_a_file_while_it_goes_on(pilot_run: Path, tmp_path: Path) -> None:
+    rrd = tmp_path / "run.rrd"
+    rrd.write_bytes(b"of an earlier drive")
+    with DriveProcess(pilot_run, tmp_path / "run.mcap", "--viewer", rrd, "--force") as process:
+        replay(SimulatorClient(port=process.wait_until_it_listens()), [road_jpeg(i) for i in range(20)])
+        assert process.end() == 0
+    shown = contents(rrd)
+    assert len(shown["/camera/center"]["message_log_time"]) == 20
+    assert len(shown["/steering/predicted"]["message_log_time"]) == 20
+
+
+def test_what_the_disk_could_not_take_is_counted_and_said(
+    pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("drive.log_thread.MOST_PICTURE_BYTES", 0)
+    (port,) = free_ports(1)
+    told = [road_jpeg(i) for i in range(5)]
+
+    def drive_and_stop() -> None:
+        replay(SimulatorClient(port=port, wait_s=PATIENCE_S), told)
+        signal.raise_signal(signal.SIGINT)
+
+    simulator = threading.Thread(target=drive_and_stop)
+    simulator.start()
+    threads = torch.get_num_threads()
+    try:
+        code = drive_command(DriveCommand(str(pilot_run), log=tmp_path / "run.mcap", port=port))
+    finally:
+        torch.set_num_threads(threads)
+        simulator.join(PATIENCE_S)
+    assert code == 3
+    assert "10 pictures" in capsys.readouterr().err
+    assert len(messages(tmp_path / "run.mcap", "/pilot/command")) == len(told)  # commands come before pictures
+    assert not messages(tmp_path / "run.mcap", "/camera/center")
+
+
+def test_a_full_disk_brakes_the_car_and_ends_in_one_line_that_names_the_file(
+    pilot_run: Path, tmp_path: Path
+) -> None:
+    throttles: list[float] = []
+
+    def braked_at_once(answer: Answer) -> Telemetry:
+        if isinstance(answer, Steer):
+            throttles.append(answer.throttle)
+        return Telemetry(0.0, 0.0, 0.0 if -1.0 in throttles else 9.0, road_jpeg(0))
+
     line = driving.command("bc-drive", pilot_run, "--log", tmp_path / "run.mcap", "--port", 0)
     # the system refuses a file that grows above 400 blocks as it refuses one on a full disk
     with Process(["sh", "-c", 'ulimit -f 400; exec "$0" "$@"', *line]) as process:
         port = int(process.wait_for(r"is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1])
         with pytest.raises(WaitTimeoutError):
-            SimulatorClient(port=port, wait_s=0).run(lambda answer: Telemetry(0.0, 0.0, 5.0, road_jpeg(0)))
+            SimulatorClient(port=port, wait_s=0).run(braked_at_once)
         assert process.join() == 1
+    assert -1.0 in throttles
+    assert throttles[-1] == 0.0  # braked, and not reversed
     (part,) = tmp_path.iterdir()
     assert str(part) in process.stderr[-1]
     assert "File too large" in process.stderr[-1]
     assert "Traceback" not in "".join(process.stderr)
 
 
-def test_a_broken_packet_is_one_line_and_others_are_driven_on(pilot_run: Path, tmp_path: Path) -> None:
+def test_browsers_and_broken_packets_are_one_line_each(pilot_run: Path, tmp_path: Path) -> None:
     with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
         port = process.wait_until_it_listens()
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE_S) as page:
+            assert "simulator" in page.read().decode()
         url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
         with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
             connection = websocket.create_connection(url, socket=stream)
@@ -483,5 +692,7 @@ def test_a_broken_packet_is_one_line_and_others_are_driven_on(pilot_run: Path, t
         assert len(replay(SimulatorClient(port=port), [road_jpeg(i) for i in range(3)])) == 3
         assert process.end() == 0
     lines = [line for line in process.stderr if "broken packet" in line]
-    assert lines == ["bc-drive: disconnected after 1 frames (broken packet); waiting"]
+    log = tmp_path / "run.mcap"
+    assert lines == [f"bc-drive: disconnected (broken packet): {log} has 1 frames so far; waiting"]
+    assert sum("looks at this port with a browser" in line for line in process.stderr) == 1
     assert "Traceback" not in "".join(process.stderr)

@@ -72,7 +72,7 @@ def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def held_out(folder: Path) -> list[Row]:
     """The frames of validation, from the index's parquet and the logs' bytes: where they are, how they were
     driven, what the network says."""
-    pilot = load_pilot(folder / "runs" / "toy")
+    pilot = load_pilot(folder / "runs" / "toy", "float32")
     frames = []
     for session in ("a", "b"):
         for row in pq.read_table(folder / "index" / "frames" / f"{session}.parquet").to_pylist():
@@ -290,7 +290,7 @@ def test_whole_sessions_that_the_run_never_saw_are_measured_frame_by_frame(
     assert told.err == ""
     found = json.loads(told.out)
     assert (found["frames"], found["learnt"], list(found["sessions"])) == (len(STEERING), 0, ["new"])
-    pilot = load_pilot(here / "runs" / "toy")
+    pilot = load_pilot(here / "runs" / "toy", "float32")
     off = [
         25 * (pilot.predict(pilot.crop(decode(road("center", row)))) - steering)
         for row, steering in enumerate(STEERING[::-1])

@@ -63,7 +63,7 @@ def pictures(folder: Path) -> list[Path]:
 
 
 def as_the_pilot_steers(run_folder: Path, jpegs: list[Path]) -> list[float]:
-    pilot = load_pilot(run_folder)
+    pilot = load_pilot(run_folder, "float32")
     return [pilot.predict(pilot.crop(decode(path.read_bytes()))) for path in jpegs]
 
 
@@ -122,7 +122,7 @@ def test_steering_is_not_clamped(trained: Path, tmp_path: Path) -> None:
     crop: Image = np.zeros((1, 128, 128, 3), np.uint8)
     export_onnx(turning, tmp_path / "turning.onnx")
     (steering,) = session(tmp_path / "turning.onnx").run(["steering"], {"pictures": crop})[0]
-    assert steering == pytest.approx(load_pilot(turning).predict(crop[0]), abs=1e-5)
+    assert steering == pytest.approx(load_pilot(turning, "float32").predict(crop[0]), abs=1e-5)
     assert steering > 1
 
 

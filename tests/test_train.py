@@ -88,7 +88,7 @@ def test_metrics_are_one_line_an_epoch(trained: tuple[Path, list[Epoch]]) -> Non
 def test_validation_is_of_the_pictures_that_were_held_out(trained: tuple[Path, list[Epoch]], index: Path) -> None:
     """Recomputed from the files: weights, JPEGs and labels."""
     run, history = trained
-    pilot = load_pilot(run)
+    pilot = load_pilot(run, "float32")
     samples = Samples(index)
     samples.close()
     held_out = [row for row in samples.table.to_pylist() if row["split"] == "validation"]
@@ -172,7 +172,7 @@ def test_settings_that_make_no_sense_are_refused(bad: dict[str, Any]) -> None:
 
 
 def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoch]], index: Path) -> None:
-    pilot = load_pilot(trained[0])
+    pilot = load_pilot(trained[0], "float32")
     samples = Samples(index)
     try:
         loader = Loader(samples, samples.table, batch=16)

@@ -1,0 +1,132 @@
+"""Learning from one's own mistakes: drive, let the expert take over, train on what it did, drive again.
+
+Dataset aggregation after Ross, Gordon and Bagnell 2011 (arXiv 1011.0686), with the expert driving only where it
+has to, as in Kelly et al. 2019 (HG-DAgger, arXiv 1810.02890).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import torch
+
+from common.interrupts import stop_signals
+from dataset import DatasetError, build_index, find_logs
+from drive.closed_loop import Course, drive_built_in
+from drive.config import DriveConfig
+from drive.errors import DriveError
+from drive.server import DriveServer
+from model import TrainConfig, load_pilot, train
+from model.like import data_of_run
+from model.run import run_name
+from recorder import Log
+from recorder.telemetry_server import ServerMode
+
+MOST_ROUNDS: Final = 100
+
+
+@dataclass(frozen=True)
+class Round:
+    """One drive, with the expert at hand."""
+
+    run: str  # the run that drove
+    log: Path
+    laps: float
+    interventions: int  # the expert took over, or the simulator put the car back
+    autonomy_percent: float
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where an aggregation finds and keeps what it needs."""
+
+    sessions: Path  # the logs that the run was trained on,
+    drives: Path  # but for those of an aggregation before this one
+    runs: Path
+
+
+class Aggregation:
+    """`rounds` times: drive `course`, index the takeovers with what `run` was trained on, train its weights on.
+
+    Everything is named after the run and the track: drives/RUN-TRACK-0.mcap, the index index-RUN-TRACK, and
+    runs/RUN-TRACK-1 and so on. Raises UserError at once if one of these exists, or a log of the run is gone.
+    """
+
+    def __init__(
+        self,
+        run: Path,
+        course: Course,
+        config: DriveConfig,
+        rounds: int,
+        places: Places,
+        training: TrainConfig,
+    ) -> None:
+        if not 1 <= rounds <= MOST_ROUNDS:
+            raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MOST_ROUNDS}")
+        self._course = course
+        self._config = replace(config, takeover=True)
+        self._training = training
+        self._threads = torch.get_num_threads()  # a pilot drives on one
+        self._settings, fingerprints = data_of_run(run)
+        self._sessions = _sessions(run, fingerprints, places)
+        name = f"{run_name(run)}-{course.track.replace(':', '-')}"
+        self._index = places.runs.parent / f"index-{name}"
+        self._logs = [places.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
+        self._runs = [run, *(places.runs / f"{name}-{number}" for number in range(1, rounds + 1))]
+        for path in (*self._logs, self._index, *self._runs[1:]):
+            if os.path.lexists(path):
+                raise DriveError(f"{path} exists already, of an aggregation before this one: move {name}-* away")
+
+    def rounds(self, mode: ServerMode, said: Callable[[str], None]) -> Iterator[Round]:
+        """Each drive as it is done: the first with the run as it is, one more after every training.
+
+        Raises DriveError where the simulator fails, KeyboardInterrupt if a drive was stopped.
+        """
+        for number, (run, log) in enumerate(zip(self._runs, self._logs, strict=True)):
+            if number:
+                said(f"training {run}")
+                self._train(run, self._runs[number - 1], self._logs[:number])
+            said(f"{run_name(run)} drives {self._course.track}, the expert takes over where it has to")
+            done = self._drive(run, log, mode)
+            if not done.interventions and number + 1 < len(self._runs):
+                said("the expert had nothing to do: the next training learns nothing new")
+            yield done
+
+    def _train(self, run: Path, before: Path, drives: list[Path]) -> None:
+        torch.set_num_threads(self._threads)
+        settings = replace(self._settings, drives="takeovers")
+        try:
+            build_index([*self._sessions, *drives], self._index, settings)
+            train(self._index, run, self._training, init=before)
+        except DatasetError as error:
+            raise DriveError(f"{self._index}: {error}") from None
+
+    def _drive(self, run: Path, log: Path, mode: ServerMode) -> Round:
+        pilot = load_pilot(run)
+        pilot.get_ready()
+        with (
+            stop_signals() as stopped,
+            DriveServer(pilot, self._config, log, port=0, mode=mode, is_built_in=True) as server,
+        ):
+            if not drive_built_in(server, self._course, stopped):
+                raise KeyboardInterrupt
+            summary = server.session.summary
+        return Round(run_name(run), log, summary.laps or 0.0, summary.interventions, summary.autonomy_percent)
+
+
+def _sessions(run: Path, fingerprints: dict[str, str], places: Places) -> list[Path]:
+    """The logs that `run` was trained on. Raises DatasetError if one is gone, DriveError if one is another now."""
+    logs = []
+    for name, fingerprint in fingerprints.items():
+        drive = places.drives / f"{name}.mcap"
+        is_drive = drive.is_file() and not (places.sessions / drive.name).exists()
+        (path,) = find_logs([str(drive) if is_drive else name], places.sessions)
+        with Log(path) as log:
+            if log.fingerprint != fingerprint:
+                raise DriveError(f"{path}: changed since {run} was trained on it; give the --sessions that it was")
+        logs.append(path)
+    return logs

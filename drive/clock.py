@@ -1,0 +1,34 @@
+"""The clock of a drive: the simulator's own where it tells one, else this computer's."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from recorder.telemetry import World
+
+LONGEST_STEP_S: Final = 60.0
+"""Simulated time that jumps farther than this from one telemetry to the next is another clock."""
+
+
+class DriveClock:
+    """Seconds since the first telemetry; they never go back.
+
+    Between two telemetries that both tell the simulated time, that is what passes, unless it jumps; between any
+    others, the time of this computer. So a drive in lock-step depends on nobody's speed, and one telemetry with
+    another clock, or with none, does not move the drive's clock by hours.
+    """
+
+    def __init__(self) -> None:
+        self._time_s = 0.0
+        self._now_s: float | None = None
+        self._world_s: float | None = None
+
+    def at(self, now_s: float, world: World | None) -> float:
+        """The time of a telemetry that came at `now_s` of a monotonic clock."""
+        world_s = None if world is None else world.time_s
+        passed_s = 0.0 if self._now_s is None else now_s - self._now_s
+        if world_s is not None and self._world_s is not None and world_s - self._world_s <= LONGEST_STEP_S:
+            passed_s = world_s - self._world_s
+        self._now_s, self._world_s = now_s, world_s
+        self._time_s += max(0.0, passed_s)
+        return self._time_s

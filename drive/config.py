@@ -1,0 +1,30 @@
+"""What a drive can be told: how fast, how smoothly, and who may take over."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drive.errors import DriveError
+from drive.speed import check_set_speed
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """How telemetry is answered. Raises DriveError, naming the flag, for a value that makes no sense."""
+
+    set_speed_mph: float = 10.0
+    slow_in_curves: bool = False  # drive slower where the steering that is sent would throw the car outwards
+    smooth_s: float = 0.0  # time constant of the steering's smoothing; 0: off
+    max_steering_per_s: float = 0.0  # how fast the steering may change; 0: no limit
+    takeover: bool = False  # the built-in simulator's expert drives where the network leaves the lane
+
+    def __post_init__(self) -> None:
+        check_set_speed(self.set_speed_mph)
+        if not 0 <= self.smooth_s < math.inf:
+            raise DriveError(f"--smooth {self.smooth_s:g}: give a time constant in seconds; 0 is off")
+        if not 0 <= self.max_steering_per_s < math.inf:
+            raise DriveError(
+                f"--steering-rate {self.max_steering_per_s:g}: give the steering's change in a second"
+                " (2 is from one lock to the other); 0 is no limit"
+            )

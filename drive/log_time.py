@@ -1,0 +1,54 @@
+"""The log times of a drive: never the same, never back."""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+from drive.clock import LONGEST_STEP_S
+from recorder.quality import GAP_S
+
+BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # rows that far apart belong to two drives
+
+
+class LogClock:
+    """Gives every row and every event its time.
+
+    A row's is that of the simulated clock, from the moment at which its first telemetry came; where no such clock
+    is told, the moment at which its telemetry came. Rows on either side of another clock, or of one that begins
+    anew, are so far apart that nobody takes them for neighbours.
+
+    Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is looked at once, so that setting it while
+    the car drives moves no row.
+    """
+
+    def __init__(self) -> None:
+        self._wall_ns = time.time_ns() - time.perf_counter_ns()
+        self._shift_ns = self._wall_ns  # from the clock in use to log time
+        self._simulated_ns: int | None = None  # of the last row; None: the clock in use is ours
+        self._last_ns = 0
+        self._has_rows = False
+
+    def row(self, received_ns: int, simulated_s: float | None) -> int:
+        """The log time of a row; `simulated_s` is what the simulated clock shows there."""
+        simulated_ns = None if simulated_s is None else round(simulated_s * 1e9)
+        clock_ns = received_ns if simulated_ns is None else simulated_ns
+        if self._is_another(simulated_ns):
+            earliest_ns = self._last_ns + (BREAK_NS if self._has_rows else 1)
+            self._shift_ns = max(self._wall_ns + received_ns, earliest_ns) - clock_ns
+        self._simulated_ns = simulated_ns
+        self._has_rows = True
+        return self._after_last(clock_ns + self._shift_ns)
+
+    def event(self, happened_ns: int) -> int:
+        """The log time of an event: right after the last row, where the clock is a simulated one."""
+        return self._after_last(happened_ns + self._shift_ns if self._simulated_ns is None else 0)
+
+    def _is_another(self, simulated_ns: int | None) -> bool:
+        if simulated_ns is None or self._simulated_ns is None:
+            return simulated_ns is not self._simulated_ns
+        return not 0 <= simulated_ns - self._simulated_ns <= LONGEST_STEP_S * 1e9
+
+    def _after_last(self, time_ns: int) -> int:
+        self._last_ns = max(time_ns, self._last_ns + 1)
+        return self._last_ns

@@ -1,0 +1,38 @@
+"""Steering that is calmer than the network's: smoothed, and bounded in its rate. Both are off by default."""
+
+from __future__ import annotations
+
+import math
+
+
+class SteeringFilter:
+    """Steering -1..1 in, steering out. It starts with the wheels straight.
+
+    `smooth_s` is the time constant of an exponential smoothing (63 % of a jump after it, 95 % after three of it),
+    `max_per_s` the fastest change; 0 switches each off. Time counts, not telemetries: the same steering over time
+    comes out of 10 and of 50 telemetries a second.
+    """
+
+    def __init__(self, smooth_s: float = 0.0, max_per_s: float = 0.0) -> None:
+        self._smooth_s = smooth_s
+        self._max_per_s = max_per_s
+        self._sent = 0.0
+        self._time_s = 0.0
+
+    def at(self, time_s: float, wanted: float) -> float:
+        """What is sent at `time_s` (seconds that never go back)."""
+        passed_s = time_s - self._time_s
+        change = wanted - self._sent
+        if self._smooth_s:
+            change *= -math.expm1(-passed_s / self._smooth_s)
+        if self._max_per_s:
+            most = self._max_per_s * passed_s
+            change = min(max(change, -most), most)
+        # exactly what is wanted where nothing holds it back: adding the difference would round
+        sent = wanted if change == wanted - self._sent else self._sent + change
+        self.note(time_s, sent)
+        return sent
+
+    def note(self, time_s: float, sent: float) -> None:
+        """Somebody else has steered: from there it goes on."""
+        self._sent, self._time_s = sent, time_s

@@ -1,0 +1,230 @@
+"""What is said of a drive at its end, and in the live line: counted along, in the same memory for hours."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from drive.clock import DriveClock
+from drive.latency import Latency
+from recorder.quality import GAP_S
+from recorder.telemetry import World
+from simulator.course import INTERVENTION_COST_S
+from simulator.vehicle import MPS_PER_MPH
+
+if TYPE_CHECKING:
+    from drive.driver import Decision  # loads PyTorch
+
+STAGES: Final = ("parse", "decode", "network", "total")
+RATE_S: Final = 1.0  # the replies a second that are shown are those of this last while
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """How far it was when the status was asked for."""
+
+    now_s: float
+    replies: int
+    total_ms: float  # of all of them
+
+
+class DriveSummary:
+    """Built up from the same decisions as the log. Its clock is the simulator's where that tells one.
+
+    Time counts while telemetry comes: pauses of more than a second (`recorder.quality.GAP_S`) by this computer's
+    clock are no driving.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        """Telemetries that were driven on."""
+        self.malformed = 0
+        self.without_number = 0
+        """Frames for which the network gave no number: the car was braked."""
+        self.manual_stretches = 0
+        """How often a human took the wheel."""
+        self.takeovers = 0
+        """How often the expert did."""
+        self.put_back = 0
+        """How often the simulator put the car back on the road."""
+        self.dropped_pictures = 0
+        """As `DriveLog` counts them, and told by its owner; so are the rows."""
+        self.dropped_rows = 0
+        self.elapsed_s = 0.0
+        self.distance_m = 0.0
+        self.laps: float | None = None
+        """Driven, with the part of the present one; None where the simulator does not tell."""
+        self.latency = {stage: Latency() for stage in STAGES}
+        self._clock = DriveClock()
+        self._time_s = 0.0
+        self._told_s = 0.0  # of `elapsed_s`, with a telemetry that told the speed
+        self._speed_mph = 0.0
+        self._world: World | None = None
+        self._driver = "pilot"  # who drove last: pilot, expert or human
+        self._steering = 0.0
+        self._telemetries = 0
+        self._total_ms = 0.0  # of all telemetries
+        self._last_ms = 0.0
+        self._last_s = 0.0
+        self._moments: deque[_Moment] = deque()
+
+    def decision(self, decision: Decision, total_ms: float, now_s: float | None = None) -> None:
+        """One telemetry that was answered after `total_ms`; `now_s` is by a monotonic clock."""
+        told = decision.telemetry
+        passed_s = self._answered(total_ms, now_s, told.world if told is not None else None)
+        self._steering = decision.steering
+        if told is None:
+            self.malformed += 1
+            return
+        self._told_s += passed_s
+        self.distance_m += abs(self._speed_mph) * MPS_PER_MPH * passed_s
+        self.frames += 1
+        self.without_number += bool(decision.problem)
+        self._speed_mph = told.speed_mph
+        for stage, ms in zip(
+            STAGES, (decision.parse_ms, decision.decode_ms, decision.network_ms, total_ms), strict=True
+        ):
+            self.latency[stage].add(ms)
+        if decision.driver == "expert" and self._driver != "expert":
+            self.takeovers += 1
+        self._driver = decision.driver
+        if told.world is not None:
+            self._course(told.world)
+
+    def manual(self, total_ms: float, now_s: float | None = None) -> None:
+        """One telemetry while a human drives."""
+        self._answered(total_ms, now_s, None)
+        if self._driver != "human":
+            self.manual_stretches += 1
+        self._driver = "human"
+
+    @property
+    def telemetries(self) -> int:
+        """All that were answered: frames, malformed ones, and those of a human's driving."""
+        return self._telemetries
+
+    @property
+    def interventions(self) -> int:
+        return self.manual_stretches + self.takeovers + self.put_back
+
+    @property
+    def autonomy_percent(self) -> float:
+        """Bojarski et al. 2016, section 7.1: each intervention counts as six seconds of a human's driving."""
+        if not self.interventions:
+            return 100.0
+        lost_s = INTERVENTION_COST_S * self.interventions
+        return 100.0 * (1.0 - lost_s / self.elapsed_s) if self.elapsed_s > lost_s else 0.0
+
+    @property
+    def mean_speed_mph(self) -> float:
+        """While the simulator told the speed; it does not while a human drives."""
+        return self.distance_m / self._told_s / MPS_PER_MPH if self._told_s else 0.0
+
+    def connected(self) -> None:
+        """From here on another simulator tells, or the same one another drive."""
+        self._world, self._driver = None, "pilot"
+
+    def as_metadata(self) -> dict[str, str]:
+        """The metadata record `bc.drive`, see docs/log-format.md."""
+        counts = {
+            name: str(getattr(self, name))
+            for name in (
+                *("frames", "malformed", "without_number"),
+                *("interventions", "manual_stretches", "takeovers", "put_back"),
+                *("dropped_pictures", "dropped_rows"),
+            )
+        }
+        numbers = {
+            "elapsed_s": self.elapsed_s,
+            "distance_m": self.distance_m,
+            "mean_speed_mph": self.mean_speed_mph,
+            **({"autonomy_percent": self.autonomy_percent} if self.frames else {}),
+            **({} if self.laps is None else {"laps": self.laps}),
+        }
+        for stage, latency in self.latency.items():
+            numbers[f"{stage}_p50_ms"] = latency.percentile_ms(50)
+            numbers[f"{stage}_p99_ms"] = latency.percentile_ms(99)
+            numbers[f"{stage}_max_ms"] = latency.max_ms
+        return counts | {name: f"{number:.3f}" for name, number in numbers.items()}
+
+    def lines(self) -> list[str]:
+        """For people, at the end of a drive."""
+        laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
+        blind = " (this simulator does not tell when the car leaves the road)" if self.laps is None else ""
+        lines = [
+            f"{self.frames:,} frames in {self.elapsed_s:,.1f} s: {laps}{self.distance_m:,.0f} m,"
+            f" {self.mean_speed_mph:.1f} mph on average",
+            f"autonomy {self.autonomy_percent:.1f} %, {self._interventions_told()}{blind}"
+            if self.frames
+            else f"nothing could be driven on, {self._interventions_told()}",
+        ]
+        if self.frames:
+            told = (f"{stage} {latency}" for stage, latency in self.latency.items())
+            lines.append(f"latency p50/p99/max in ms: {', '.join(told)}")
+        if self.malformed:
+            lines.append(_count(self.malformed, "malformed telemetry", "malformed telemetries"))
+        if self.without_number:
+            frames = _count(self.without_number, "frame")
+            lines.append(f"the network gave no number for {frames}: the car was braked")
+        if self.dropped_pictures or self.dropped_rows:
+            lines.append(
+                f"the disk was too slow: {_count(self.dropped_pictures, 'picture')} and"
+                f" {_count(self.dropped_rows, 'row')} are not in the log"
+            )
+        return lines
+
+    def status(self, now_s: float) -> str:
+        """The live line; empty before the first telemetry. Rates are those since the call of a second ago."""
+        if not self._telemetries:
+            return ""
+        while len(self._moments) > 1 and self._moments[1].now_s <= now_s - RATE_S:
+            self._moments.popleft()
+        self._moments.append(_Moment(now_s, self._telemetries, self._total_ms))
+        first, last = self._moments[0], self._moments[-1]
+        replies, passed_s = last.replies - first.replies, last.now_s - first.now_s
+        rate = replies / passed_s if passed_s > 0 else 0.0
+        mean_ms = (last.total_ms - first.total_ms) / replies if replies else self._last_ms
+        laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
+        helped = f"{_count(self.interventions, 'intervention')}, " if self.interventions else ""
+        who = {"pilot": "", "expert": "the expert drives, ", "human": "a human drives, "}[self._driver]
+        return (
+            f"{laps}{helped}{who}{self._speed_mph:.1f} mph, steering {self._steering:+.2f}, {rate:.0f} replies/s,"
+            f" {mean_ms:.1f} ms, last telemetry {max(0.0, now_s - self._last_s):.1f} s ago"
+        )
+
+    def _answered(self, total_ms: float, now_s: float | None, world: World | None) -> float:
+        """How long it was driven since the telemetry before."""
+        now_s = time.monotonic() if now_s is None else now_s
+        self._telemetries += 1
+        self._total_ms += total_ms
+        self._last_ms, self._last_s = total_ms, now_s
+        time_s = self._clock.at(now_s, world)
+        passed_s = time_s - self._time_s
+        self._time_s = time_s
+        if world is None and passed_s > GAP_S:
+            return 0.0
+        self.elapsed_s += passed_s
+        return passed_s
+
+    def _course(self, world: World) -> None:
+        before = self._world
+        self._world = world
+        if before is None or world.time_s < before.time_s:  # another simulator, or another drive of it
+            before = world
+        self.laps = (self.laps or 0.0) + world.laps - before.laps
+        self.put_back += max(0, world.interventions - before.interventions)
+
+    def _interventions_told(self) -> str:
+        whose = (
+            (self.manual_stretches, "by a human"),
+            (self.takeovers, "by the expert"),
+            (self.put_back, "by the simulator, which put the car back"),
+        )
+        told = ", ".join(f"{number:,} {who}" for number, who in whose if number)
+        return _count(self.interventions, "intervention") + (f": {told}" if told else "")
+
+
+def _count(number: int, what: str, whats: str = "") -> str:
+    return f"{number:,} {what if number == 1 else whats or f'{what}s'}"

@@ -1,0 +1,129 @@
+"""`bc-drive --aggregate`: the expert takes over where the network fails, and the network learns from that."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from dataset import IndexConfig, build_index
+from drive.aggregate import Aggregation, Places
+from drive.closed_loop import Course
+from drive.config import DriveConfig
+from drive.errors import DriveError
+from driving import one_line_of, run
+from model import TrainConfig, train
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand
+from recorder.simulated import SimulatedDrive, record_simulated
+
+TRACK, LAPS, SPEED = "random:3", 0.04, 20
+SETTINGS = IndexConfig(cameras=("center",), balance=False, flip=False, block_s=1.0, gap_s=0.0)
+
+
+@dataclass(frozen=True)
+class Aggregated:
+    folder: Path
+    exit_code: int
+    table: list[str]
+
+
+@pytest.fixture(scope="module")
+def aggregated(tmp_path_factory: pytest.TempPathFactory) -> Aggregated:
+    """A network that has learnt next to nothing, and drives another track."""
+    folder = tmp_path_factory.mktemp("aggregated")
+    session = record_simulated(SimulatedDrive(track="lake", laps=0.01), folder / "sessions" / "lake.mcap").path
+    build_index([session], folder / "index", SETTINGS)
+    train(folder / "index", folder / "runs" / "first", TrainConfig(epochs=1, batch=32), show_progress=False)
+    done = run(
+        *("bc-drive", "first", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED),
+        *("--aggregate", 1, "--epochs", 1),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    return Aggregated(folder, done.returncode, done.stdout.splitlines())
+
+
+def commands(log: Path) -> list[PilotCommand]:
+    with Log(log) as opened:
+        return [content for _, content in opened.commands()]
+
+
+def test_every_round_is_driven_logged_and_shown(aggregated: Aggregated) -> None:
+    heading, *rows = aggregated.table
+    assert heading.split() == ["run", "laps", "interventions", "autonomy", "log"]
+    runs = ["first", "first-random-3-1"]
+    assert [row.split()[0] for row in rows] == runs
+    for row, number in zip(rows, (0, 1), strict=True):
+        log = aggregated.folder / "drives" / f"first-random-3-{number}.mcap"
+        assert row.split()[-1] == f"drives/{log.name}"
+        with Log(log) as opened:
+            assert opened.metadata["run"] == runs[number]
+            assert not opened.problem
+
+
+def test_the_expert_took_over_and_steered(aggregated: Aggregated) -> None:
+    driven = commands(aggregated.folder / "drives" / "first-random-3-0.mcap")
+    expert = [command for command in driven if command.driver == PilotCommand.EXPERT]
+    assert expert
+    assert any(command.driver == PilotCommand.PILOT for command in driven)
+    assert all(command.steering == command.expert_steering for command in expert)
+    starts = sum(now.driver == PilotCommand.EXPERT != before.driver for before, now in itertools.pairwise(driven))
+    assert int(aggregated.table[1].split()[2]) >= starts > 0
+
+
+def test_the_new_run_has_learnt_from_the_session_and_from_the_takeovers_alone(aggregated: Aggregated) -> None:
+    folder = aggregated.folder
+    config = json.loads((folder / "runs" / "first-random-3-1" / "config.json").read_text())
+    assert set(config["data"]["logs"]) == {"lake", "first-random-3-0"}
+    assert config["data"]["settings"]["drives"] == "takeovers"
+    assert config["init"]["run"] == "first"
+    samples = pq.read_table(folder / "index-first-random-3" / "samples.parquet").to_pylist()
+    driven = commands(folder / "drives" / "first-random-3-0.mcap")
+    of_drive = [sample for sample in samples if sample["session"] == "first-random-3-0"]
+    assert of_drive
+    assert all(driven[sample["row"]].driver == PilotCommand.EXPERT for sample in of_drive)
+    assert {sample["session"] for sample in samples} == {"lake", "first-random-3-0"}
+
+
+def aggregation(aggregated: Aggregated, run_name: str, sessions: Path) -> Aggregation:
+    places = Places(sessions, aggregated.folder / "drives", aggregated.folder / "runs")
+    run_folder = aggregated.folder / "runs" / run_name
+    return Aggregation(run_folder, Course("random:4"), DriveConfig(), 1, places, TrainConfig(epochs=1))
+
+
+def test_the_new_run_can_go_on_from_there(aggregated: Aggregated) -> None:
+    assert aggregation(aggregated, "first-random-3-1", aggregated.folder / "sessions")
+
+
+def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
+    aggregated: Aggregated, tmp_path: Path
+) -> None:
+    record_simulated(SimulatedDrive(track="mountain", laps=0.01), tmp_path / "lake.mcap")
+    with pytest.raises(DriveError, match=r"lake\.mcap: changed since .*first was trained on it"):
+        aggregation(aggregated, "first", tmp_path)
+
+
+def test_a_second_aggregation_of_the_same_names_is_refused_at_once(aggregated: Aggregated) -> None:
+    again = run("bc-drive", "first", "--simulator", TRACK, "--aggregate", 1, cwd=aggregated.folder)
+    assert again.returncode == 1
+    assert "first-random-3-0.mcap exists already" in one_line_of(again)
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [
+        (("--aggregate", "1"), "--simulator TRACK"),
+        (("--aggregate", "-1", "--simulator", "lake"), "--aggregate -1"),
+        (("--aggregate", "1", "--simulator", "lake", "--log", "x.mcap"), "--log: not with --aggregate"),
+        (("--aggregate", "1", "--simulator", "lake", "--epochs", "0"), "epochs"),
+    ],
+)
+def test_what_cannot_be_aggregated_is_one_line(aggregated: Aggregated, flags: tuple[str, ...], told: str) -> None:
+    done = run("bc-drive", "first", *flags, cwd=aggregated.folder)
+    assert done.returncode in (1, 2)
+    assert told in one_line_of(done)
