@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from recorder.picture_size import MOST_PIXELS, pixels
 
 Image = NDArray[np.uint8]
 
@@ -27,16 +30,24 @@ DESCRIPTION: Final = {
 
 
 def decode(encoded: bytes) -> Image:
-    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is not a picture."""
+    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is none, or would fill the memory."""
     if not encoded:
         raise ValueError("empty picture")
-    try:
-        picture = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:  # a header that promises more pixels than OpenCV allows
-        picture = None
+    size = pixels(encoded) or 0
+    if size > MOST_PIXELS:
+        raise ValueError(f"a picture of more than {MOST_PIXELS:,} pixels")
+    picture = None
+    with contextlib.suppress(cv2.error):  # a header that promises more columns than OpenCV allows
+        if size:
+            picture = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         raise ValueError(f"{len(encoded)} bytes that are not a picture")
     return picture.astype(np.uint8, copy=False)
+
+
+def is_crop(encoded: bytes) -> bool:
+    """Whether it begins as a JPEG or PNG of as many pixels as the network sees; nothing is unpacked."""
+    return pixels(encoded) == SIZE_PX**2
 
 
 def preprocess(picture: Image, into: Image | None = None) -> Image:

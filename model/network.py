@@ -54,6 +54,10 @@ class SteeringNetwork(nn.Module):
                 nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
 
     def forward(self, pictures: Tensor) -> Tensor:
-        scaled = pictures.to(torch.float32) / 127.5 - 1.0
-        steering: Tensor = self.head(self.features(scaled)).squeeze(1)
+        steering: Tensor = self.head(self.features(scaled(pictures))).squeeze(1)
         return steering
+
+
+def scaled(pictures: Tensor) -> Tensor:
+    """Pictures, uint8 or float 0..255, as float32 -1..1."""
+    return pictures.to(torch.float32) / 127.5 - 1.0

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from common.memory import keep_freed_memory
 from dataset import Loader
+from dataset.preprocess import Image
+from model.attention import look
+from model.bar import open_bar
+from model.errors import RunError
 from model.network import SteeringNetwork
+from model.run import load_config, load_network
+
+BATCH: Final = 64  # what stays in a processor's cache
+
+Look = Callable[[int, NDArray[np.int64], Image, NDArray[np.float32]], object]
+"""Told where a network looks: which run (0, 1 ...), numbers of pictures (N,), their crops (N, 128, 128, 3) BGR,
+and the maps (N, 128, 128), 0..1."""
 
 
 @torch.inference_mode()
@@ -26,6 +40,43 @@ def predict(
         recorded.append(batch.steering.astype(np.float64))
         advance(len(batch.steering))
     return np.concatenate(predicted), np.concatenate(recorded)
+
+
+@torch.inference_mode()
+def predict_crops(
+    runs: Sequence[Path],
+    batches: Iterable[tuple[NDArray[np.int64], Image]],
+    count: int,
+    on_look: Look | None = None,
+    on_batch: Callable[[], object] = lambda: None,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The steering of each run's network for `count` pictures, (runs, count), and of which pictures there was a
+    crop (count,); with a progress bar. `batches` gives numbers of pictures and their crops. `on_batch` is called
+    after each, and may raise what ends it.
+
+    Raises RunError if a run is incomplete or damaged, or its network gives no number.
+    """
+    networks = []
+    for run in runs:
+        load_config(run)  # it tells whether the run sees what is shown to it here
+        networks.append(load_network(run).to(memory_format=torch.channels_last))  # type: ignore[call-overload]
+    keep_freed_memory()
+    predicted, is_decoded = np.zeros((len(runs), count)), np.zeros(count, np.bool_)
+    with open_bar(is_shown=True) as bar, bar.task("frames", count) as task:
+        for numbers, crops in batches:
+            is_decoded[numbers] = True
+            for at, network in enumerate(networks):
+                if on_look is None:
+                    steering = network(as_input(crops))
+                else:
+                    steering, maps = look(network, as_input(crops))
+                    on_look(at, numbers, crops, maps.numpy())
+                if not steering.isfinite().all():
+                    raise RunError(f"{runs[at]}: its network predicts what is no number; train it again")
+                predicted[at, numbers] = steering.numpy()
+            task.advance(len(numbers))
+            on_batch()
+    return predicted, is_decoded
 
 
 def as_input(pictures: NDArray[np.uint8]) -> torch.Tensor:

@@ -50,3 +50,11 @@ class PilotCommand(_message.Message):
     parse_ms: float
     expert_steering: float
     def __init__(self, predicted_steering: _Optional[float] = ..., steering: _Optional[float] = ..., throttle: _Optional[float] = ..., driver: _Optional[_Union[PilotCommand.Driver, str]] = ..., set_speed_mph: _Optional[float] = ..., decode_ms: _Optional[float] = ..., network_ms: _Optional[float] = ..., total_ms: _Optional[float] = ..., parse_ms: _Optional[float] = ..., expert_steering: _Optional[float] = ...) -> None: ...
+
+class Prediction(_message.Message):
+    __slots__ = ("steering", "recorded_steering")
+    STEERING_FIELD_NUMBER: _ClassVar[int]
+    RECORDED_STEERING_FIELD_NUMBER: _ClassVar[int]
+    steering: float
+    recorded_steering: float
+    def __init__(self, steering: _Optional[float] = ..., recorded_steering: _Optional[float] = ...) -> None: ...

@@ -30,15 +30,15 @@ from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
 from recorder.errors import LogError
 from recorder.places import LAST_TIME_NS, UNCOMPRESSED, find_places
 from recorder.structure import read_structure
-from recorder.topics import CAMERAS, Camera, camera_topic
+from recorder.topics import CAMERAS, Camera, camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
-    from recorder.bc_pb2 import PilotCommand, VehicleState
+    from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 
 _CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
 _CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
-Decoded = TypeVar("Decoded", "VehicleState", "PilotCommand")
+Decoded = TypeVar("Decoded", "VehicleState", "PilotCommand", "Prediction")
 
 
 @dataclass(frozen=True)
@@ -269,6 +269,12 @@ class Log(Closing):
         from recorder.bc_pb2 import PilotCommand
 
         return self._decoded(topics.PILOT_COMMAND, PilotCommand)
+
+    def predictions(self, run: str) -> Iterator[tuple[Message, Prediction]]:
+        """What the network of a run says of recorded pictures, in a log of predictions."""
+        from recorder.bc_pb2 import Prediction
+
+        return self._decoded(prediction_topic(run), Prediction)
 
     def messages_of(
         self, chunk: Chunk, skipped: Skipped | None = None

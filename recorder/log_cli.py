@@ -319,7 +319,8 @@ def _print_info(info: Info) -> None:
     for name, value in sorted(info.session.items()):
         console.print(f"  {_plain(name)}: {_plain(value)}")
     if info.drives is None or info.flags is None:
-        console.print("  written by another program: `bc-log check` looks at what is in it")
+        if info.session.get("source") != "prediction":
+            console.print("  written by another program: `bc-log check` looks at what is in it")
     elif info.drives:
         odd = ", ".join(f"{count:,} rows {flag}" for flag, count in info.flags.items() if count and flag != "gap")
         console.print(f"  {info.drives} drive{'s' if info.drives > 1 else ''}; {odd or 'no odd rows'}")

@@ -10,11 +10,13 @@ CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
 PROFILE: Final = "bc"
 SESSION_METADATA: Final = "bc.session"
 QUALITY_METADATA: Final = "bc.quality"
+DRIVE_METADATA: Final = "bc.drive"  # a drive's own summary
 
 VEHICLE: Final = "/vehicle"
 VEHICLE_SCHEMA: Final = "bc.VehicleState"
 PILOT_INPUT: Final = "/pilot/input"
 PILOT_COMMAND: Final = "/pilot/command"
+PREDICTIONS: Final = "/prediction/"  # and the name of a run
 EVENTS: Final = "/events"
 POSE: Final = "/pose"
 
@@ -23,3 +25,8 @@ MAX_STEERING_DEG: Final = 25.0  # steering 1.0, as in the simulator (its CarCont
 
 def camera_topic(camera: Camera) -> str:
     return f"/camera/{camera}"
+
+
+def prediction_topic(run: str) -> str:
+    """Where it is kept what the network of a run says of recorded pictures."""
+    return f"{PREDICTIONS}{run}"

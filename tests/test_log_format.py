@@ -19,9 +19,10 @@ from rosbags.rosbag2 import StoragePlugin
 
 from driving import PATIENCE_S, environment, road_jpeg, run, untrained_run
 from logs import START_NS, STEP_NS, plain_read, read_messages
+from model.replay import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import Log, LogWriter, import_udacity
-from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.donkeycar import import_tub
 from recorder.edit import merge, recover, split, trim
 from recorder.foreign import import_foreign
@@ -30,6 +31,7 @@ from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, Camera
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import make_recording, paths
+from viz.prediction_log import write_predictions
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "log-format.md").read_text(encoding="utf-8")
@@ -233,14 +235,18 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     trim(path["simulator"], path["trimmed"], (1, 2))
     merge([path["udacity"], path["drive"]], path["merged"])
     path["split"] = split(path["udacity"], folder)[1].path
+    path["prediction"] = folder / "prediction.mcap"
+    write_predictions(predict_log(path["simulator"], [folder / "pilot"]), path["prediction"])
     return {name: read_back(written) for name, written in path.items()}
 
 
 def test_every_topic_stands_on_the_page_with_its_schema(every_kind: dict[str, Written]) -> None:
-    told = dict(re.findall(r"^\| `(/[a-z/]+)` \| `([\w.]+)` \|", section("Topics"), re.MULTILINE))
+    told = dict(re.findall(r"^\| `(/[a-zA-Z/]+)` \| `([\w.]+)` \|", section("Topics"), re.MULTILINE))
     found: dict[str, str] = {}
     for written in every_kind.values():
-        found |= written.schemas
+        found |= {
+            re.sub("^/prediction/.+", "/prediction/NAME", topic): of for topic, of in written.schemas.items()
+        }
     assert told == found
 
 
@@ -250,8 +256,9 @@ def test_every_metadata_key_stands_on_the_page(every_kind: dict[str, Written]) -
     for kind, written in every_kind.items():
         for name, values in written.metadata:
             known = re.sub(r"^bc\.session of .*\.mcap$", "bc.session of NAME.mcap", name)
-            seen |= {known, *values}
-            missing |= {f"{kind}: {key}" for key in (known, *values) if key not in told}
+            keys = {known, *(re.sub(r"^weights_sha256\..+", "weights_sha256.NAME", key) for key in values)}
+            seen |= keys
+            missing |= {f"{kind}: {key}" for key in keys if key not in told}
         source = dict(written.metadata)["bc.session"]["source"]
         assert source in told, f"{kind}: source {source}"
     assert missing == set()
@@ -262,7 +269,7 @@ def test_every_metadata_key_stands_on_the_page(every_kind: dict[str, Written]) -
 
 def test_every_event_stands_on_the_page(every_kind: dict[str, Written]) -> None:
     told = re.findall(r"^\| `(.+?)` \|", section("Events"), re.MULTILINE)
-    patterns = [re.compile(re.sub(r"REASON|NAME", ".+", text)) for text in told]
+    patterns = [re.compile(re.sub(r"REASON|NAME|NUMBER|SIZE|SIDE", ".+", re.escape(text))) for text in told]
     events = {event for written in every_kind.values() for event in written.events}
     assert events
     assert [event for event in events if not any(pattern.fullmatch(event) for pattern in patterns)] == []
@@ -274,8 +281,10 @@ def test_bc_proto_stands_on_the_page_in_full() -> None:
     assert "PROTO" not in PAGE
 
 
-@pytest.mark.parametrize("message", [VehicleState, PilotCommand])
-def test_every_field_stands_on_the_page(message: type[VehicleState] | type[PilotCommand]) -> None:
+@pytest.mark.parametrize("message", [VehicleState, PilotCommand, Prediction])
+def test_every_field_stands_on_the_page(
+    message: type[VehicleState] | type[PilotCommand] | type[Prediction],
+) -> None:
     descriptor = message.DESCRIPTOR
     told = re.findall(r"^\| `(\w+)` \|", section(descriptor.full_name), re.MULTILINE)
     assert told == [field.name for field in descriptor.fields]
@@ -293,8 +302,9 @@ def test_the_columns_in_the_example_are_those_of_the_tables(log: Path) -> None:
 def test_what_belongs_to_one_row_has_its_number_and_its_time(every_kind: dict[str, Written]) -> None:
     for kind, written in every_kind.items():
         messages = read_messages(written.path)
-        times = {message.sequence: message.log_time for message, _ in messages["/vehicle"]}
-        assert len(times) == len(messages["/vehicle"]), kind
+        rows = read_messages(every_kind["simulator" if kind == "prediction" else kind].path)["/vehicle"]
+        times = {message.sequence: message.log_time for message, _ in rows}
+        assert len(times) == len(rows), kind
         for topic, found in messages.items():
             for message, decoded in found:
                 assert message.publish_time == message.log_time, (kind, topic)

@@ -330,5 +330,11 @@ def test_a_header_that_promises_too_many_pixels_is_no_picture() -> None:
     data = bytearray(encoded.tobytes())
     size = data.index(b"\xff\xc0") + 5  # of the frame header: height and width, two bytes each
     data[size : size + 4] = (65500).to_bytes(2, "big") * 2
-    with pytest.raises(ValueError, match="not a picture"):
+    with pytest.raises(ValueError, match="more than 67,108,864 pixels"):
         decode(bytes(data))
+    ok, line = cv2.imencode(".png", np.zeros((1, 16), np.uint8))
+    assert ok
+    longer = bytearray(line.tobytes())
+    longer[16:20] = (1 << 21).to_bytes(4, "big")  # few pixels, but more columns than OpenCV allows
+    with pytest.raises(ValueError, match="not a picture"):
+        decode(bytes(longer))
