@@ -125,6 +125,16 @@ class Loader(Closing):
             decoded = ~np.isin(part, failed)
             yield part[decoded], crops[decoded] if failed else crops
 
+    @property
+    def decoded(self) -> NDArray[np.bool_]:
+        """Of which samples (N,) the picture decodes, as far as they were asked for by now."""
+        return ~np.isin(self.rows.picture, list(self._undecoded))
+
+    def look(self, samples: NDArray[np.int64]) -> Image:
+        """The pictures (N, 128, 128, 3) of N samples that decode, at most a batch of them."""
+        ((_, pictures, _),) = self._filled([samples], self._crops.fill)
+        return pictures.copy()
+
     def use_memory(self, allocate: Allocate) -> None:
         """From the next epoch on, take the memory of batches from `allocate`: such as a GPU copies from."""
         self._buffers = Buffers((self._part, *CROP_SHAPE), self._at_once + 1, allocate)

@@ -10,7 +10,9 @@ if TYPE_CHECKING:
     from model.evaluation import Evaluation, evaluate
     from model.export import export_onnx
     from model.pilot import Pilot, load_pilot
+    from model.predictions import LogPredictions
     from model.progress import Epoch, Listener, Step
+    from model.replay import predict_log
     from model.run import find_run
     from model.training import Trained, train
 
@@ -18,6 +20,7 @@ __all__ = [
     "Epoch",
     "Evaluation",
     "Listener",
+    "LogPredictions",
     "Pilot",
     "RunError",
     "Step",
@@ -27,6 +30,7 @@ __all__ = [
     "export_onnx",
     "find_run",
     "load_pilot",
+    "predict_log",
     "train",
 ]
 
@@ -36,6 +40,7 @@ __getattr__ = lazy_names(
         "Epoch": "model.progress",
         "Evaluation": "model.evaluation",
         "Listener": "model.progress",
+        "LogPredictions": "model.predictions",
         "Pilot": "model.pilot",
         "RunError": "model.errors",
         "Step": "model.progress",
@@ -45,6 +50,7 @@ __getattr__ = lazy_names(
         "export_onnx": "model.export",
         "find_run": "model.run",
         "load_pilot": "model.pilot",
+        "predict_log": "model.replay",
         "train": "model.training",
     },
 )

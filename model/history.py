@@ -2,12 +2,14 @@
 
 metrics.jsonl   one line of JSON an epoch
 steps.jsonl     one line of JSON every few batches
+worst.jsonl     one line of JSON an epoch
 
 A run may come from somebody else: a line that says what cannot be is left out and named.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import os
@@ -18,13 +20,17 @@ from typing import Any, Final, TypeVar
 
 from common import Skipped
 from common.untrusted import open_regular
+from dataset.preprocess import decode, is_crop
 from model.errors import RunError
 from model.measures import BinErrors, Errors, Measures
 from model.progress import METRICS, STEPS, Epoch, Step
+from model.worst import WorstFrame
+from model.worst_pictures import COUNT, WORST, WorstPictures
 
 _MOST_BYTES: Final = 64 << 20  # of a file: half a million steps
 _MOST_LINE_BYTES: Final = 1 << 20
-_MOST: Final = 10**15  # samples; beyond it, nothing was ever trained
+_MOST: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever trained
+_MOST_CHARACTERS: Final = 1000
 _LARGEST: Final = 1e100  # its square is still a number
 
 
@@ -34,6 +40,7 @@ class History:
 
     epochs: tuple[Epoch, ...]
     steps: tuple[Step, ...]
+    worst: tuple[WorstPictures, ...] = ()
 
     @property
     def best(self) -> Epoch | None:
@@ -62,26 +69,36 @@ class HistoryReader:
 
     def _begin(self) -> None:
         self.skipped = Skipped()
-        self._metrics, self._steps = _GrowingFile(self._run / METRICS), _GrowingFile(self._run / STEPS)
-        self._last_epoch, self._last_samples = 0, 0
+        self._metrics, self._steps, self._worst = (
+            _GrowingFile(self._run / name) for name in (METRICS, STEPS, WORST)
+        )
+        self._last_epoch, self._last_samples, self._last_worst = 0, 0, 0
 
     def read(self) -> tuple[History, bool]:
         """What was added since the last call; and whether the files were replaced, as when a training is resumed:
         then all is read anew. Raises RunError as `read_history` does, and if the folder is gone."""
         if not self._run.is_dir():
             raise RunError(f"{self._run}: no such run folder, or no more: a training that is stopped early goes")
-        # Metrics first: the steps of every epoch that is read are then there too.
-        metrics, steps = self._metrics.read(), self._steps.read()
-        is_replaced = metrics is None or steps is None
+        found = self._read_files()
+        is_replaced = any(lines is None for lines in found)
         if is_replaced:
             self._begin()
-            metrics, steps = self._metrics.read(), self._steps.read()
-        epochs = self._parsed(METRICS, metrics or [], self._next_epoch)
-        return History(tuple(epochs), tuple(self._parsed(STEPS, steps or [], self._next_step))), is_replaced
+            found = self._read_files()
+        metrics, steps, worst = (lines or [] for lines in found)
+        history = History(
+            tuple(self._parsed(METRICS, metrics, self._next_epoch)),
+            tuple(self._parsed(STEPS, steps, self._next_step)),
+            tuple(self._parsed(WORST, worst, self._next_worst)),
+        )
+        return history, is_replaced
+
+    def _read_files(self) -> list[list[tuple[int, bytes]] | None]:
+        """Metrics first: the steps and the worst frames of every epoch that is read are then there too."""
+        return [file.read() for file in (self._metrics, self._steps, self._worst)]
 
     def name_unfinished(self) -> None:
         """Count a last line that never got its end as skipped."""
-        for name, file in ((METRICS, self._metrics), (STEPS, self._steps)):
+        for name, file in ((METRICS, self._metrics), (STEPS, self._steps), (WORST, self._worst)):
             if file.has_unfinished_line:
                 self.skipped.add("lines that were cut off", f"{name} line {file.lines + 1}")
 
@@ -116,6 +133,19 @@ class HistoryReader:
             raise ValueError("not after the line before")
         self._last_samples = step.samples
         return step
+
+    def _next_worst(self, values: Any) -> WorstPictures:
+        epoch = _count(values["epoch"])
+        if epoch <= self._last_worst or len(values["frames"]) > COUNT:
+            raise ValueError("not after the line before")
+        frames = tuple(_worst_of(each) for each in values["frames"])
+        jpegs = tuple(base64.b64decode(each["jpeg"], validate=True) for each in values["frames"])
+        for jpeg in jpegs:
+            if not is_crop(jpeg):
+                raise ValueError("no crop that a network sees")
+            decode(jpeg)  # a ValueError for what is none
+        self._last_worst = epoch
+        return WorstPictures(epoch, frames, jpegs)
 
 
 class _GrowingFile:
@@ -159,7 +189,7 @@ class _GrowingFile:
         return found
 
 
-_Parsed = TypeVar("_Parsed", Epoch, Step)
+_Parsed = TypeVar("_Parsed", Epoch, Step, WorstPictures)
 
 
 def _epoch_of(values: Any) -> Epoch:
@@ -183,6 +213,16 @@ def _errors_of(values: Any) -> Errors:
     return Errors(*(_number(values[name]) for name in ("mae_deg", "rmse_deg", "turning_mae_deg", "correlation")))
 
 
+def _worst_of(values: Any) -> WorstFrame:
+    return WorstFrame(
+        _text(values["session"]),
+        _count(values["row"]),
+        _count(values["log_time_ns"]),
+        _text(values["log_time_utc"]),
+        *(_finite(values[name]) for name in ("predicted_deg", "recorded_deg", "error_deg")),
+    )
+
+
 def _bin_of(values: Any) -> BinErrors:
     part = BinErrors(
         _count(values["bin"]),
@@ -200,6 +240,18 @@ def _count(value: Any) -> int:
     if type(value) is not int or not 0 <= value <= _MOST:
         raise ValueError("not a count")
     return value
+
+
+def _text(value: Any) -> str:
+    if type(value) is not str or len(value) > _MOST_CHARACTERS:
+        raise ValueError("not a name")
+    return value
+
+
+def _finite(value: Any) -> float:
+    if value is None:
+        raise ValueError("no number")
+    return _number(value)
 
 
 def _number(value: Any) -> float:

@@ -34,6 +34,8 @@ from model.predict import predict
 from model.progress import METRICS, STEPS, Epoch, Listener, Step
 from model.run import WEIGHTS, add_line, keep_lines, load_config, load_network, save_weights
 from model.step import learn, make_optimizer
+from model.worst_pictures import COLUMNS as WORST_COLUMNS
+from model.worst_pictures import MOST_WORST_BYTES, WORST, find_worst
 
 STEP_BATCHES: Final = 10
 """Batches between two lines of steps.jsonl."""
@@ -82,9 +84,11 @@ class TrainingLoop:
         with bar.task("reading pictures", loader.pictures) as task:  # at once, where a GPU keeps them
             self.batches = make_batches(loader, machine.device, advance=task.advance)
         kept_bytes = loader.pictures * CROP_BYTES if machine.device.type == "cpu" else 0
+        seen = samples.driving_view("validation")
+        self._seen = seen.select(WORST_COLUMNS)
         self.validation = Loader(
             samples,
-            samples.driving_view("validation"),
+            seen,
             batch=machine.micro_batch,  # more at once would only take more memory
             budget_bytes=max(0, budget_bytes - kept_bytes),
             threads=config.threads,
@@ -132,7 +136,8 @@ class TrainingLoop:
 
     def _keep_history(self) -> None:
         seen = self._samples_seen()
-        keep_lines(self.run / METRICS, lambda line: line["epoch"] < self.position.epoch)
+        for name in (WORST, METRICS):
+            keep_lines(self.run / name, lambda line: line["epoch"] < self.position.epoch)
         keep_lines(self.run / STEPS, lambda line: line["samples"] <= seen)
 
     @property
@@ -241,6 +246,10 @@ class TrainingLoop:
             position.seconds,
             position.samples / position.seconds,
         )
+        if len(recorded):  # before the epoch's own line: who reads that finds them
+            worst = find_worst(position.epoch, self._seen, self.validation, predicted, recorded)
+            self._make_room()
+            add_line(self.run / WORST, worst.as_dict())
         add_line(self.run / METRICS, epoch.as_dict())
         self.history.append(epoch)
         if is_best:
@@ -252,6 +261,13 @@ class TrainingLoop:
         if is_best:
             return position.epoch, balanced_deg if len(recorded) else math.inf
         return position.best_epoch, position.best_deg
+
+    def _make_room(self) -> None:
+        """Once it is large, leave the later half of the worst frames' file."""
+        path = self.run / WORST
+        if path.exists() and path.stat().st_size > MOST_WORST_BYTES:
+            begin = self.position.epoch - path.read_bytes().count(b"\n") // 2
+            keep_lines(path, lambda line: line["epoch"] >= begin)
 
     def _tell(self, squared_error: float, samples: int, seconds: float) -> str:
         if not math.isfinite(squared_error):

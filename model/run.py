@@ -4,6 +4,7 @@ runs/NAME/model.safetensors   the weights of the best epoch: these drive
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
 runs/NAME/metrics.jsonl       one line an epoch
 runs/NAME/steps.jsonl         one line every few batches
+runs/NAME/worst.jsonl         one line an epoch: the frames held out at which it is off the most
 runs/NAME/last/               where training stands: see checkpoint.py
 """
 

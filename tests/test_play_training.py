@@ -104,7 +104,7 @@ def test_the_layout_has_views_of_errors_where_something_was_held_out(tmp_path: P
     loss = "loss: mean squared error of steering -1 .. 1"
     assert view_names(tmp_path / "b.rrd") == {loss}
     assert loss in view_names(tmp_path / "a.rrd")
-    assert len(view_names(tmp_path / "a.rrd")) == 5
+    assert len(view_names(tmp_path / "a.rrd")) == 5 + 6 + 1  # with the worst frames, and those in words
     assert "/rmse_deg/network" in contents(tmp_path / "a.rrd")
     assert not {"/rmse_deg/mean", "/bins/frames"} & {
         entity for entity, columns in contents(tmp_path / "b.rrd").items() if "samples" in columns

@@ -6,7 +6,7 @@ import contextlib
 import math
 import subprocess
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -23,9 +23,10 @@ from dataset import MAX_STEERING_DEG
 from model.history import History, HistoryReader, read_history
 from model.measures import Errors
 from model.progress import Epoch, Step
-from viz.follow import POLL_S, Follower, feed
+from viz.follow import POLL_S, Follower, GoneError, feed
+from viz.playback import Prepared
 from viz.rrd_file import rrd_file
-from viz.viewer import Ports
+from viz.worst import send_worst, worst_views
 
 SAMPLES: Final = "samples"  # learnt from since the run began: what all curves are drawn over
 EPOCH: Final = "epoch"
@@ -84,19 +85,34 @@ def save_training(run: Path, rrd: Path, *, overwrite: bool = False) -> Skipped:
     return skipped
 
 
+@contextlib.contextmanager
+def prepared_training(run: Path) -> Iterator[Prepared]:
+    """How the training of `run` went by now. Raises RunError if `run` holds no training."""
+    history, skipped = read_history(run)
+    notices = [f"skipped {line}" for line in skipped.lines()]
+    yield Prepared(_name(run), None, lambda recording, flush: _send_whole(history, recording, flush), notices)
+
+
+def _send_whole(history: History, recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    TrainingSender(recording).send(history)
+    flush()
+
+
 def wait_until_trained(run: Path) -> None:
     """Return when no process of this machine trains `run` (any more)."""
     while is_being_written(run / "last" / ".lock"):
         time.sleep(POLL_S)
 
 
-def follow_training(run: Path, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
-    """Show the training of `run` in an open, empty viewer as it goes on, until that is closed; the exit code.
+def follow_training(run: Path, url: str, viewer: subprocess.Popen[bytes] | None) -> int:
+    """Show the training of `run` as it goes on in the viewer at `url`, until that is closed; the exit code.
+
+    Without its process (`viewer`), the viewer is another's.
 
     What goes wrong with the run is told on stderr when it happens, and the viewer stays open. Raises UserError if
     the viewer does not start, or dies.
     """
-    return feed(_TrainingFollower(run, ports), viewer, ports)
+    return feed(_TrainingFollower(run, url), viewer)
 
 
 def training_layout(*, has_errors: bool) -> rrb.Blueprint:
@@ -110,8 +126,9 @@ def training_layout(*, has_errors: bool) -> rrb.Blueprint:
         rrb.BarChartView(origin="/bins/rmse_deg", name="RMSE in degrees by steering, -1 left .. 1 right"),
         rrb.BarChartView(origin="/bins/frames", name="frames held out by steering"),
     )
+    looks = rrb.Vertical(*bins, worst_views(), row_shares=[1, 1, 2])
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(loss, *errors), rrb.Vertical(*bins), column_shares=[3, 2]) if has_errors else
+        rrb.Horizontal(rrb.Vertical(loss, *errors), looks, column_shares=[3, 2]) if has_errors else
         loss,
         rrb.TimePanel(state="collapsed", timeline=SAMPLES, play_state="following"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -139,6 +156,10 @@ class TrainingSender:
         self._ends.update((step.epoch, step.samples) for step in history.steps)
         # without its steps, an epoch is drawn at its number
         self._send_epochs(history.epochs, [self._ends.get(epoch.epoch, epoch.epoch) for epoch in history.epochs])
+        for worst in history.worst:
+            send_worst(
+                self._recording, worst, [(SAMPLES, self._ends.get(worst.epoch, worst.epoch)), (EPOCH, worst.epoch)]
+            )
 
     def _prepare(self, *, has_errors: bool) -> None:
         self._has_errors = has_errors
@@ -196,8 +217,8 @@ class TrainingSender:
 class _TrainingFollower(Follower):
     """Sends a training. When it is resumed, its files are replaced: all is shown anew, as another recording."""
 
-    def __init__(self, run: Path, ports: Ports) -> None:
-        super().__init__(ports)
+    def __init__(self, run: Path, url: str) -> None:
+        super().__init__(url)
         self._run = run
 
     def run(self) -> None:
@@ -213,8 +234,7 @@ class _TrainingFollower(Follower):
             self.code = complain("bc-play", error)
         skipped = warn_skipped(reader.skipped)
         self.code = self.code or skipped
-        with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
-            self._recording.disconnect()
+        self._disconnect(self._recording)
 
     def _send(self, reader: HistoryReader) -> None:
         sender = TrainingSender(self._recording)
@@ -226,8 +246,8 @@ class _TrainingFollower(Follower):
                 sender = TrainingSender(self._recording)
             sender.send(history)
             try:
-                self._recording.flush()
-            except RuntimeError:
+                self._flush(self._recording)
+            except GoneError:
                 self._refuse_silence()
                 return
             self.stop.wait(POLL_S)

@@ -1,0 +1,54 @@
+"""The frames held out at which a network was off the most after each epoch: what it saw, how it steered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dataset import MAX_STEERING_DEG, decode
+from model.worst import WorstFrame
+from model.worst_pictures import COUNT, WorstPictures
+from viz.drawing import arcs
+from viz.layout import BLUE, ORANGE
+
+WORST: Final = "/worst"
+_ARCS: Final = (("recorded", BLUE, 2.5), ("predicted", ORANGE, 2.0))  # name, colour, half the width
+
+
+def worst_views() -> rrb.Container:
+    """A view for each of the worst frames, and what they are in words."""
+    views = [
+        rrb.Spatial2DView(origin=f"{WORST}/{number}", name=f"worst {number}") for number in range(1, COUNT + 1)
+    ]
+    words = rrb.TextDocumentView(origin=f"{WORST}/words", name="worst frames held out")
+    return rrb.Vertical(rrb.Grid(*views, grid_columns=3), words, row_shares=[2, 1])
+
+
+def send_worst(recording: rr.RecordingStream, worst: WorstPictures, times: Sequence[tuple[str, int]]) -> None:
+    """Send those of one epoch: `times` are the names of time lines and where the epoch ends on them."""
+    for line, at in times:
+        recording.set_time(line, sequence=at)
+    for number, (frame, jpeg) in enumerate(zip(worst.frames, worst.jpegs, strict=True), 1):
+        entity = f"{WORST}/{number}"
+        recording.log(entity, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        height, width = decode(jpeg).shape[:2]
+        for name, color, radius in _ARCS:
+            steering = np.array([getattr(frame, f"{name}_deg") / MAX_STEERING_DEG])
+            arc = arcs(steering, (width, height))
+            recording.log(f"{entity}/{name}", rr.LineStrips2D(arc, colors=[color], radii=[-radius]))
+    for number in range(len(worst.frames) + 1, COUNT + 1):  # of the epoch before
+        recording.log(f"{WORST}/{number}", rr.Clear(recursive=True))
+    words = "\n".join(f"{number}. {_in_words(frame)}" for number, frame in enumerate(worst.frames, 1))
+    recording.log(f"{WORST}/words", rr.TextDocument(f"epoch {worst.epoch}\n{words}"))
+
+
+def _in_words(frame: WorstFrame) -> str:
+    side = "right" if frame.error_deg > 0 else "left"
+    return (
+        f"{frame.session} row {frame.row}: {abs(frame.error_deg):.1f} degrees too far to the {side}:"
+        f" {frame.predicted_deg:.1f} predicted, {frame.recorded_deg:.1f} recorded"
+    )
