@@ -1,0 +1,254 @@
+"""A log as a video: the centre camera's pictures in their own time, as H.264 in an .mp4 that plays everywhere.
+
+PyAV is an extra: `pip install "behavioural-cloning-toolkit[video]"`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common import Skipped, UserError, whole_file
+from common.files import refuse_existing
+from common.progress import track
+from common.versions import TOOLKIT
+from dataset.preprocess import decode
+from recorder import Log
+from recorder.quality import GAP_S
+from recorder.topics import camera_topic
+from viz.video_overlay import Image, Panel
+from viz.video_readings import Readings
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+
+TICKS_A_SECOND: Final = 60
+"""A picture appears at the sixtieth of a second that is nearest to its time: no screen or player needs finer."""
+HELD_S: Final = 0.5
+"""For so long the last picture before a gap stays, in place of the gap."""
+SLOWEST, FASTEST = 0.01, 1000.0
+
+_LEAST_WIDTH, _MOST_SIDE, _LEAST_SIDE = 640, 1920, 64
+_TICK: Final = Fraction(1, TICKS_A_SECOND)
+# g: a place to jump to every few seconds; bf: with pictures stored out of their order, the last one loses its time
+_ENCODER: Final = {"preset": "veryfast", "crf": "23", "g": "60", "bf": "0"}
+_BT601: Final = 6  # SMPTE 170M, which OpenCV converts to
+
+
+@dataclass(frozen=True)
+class Video:
+    """What was made of a log."""
+
+    pictures: int
+    duration_s: float
+    width: int
+    height: int
+    left_out: int
+    """Pictures that fell on the same sixtieth of a second as another."""
+    gaps: int
+    """Gaps of more than a second, of which `HELD_S` is left."""
+    cut_s: float
+    """How much of the log's time went with them."""
+    skipped: Skipped
+    """Pictures that do not decode: the one before is shown in their place."""
+    notice: str
+    """That the log was never finished; empty if it was."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Which pictures are shown, and when."""
+
+    numbers: NDArray[np.int64]
+    ticks: NDArray[np.int64]  # at which each appears
+    end: int  # at which the last one vanishes
+    gaps: int
+    cut_s: float
+
+    def shown(self) -> Iterator[tuple[int, int, int]]:
+        """Number, begin and end of each."""
+        ends = np.append(self.ticks[1:], self.end)
+        for i in range(len(self.numbers)):
+            yield int(self.numbers[i]), int(self.ticks[i]), int(ends[i])
+
+
+def write_video(
+    path: Path, video: Path, *, speed: float = 1.0, overlay: bool = False, overwrite: bool = False
+) -> Video:
+    """Write the log at `path` as `video`, an .mp4 that plays `speed` times as fast as was driven.
+
+    `overlay` puts the instruments below the pictures. Of a log that was never finished, what is whole is taken.
+    Raises LogError if the log cannot be read, UserError if PyAV is not installed, for a log without a picture of
+    the centre camera, if `video` exists and may not be overwritten, or where the disk is full.
+    """
+    _require_av()
+    if video.suffix.lower() != ".mp4":
+        raise UserError(f"{video}: a video is written as .mp4; give --video such a name")
+    if not SLOWEST <= speed <= FASTEST:
+        raise UserError(f"--speed {speed:g}: how many times as fast must be {SLOWEST:g} to {FASTEST:g}")
+    refuse_existing(video, overwrite)
+    with Log(path) as log:
+        pictures = _Pictures(log)
+        plan = schedule(pictures.times_ns, speed)
+        readings = Readings(log) if overlay else None
+        panel = Panel(pictures.width, readings.top_mph) if readings is not None else None
+        height = pictures.height + (panel.height if panel is not None else 0)
+        canvas = np.zeros((height, pictures.width, 3), np.uint8)
+        with whole_file(video, overwrite=overwrite) as part, _Mp4(part, video, pictures.width, height) as mp4:
+            for number, begin, end in track(plan.shown(), "video", len(plan.numbers)):
+                pictures.draw(number, canvas[: pictures.height])
+                if readings is not None and panel is not None:
+                    canvas[pictures.height :] = panel.draw(readings.at(int(pictures.times_ns[number])))
+                mp4.add(canvas, begin, end)
+        return Video(
+            pictures=len(plan.numbers),
+            duration_s=plan.end / TICKS_A_SECOND,
+            width=pictures.width,
+            height=height,
+            left_out=len(pictures.times_ns) - len(plan.numbers),
+            gaps=plan.gaps,
+            cut_s=plan.cut_s,
+            skipped=pictures.skipped,
+            notice=log.notice,
+        )
+
+
+def schedule(times_ns: NDArray[np.int64], speed: float) -> Schedule:
+    """When pictures of these log times (N,), N > 0, appear in a video that plays `speed` times as fast."""
+    step_s = np.diff(times_ns) / 1e9
+    is_gap = (step_s > GAP_S) | (step_s < 0)
+    at_s = np.concatenate([[0.0], np.cumsum(np.where(is_gap, HELD_S, step_s))]) / speed
+    ticks, numbers = np.unique(np.rint(at_s * TICKS_A_SECOND).astype(np.int64), return_index=True)
+    usual = int(np.median(np.diff(ticks))) if len(ticks) > 1 else TICKS_A_SECOND
+    return Schedule(
+        numbers=numbers,
+        ticks=ticks,
+        end=int(ticks[-1]) + usual,
+        gaps=int(is_gap.sum()),
+        cut_s=float((step_s - HELD_S)[is_gap & (step_s > 0)].sum()),
+    )
+
+
+class _Pictures:
+    """The pictures of the centre camera, brought to the size of the video."""
+
+    def __init__(self, log: Log) -> None:
+        """Raises UserError if there is none from which the size could be told."""
+        self.skipped = Skipped()
+        self._log = log
+        self._found = log.pictures(camera_topic("center"))
+        self.times_ns = self._found.log_time_ns
+        sound = (picture for i in range(len(self.times_ns)) if (picture := self._decoded(i)) is not None)
+        first = next(sound, None)
+        if first is None:
+            many = f"none of its {len(self.times_ns):,} pictures" if len(self.times_ns) else "no picture"
+            raise UserError(f"{log.path}: {many} of the centre camera can be shown, and a video is made of those")
+        self.width, self.height = _video_size(first.shape[1], first.shape[0])
+        if min(self.width, self.height) < _LEAST_SIDE:
+            size = f"{first.shape[1]} x {first.shape[0]}"
+            raise UserError(f"{log.path}: pictures of {size} pixels, of which no video can be made")
+
+    def draw(self, number: int, canvas: Image) -> None:
+        """Draw a picture on `canvas` (height, width, 3) BGR; a broken one is counted, and leaves it as it is."""
+        picture = self._decoded(number)
+        if picture is None:
+            row = int(self._found.sequence[number])
+            self.skipped.add("broken pictures, in whose place the one before is shown", f"row {row}")
+            return
+        is_larger = picture.shape[1] > self.width
+        cv2.resize(
+            picture,
+            (self.width, self.height),
+            dst=canvas,
+            interpolation=cv2.INTER_AREA if is_larger else cv2.INTER_CUBIC,
+        )
+
+    def _decoded(self, number: int) -> Image | None:
+        found = self._found
+        place = int(found.offset[number]), int(found.length[number]), int(found.chunk[number])
+        encoded = self._log.read(*place)
+        try:
+            return decode(encoded)
+        except ValueError:
+            return None
+
+
+class _Mp4:
+    """A video that is being written to `part`, and will be called `name`."""
+
+    def __init__(self, part: Path, name: Path, width: int, height: int) -> None:
+        av = _require_av()
+        self._name = name
+        self._new_frame, self._error = av.VideoFrame.from_ndarray, av.FFmpegError
+        with self._refused():
+            # the index comes first: a browser begins to play before it has all
+            self._container = av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"})
+        self._stream = self._container.add_stream("libx264", rate=TICKS_A_SECOND, options=_ENCODER)
+        self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
+        self._stream.codec_context.time_base = _TICK
+        self._stream.codec_context.colorspace = _BT601
+        self._ends: dict[int, int] = {}
+
+    def add(self, picture: Image, begin: int, end: int) -> None:
+        """A picture (height, width, 3) BGR that is seen from one tick to another."""
+        # the conversion of the encoder's own library rounds down: grey would become a dark green
+        frame = self._new_frame(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
+        frame.pts, frame.time_base = begin, _TICK
+        self._ends[begin] = end
+        self._encode(frame)
+
+    def _encode(self, frame: VideoFrame | None) -> None:
+        for packet in self._stream.encode(frame):
+            if packet.pts is not None:  # as with pictures it always is
+                packet.duration = self._ends.pop(packet.pts) - packet.pts
+            with self._refused():
+                self._container.mux(packet)
+
+    @contextlib.contextmanager
+    def _refused(self) -> Iterator[None]:
+        try:
+            yield
+        except self._error as error:
+            raise UserError(
+                f"{self._name}: cannot be written ({error.strerror}); nothing of it was kept:"
+                " make room and try again"
+            ) from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            with contextlib.suppress(self._error):
+                self._container.close()
+            return
+        self._encode(None)
+        with self._refused():
+            self._container.close()
+
+
+def _video_size(width: int, height: int) -> tuple[int, int]:
+    """The size of a video for pictures of this size: whole times larger or as it is, and even, as H.264 needs."""
+    scale = float(max(1, math.ceil(_LEAST_WIDTH / width)))
+    scale = min(scale, _MOST_SIDE / max(width, height))
+    return int(width * scale) // 2 * 2, int(height * scale) // 2 * 2
+
+
+def _require_av() -> Any:
+    try:
+        import av
+    except ImportError:
+        raise UserError(f'a video needs PyAV: `pip install "{TOOLKIT}[video]"` brings it') from None
+    return av
