@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,29 +12,105 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from common.command import warn
+from common.errors import UserError
+from common.files import final_path, refuse_existing
+
 _GRACE_S: Final = 2.0  # for it to end by itself
+_FILE_GRACE_S: Final = 30.0  # for a file to be written to its end
+_ADDRESS: Final = re.compile(r"[^-]:\d|^\d+$")
+_NICENESS: Final = 10  # of the viewer: it takes the processor only when nobody else wants it
 
 
 @contextlib.contextmanager
-def preview(growing: Path) -> Iterator[None]:
+def preview(growing: Path, where: str = "window", *, overwrite: bool = False) -> Iterator[None]:
     """Show a log that is being written, or the folder of a run that is (or will be) trained, while this lasts.
 
-    The viewer is a program of its own: it may freeze, or be closed, and whoever writes goes on. It is in a process
-    group of its own, so that nothing of it stays when it does not hear that it shall end.
+    `where` is "window" (without a display: "web"), "web", a file that ends in .rrd, or the address of a viewer
+    that runs ("127.0.0.1:9876", or "connect" for one on Rerun's own port). The file has what was in the log when
+    this is left: finish the log before.
+
+    The viewer is a program of its own: it may freeze, or be closed, and whoever writes goes on. It has a lower
+    priority, so that it takes no processor time from a drive, and is in a process group of its own, so that
+    nothing of it stays when it does not hear that it shall end. Its stdin ends with this process: then it ends.
+
+    Raises UserError if the file is there already and may not be overwritten, or for another `where`. A viewer that
+    does not start, or fails later, says why on stderr; of one that had to be killed before its file was whole, it
+    is said here.
     """
-    line = [sys.executable, "-m", "viz.cli", str(growing), "--follow"]
-    viewer = subprocess.Popen(line, stdout=sys.stderr, start_new_session=True)
+    flags = _flags(where)
+    file = Path(where) if where.endswith(".rrd") else None
+    if file is not None:
+        refuse_existing(file, overwrite)
+        flags += ["--force"] if overwrite else []
+    others = _parts_of(file)
+    # -P: not the modules that happen to lie in the working folder
+    line = [sys.executable, "-P", "-m", "viz.preview", str(growing), "--follow", *flags]
+    viewer = subprocess.Popen(
+        line,
+        stdin=subprocess.PIPE,
+        stdout=sys.stderr,
+        start_new_session=True,
+        creationflags=_low_priority_on_windows(),
+    )
+    _lower_priority(viewer.pid)
     try:
         yield
     finally:
-        viewer.terminate()
         try:
-            viewer.wait(_GRACE_S)
-        except subprocess.TimeoutExpired:
-            pass
+            if file is not None:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    viewer.wait(_FILE_GRACE_S)  # the log is finished: it ends by itself, even if it has just begun
+            viewer.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                viewer.wait(_GRACE_S)
         finally:  # also after a second Ctrl-C
             if sys.platform != "win32":
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(viewer.pid, signal.SIGKILL)
             viewer.kill()
-            viewer.wait()
+            viewer.communicate()
+        if file is not None and viewer.returncode < 0:
+            for part in _parts_of(file) - others:
+                part.unlink(missing_ok=True)
+            why = f"its writing hung for {_FILE_GRACE_S:g} s, or was killed"
+            again = f"`bc-play {final_path(growing)} --save {file}` makes it of the finished log"
+            warn(f"{file}: not written: {why}; {again}")
+
+
+def _parts_of(file: Path | None) -> set[Path]:
+    """Files that are being written under a temporary name, to become `file`."""
+    with contextlib.suppress(OSError):  # no such folder yet
+        if file is not None:
+            return {part for part in file.parent.iterdir() if part != file and final_path(part) == file}
+    return set()
+
+
+def _flags(where: str) -> list[str]:
+    match where:
+        case "window":
+            return []
+        case "web":
+            return ["--web"]
+        case "connect":
+            return ["--connect"]
+    if where.endswith(".rrd"):
+        return ["--save", where]
+    if not _ADDRESS.search(where):
+        raise UserError(
+            f"{where}: neither window nor web, nor a FILE.rrd, nor the address of a viewer, such as 127.0.0.1:9876"
+        )
+    return ["--connect", where]
+
+
+def _lower_priority(process: int) -> None:
+    """Before it starts the viewer, which then has the same."""
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, process, _NICENESS)
+
+
+def _low_priority_on_windows() -> int:
+    if sys.platform == "win32":
+        return subprocess.BELOW_NORMAL_PRIORITY_CLASS
+    return 0

@@ -58,3 +58,11 @@ def listening(process: psutil.Process) -> dict[int, str]:
         for connection in process.net_connections("tcp")
         if connection.status == psutil.CONN_LISTEN
     }
+
+
+def lives(process: psutil.Process) -> bool:
+    """A killed process whose parent is dead may stay in the list until the system has tidied up."""
+    try:
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False

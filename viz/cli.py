@@ -1,57 +1,203 @@
-"""`bc-play`: a log, or the training of a run, in the Rerun viewer."""
+"""`bc-play`: logs, or the training of a run, in the Rerun viewer."""
 
 from __future__ import annotations
 
 import os
-import subprocess
-import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from common import UserError
 from common.command import DONE, run_command, stderr, warn, warn_skipped
+from common.files import refuse_existing
 
 if TYPE_CHECKING:
-    from viz.viewer import Ports
+    from model.predictions import LogPredictions
+    from viz.showing import Shown, Where
 
 
 @dataclass(frozen=True)
 class Play:
-    """Open a log in the Rerun viewer: cameras, the network's crop, steering, speed.
+    """Open logs in the Rerun viewer: cameras, the network's crop, steering, speed. Several are compared.
 
     Of a run's folder, it shows how training went: losses, errors beside those of constant predictors, and by bin.
     Without a display, the viewer is served to browsers on this machine.
     """
 
-    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to open, finished or not, or the folder of a run (runs/NAME)."""
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    """The log to open, finished or not, or several to compare, or the folder of a run (runs/NAME)."""
+    by: Literal["time", "place"] = "time"
+    """Compare logs by time since each one's start, or by place along the way of the first one (needs poses)."""
     follow: bool = False
     """Show a log that is being written, or a run that is being trained, as it grows."""
     save: Path | None = None
     """Write an .rrd file for the Rerun viewer, and open nothing."""
+    connect: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
+    """Show it in a viewer that runs: at HOST:PORT or PORT; without an address, on Rerun's own port here."""
     web: bool = False
     """Serve the viewer to browsers on this machine, also where there is a display."""
     web_port: int = 9090
     """Port of the page."""
     port: int = 9876
     """Port from which the page gets its data."""
+    video: Path | None = None
+    """Write the centre camera's pictures as a video, an .mp4, and open nothing."""
+    speed: float = 1.0
+    """How many times as fast as it was driven the video plays."""
+    overlay: bool = False
+    """Put a steering wheel, speed, pedals, clock and who drives below the video's pictures."""
+    run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
+    """Show what the network of this run would have steered, by name or folder; give it again for another run."""
+    attention: bool = False
+    """Show where these networks look, over what they see (VisualBackProp)."""
+    write: Path | None = None
+    """Keep what these networks say as a new log, and open nothing."""
+    runs: Path = Path("runs")
+    """Where runs are kept, for --run."""
     force: bool = False
-    """Replace the file given to --save."""
+    """Replace the file given to --save, --video or --write."""
+
+    @property
+    def log(self) -> Path:
+        """The only log, or the first of several."""
+        return self.logs[0]
 
 
 def play(config: Play) -> int:
-    if config.follow:
-        # A viewer that is closed while it gets data is no error; Rerun would write some on the terminal.
-        os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
-    shown: _Log | _Training = _Training(config) if _is_run(config) else _Log(config)
-    if config.save is not None:
-        code = shown.save(config.save)
-        print(f"{config.save}: written; open it with `rerun {config.save}`")
-        return code
-    return show(config, shown)
+    _refuse_loss(config)
+    _refuse_other_endings(config)
+    if not config.run and (config.attention or config.write is not None):
+        raise UserError("--attention and --write are of networks: give --run NAME as well")
+    if config.video is not None:
+        return make_video(config, config.video)
+    if config.overlay or config.speed != 1.0:
+        raise UserError("--speed and --overlay are for a video: give --video FILE.mp4 as well")
+    _refuse_nonsense(config)
+    _prepare_rerun()
+    if config.run:
+        return _play_predicted(config)
+    return _show_or_save(config, _what(config))
+
+
+def _prepare_rerun() -> None:
+    if find_spec("rerun") is None or find_spec("rerun_cli") is None:
+        raise UserError("the viewer is not installed here: `pip install rerun-sdk` brings it")
+    from viz.viewer import SENDER_LOG
+
+    os.environ.setdefault("RUST_LOG", SENDER_LOG)  # read when Rerun starts
+
+
+def _refuse_nonsense(config: Play) -> None:
+    """Raise UserError for flags that do not go together."""
+    if not config.logs:
+        raise UserError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
+    if len(config.logs) > 1 and (config.follow or config.run):
+        raise UserError("several logs are compared as they are: give one log with --follow, --run")
+    if len(config.logs) == 1 and config.by != "time":
+        raise UserError("--by place compares several logs: give more than one")
+    if config.connect is not None and (config.web or config.save is not None):
+        raise UserError("--connect shows it in a viewer that runs: give it without --web, --save")
+    if config.save is not None and config.web:
+        raise UserError("--save writes a file and opens nothing: give it without --web")
+    if config.connect is not None and len(config.connect) > 1:
+        raise UserError("--connect takes one address, and stands behind the logs: bc-play LOG --connect HOST:PORT")
+
+
+def _refuse_loss(config: Play) -> None:
+    """Raise UserError for a file that would be written over a log that is read, or over another one."""
+    written = [path for path in (config.save, config.video, config.write) if path is not None]
+    for at, path in enumerate(written):
+        if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
+            raise UserError(f"{path}: the log itself, which stays as it is; give another name")
+        if any(path.resolve() == other.resolve() for other in written[:at]):
+            raise UserError(f"{path}: two files of one name; give another one")
+
+
+def _refuse_other_endings(config: Play) -> None:
+    """Raise UserError for a file that nothing would know by its name."""
+    for flag, path, ending in (
+        ("--save", config.save, ".rrd"),
+        ("--video", config.video, ".mp4"),
+        ("--write", config.write, ".mcap"),
+    ):
+        if path is not None and path.suffix.lower() != ending:
+            raise UserError(f"{path}: {flag} writes an {ending} file; give it such a name")
+
+
+def _show_or_save(config: Play, shown: Shown) -> int:
+    """Show it, or write it to a file; the exit code."""
+    if config.save is None:
+        return shown.show(_where(config))
+    code = shown.save(config.save, overwrite=config.force)
+    print(f"{config.save}: written; open it with `rerun {config.save}`")
+    return code
+
+
+def _what(config: Play) -> Shown:
+    from viz.comparison import prepared_comparison
+    from viz.growing import find_log, is_finished
+    from viz.playback import prepared_log
+    from viz.showing import GrowingLogShown, GrowingTraining, Whole
+    from viz.training import prepared_training
+
+    if len(config.logs) > 1:
+        folders = [path for path in config.logs if path.is_dir()]
+        if folders:
+            raise UserError(f"{folders[0]} is a folder: logs are compared; a run's training is shown alone")
+        _refuse_no_logs(config.logs)
+        size = sum(path.stat().st_size for path in config.logs if path.is_file())
+        return Whole(lambda: prepared_comparison(config.logs, config.by), size)
+    if _is_run(config):
+        return GrowingTraining(config.log) if config.follow else Whole(lambda: prepared_training(config.log))
+    if not config.log.exists() and (Path("runs") / config.log).is_dir():
+        raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play runs/{config.log}`")
+    path = find_log(config.log) if config.follow else config.log
+    if config.follow and not is_finished(path):
+        return GrowingLogShown(path)
+    _refuse_no_logs([path])
+    return Whole(lambda: prepared_log(path), path.stat().st_size if path.is_file() else 0)
+
+
+def _refuse_no_logs(paths: Sequence[Path]) -> None:
+    """Raise LogError for what is no log at all, before a viewer opens to show it."""
+    from recorder.chunks import McapFile
+
+    for path in paths:
+        McapFile(path).close()
+
+
+def _where(config: Play) -> Where:
+    from viz.showing import Where
+    from viz.viewer import Ports
+
+    address = None if config.connect is None else "".join(config.connect)
+    return Where(config.web, address, Ports(config.web_port, config.port))
+
+
+def make_video(config: Play, video: Path) -> int:
+    from viz.video import HELD_S, write_video
+    from viz.video_overlay import clock
+
+    if len(config.logs) != 1:
+        raise UserError("--video is made of one log: give one")
+    shows = config.follow or config.web or config.connect is not None
+    if shows or config.save is not None or config.run or config.by != "time":
+        without = "--save, --follow, --web, --connect, --run, --by"
+        raise UserError(f"--video writes a file and opens nothing: give it without {without}")
+    made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
+    size = f"{made.width} x {made.height}"
+    print(f"{video}: written; {made.pictures:,} pictures, {size}, {clock(made.duration_s)} long")
+    if made.gaps:
+        gaps = f"{made.gaps:,} {'gap' if made.gaps == 1 else 'gaps'} of more than a second"
+        stderr().print(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")
+    if made.left_out:
+        pictures = f"{made.left_out:,} {'picture' if made.left_out == 1 else 'pictures'}"
+        stderr().print(f"{pictures} left out: a video shows at most 60 a second")
+    return max(_told(made.notice), warn_skipped(made.skipped))
 
 
 def _is_run(config: Play) -> bool:
@@ -62,72 +208,46 @@ def _is_run(config: Play) -> bool:
     return is_awaited and ".mcap" not in config.log.suffixes
 
 
-class _Log:
-    """A log to show."""
+def _play_predicted(config: Play) -> int:
+    """A log, and what networks say of it; the exit code."""
+    from model import find_run
+    from model.replay import predict_log
+    from viz.predictions import prepared_predictions
+    from viz.showing import Whole
 
-    def __init__(self, config: Play) -> None:
-        from viz.growing import find_log, is_finished
-
-        if not config.log.exists() and (Path("runs") / config.log).is_dir():
-            raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play runs/{config.log}`")
-        self.path = find_log(config.log) if config.follow else config.log
-        self.is_growing = config.follow and not is_finished(self.path)
-        self._config = config
-
-    def save(self, rrd: Path) -> int:
-        from viz.follow import save_growing
-        from viz.playback import save_rrd
-
-        if not self.is_growing:
-            return _told(save_rrd(self.path, rrd, overwrite=self._config.force))
-        followed = save_growing(self.path, rrd, overwrite=self._config.force)
-        return max(_told(followed.notice), warn_skipped(followed.skipped))
-
-    def follow(self, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
-        from viz.follow import follow
-
-        return follow(self.path, viewer, ports)
-
-
-class _Training:
-    """A run whose training is to be shown."""
-
-    def __init__(self, config: Play) -> None:
-        self.path = config.log
-        self.is_growing = config.follow
-        self._config = config
-
-    def save(self, rrd: Path) -> int:
-        from viz.training import save_training, wait_until_trained
-
-        if self.is_growing:
-            wait_until_trained(self.path)
-        return warn_skipped(save_training(self.path, rrd, overwrite=self._config.force))
-
-    def follow(self, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
-        from viz.training import follow_training
-
-        return follow_training(self.path, viewer, ports)
+    if config.follow or config.log.is_dir():
+        raise UserError("--run: networks look at a log that does not grow: give one, without --follow")
+    is_only_written = config.write is not None and config.save is None
+    if is_only_written and (config.attention or config.web or config.connect is not None):
+        raise UserError("--write opens nothing: give it without --attention, --web, --connect")
+    for path in (config.save, config.write):
+        if path is not None:
+            refuse_existing(path, config.force)  # before minutes of work, not after them
+    _refuse_no_logs(config.logs)
+    runs = [find_run(name, config.runs) for name in config.run]
+    if is_only_written:
+        found = predict_log(config.log, runs)
+        return max(_tell(config, found), _told(found.notice))
+    codes = [DONE]
+    whole = Whole(
+        lambda: prepared_predictions(
+            config.log, runs, lambda found: codes.append(_tell(config, found)), attention=config.attention
+        ),
+        config.log.stat().st_size * (1 + config.attention * len(runs)) if config.log.is_file() else 0,
+    )
+    return max(_show_or_save(config, whole), *codes)
 
 
-def show(config: Play, shown: _Log | _Training) -> int:
-    from viz.follow import VIEWER_MEMORY
-    from viz.viewer import Ports, free_port, has_display, open_viewer, wait_until_closed
+def _tell(config: Play, found: LogPredictions) -> int:
+    """Keep what networks say, if that is wanted, and print it in short; the exit code."""
+    from viz.prediction_log import write_predictions
 
-    web = config.web or not has_display()
-    # A window gets a port of its own: several may be open beside each other.
-    ports = Ports(config.web_port, config.port if web else free_port())
-    with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
-        rrd = None if shown.is_growing else Path(folder) / f"{shown.path.absolute().name}.rrd"
-        code = DONE if rrd is None else shown.save(rrd)
-        with open_viewer(rrd, ports, web=web, memory=VIEWER_MEMORY if shown.is_growing else None) as viewer:
-            if web:
-                print(ports.web_address, flush=True)
-                stderr().print("bc-play: open that address in a browser; Ctrl-C ends")
-            if shown.is_growing:
-                return shown.follow(viewer, ports)
-            wait_until_closed(viewer)
-            return code
+    if config.write is not None:
+        write_predictions(found, config.write, overwrite=config.force)
+        print(f"{config.write}: written; look at it with `bc-play {config.write}`")
+    for run in found.predicted:
+        print(found.summary(run), flush=True)
+    return warn_skipped(found.skipped)
 
 
 def _told(notice: str) -> int:

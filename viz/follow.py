@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,14 +17,15 @@ import rerun as rr
 from rich.markup import escape
 
 from common import Skipped, UserError
-from common.command import DONE, complain, stderr, warn, warn_skipped
+from common.command import DONE, INTERRUPTED, complain, stderr, warn, warn_skipped
 from common.files import final_path
 from viz.growing import GrowingLog
 from viz.messages import MessageSender
+from viz.rate import THINNED, PictureRate
 from viz.rrd_file import APPLICATION, rrd_file
-from viz.viewer import Ports, end_viewer, wait_until_closed, wait_until_it_listens
+from viz.viewer import end_viewer, wait_until_closed, wait_until_it_listens
 
-POLL_S: Final = 0.2
+POLL_S: Final = 0.1
 BEHIND_S: Final = 2.0
 """Held up for longer than that, pictures older than that are skipped."""
 HISTORY_S: Final = 60.0
@@ -30,6 +33,9 @@ HISTORY_S: Final = 60.0
 VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
 
 _GRACE_S: Final = 0.5
+_FLUSH_S: Final = 0.5  # how long a viewer may take until it is asked whether anybody still waits for it
+_LAST_S: Final = 3.0  # for another's viewer to take what is on its way
+_WHOLE_S: Final = 2.0  # between two histograms and paths
 
 
 @dataclass(frozen=True)
@@ -42,8 +48,11 @@ class Followed:
     """What could not be shown."""
 
 
-def save_growing(path: Path, rrd: Path, *, overwrite: bool = False) -> Followed:
-    """Write the log at `path` to the file `rrd` as it grows, until it is finished or its recording was killed.
+def save_growing(
+    path: Path, rrd: Path, *, overwrite: bool = False, stop: threading.Event | None = None
+) -> Followed:
+    """Write the log at `path` to the file `rrd` as it grows, until it is finished, its recording was killed, or
+    `stop` is set.
 
     Raises LogError if the log cannot be read or is deleted before its end, UserError if `rrd` exists and may
     not be overwritten, or where the disk is full.
@@ -51,34 +60,51 @@ def save_growing(path: Path, rrd: Path, *, overwrite: bool = False) -> Followed:
     _refuse_windows()
     with rrd_file(rrd, overwrite=overwrite) as file, GrowingLog(path) as log:
         file.recording.send_recording_name(final_path(path).name)
-        _send(log, file.recording, file.has_failed, keep_up=False)
+        _send(log, file.recording, stop or threading.Event(), file.has_failed, keep_up=False)
     return Followed(log.notice, log.skipped)
 
 
-def follow(path: Path, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
-    """Show the log at `path` in an open, empty viewer as it grows, until the viewer is closed; the exit code.
+def follow(path: Path, url: str, viewer: subprocess.Popen[bytes] | None) -> int:
+    """Show the log at `path` as it grows in the viewer at `url`; the exit code.
 
-    What goes wrong with the log is told on stderr when it happens, and the viewer stays open. Raises UserError
-    if the viewer does not start, or dies.
+    `viewer` is its process if it was opened for this, and shows it until it is closed; with None, it is another's,
+    and has all when the log is finished. What goes wrong with the log is told on stderr when it happens. Raises
+    UserError if the viewer does not start, or dies.
     """
-    return feed(_LogFollower(path, ports), viewer, ports)
+    return feed(LogFollower(path, url), viewer)
 
 
 class Follower(threading.Thread):
-    """Sends what grows to a viewer, on a thread: a frozen viewer holds up whoever sends to it."""
+    """Sends what is to be shown to a viewer, on a thread: a frozen viewer holds up whoever sends to it."""
 
-    def __init__(self, ports: Ports) -> None:
+    def __init__(self, url: str) -> None:
         super().__init__(name="follower", daemon=True)
+        self.url = url
         self.stop = threading.Event()
         self.code = DONE
-        self._ports = ports
 
     def _connected(self, name: str) -> rr.RecordingStream:
         """A new recording of this name in the viewer."""
         recording = rr.RecordingStream(APPLICATION)
-        recording.connect_grpc(self._ports.data_address)
+        recording.connect_grpc(self.url)
         recording.send_recording_name(name)
         return recording
+
+    def _flush(self, recording: rr.RecordingStream) -> None:
+        """Wait until the viewer has taken what was sent. Raises GoneError if it is closed, or nobody waits."""
+        while not self.stop.is_set():
+            try:
+                recording.flush(timeout_sec=_FLUSH_S)
+            except RuntimeError as error:
+                if "timed out" not in str(error):
+                    raise GoneError from None
+            else:
+                return
+        raise GoneError
+
+    def _disconnect(self, recording: rr.RecordingStream) -> None:
+        with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
+            recording.disconnect()
 
     def _refuse_silence(self) -> None:
         """Raise UserError unless the viewer, which takes nothing any more, is about to be closed."""
@@ -86,10 +112,16 @@ class Follower(threading.Thread):
             raise UserError("the viewer has lost its connection and shows nothing new; open it again")
 
 
-def feed(follower: Follower, viewer: subprocess.Popen[bytes], ports: Ports) -> int:
-    """Let `follower` feed an open, empty viewer until that is closed; the exit code. Raises as `follow` does."""
-    _refuse_windows()
-    wait_until_it_listens(viewer, ports)
+class GoneError(Exception):
+    """The viewer takes nothing any more: it is closed, or shall be."""
+
+
+def feed(follower: Follower, viewer: subprocess.Popen[bytes] | None) -> int:
+    """Let `follower` feed an open, empty viewer until that is closed, or all has been sent to another's; the exit
+    code. Raises as `follow` does."""
+    if viewer is None:
+        return _feed_other(follower)
+    wait_until_it_listens(viewer, follower.url)
     follower.start()
     try:
         wait_until_closed(viewer)
@@ -103,11 +135,28 @@ def feed(follower: Follower, viewer: subprocess.Popen[bytes], ports: Ports) -> i
     return follower.code
 
 
-class _LogFollower(Follower):
+def _feed_other(follower: Follower) -> int:
+    """Feed a viewer that somebody else has opened."""
+    follower.start()
+    try:
+        while follower.is_alive():
+            follower.join(POLL_S)  # without a time, no Ctrl-C would be heard
+    except KeyboardInterrupt:
+        follower.stop.set()
+        follower.join(_LAST_S)
+        if follower.is_alive():  # held up by Rerun, for a viewer that is frozen: nothing else ends it
+            stderr().print("bc-play: stopped")
+            os._exit(INTERRUPTED)
+        raise
+    return follower.code
+
+
+class LogFollower(Follower):
     """Sends a log."""
 
-    def __init__(self, path: Path, ports: Ports) -> None:
-        super().__init__(ports)
+    def __init__(self, path: Path, url: str) -> None:
+        _refuse_windows()
+        super().__init__(url)
         self._path = path
 
     def run(self) -> None:
@@ -115,7 +164,7 @@ class _LogFollower(Follower):
         recording = self._connected(name)
         with GrowingLog(self._path) as log:
             try:
-                _send(log, recording, self.stop, keep_up=True)
+                _send(log, recording, self.stop, self.stop, keep_up=True, flush=lambda: self._flush(recording))
                 if log.is_finished:
                     stderr().print(f"bc-play: {escape(name)} is finished, all of it is shown")
                 elif log.notice:
@@ -126,28 +175,48 @@ class _LogFollower(Follower):
                 self.code = complain("bc-play", error)
             skipped = warn_skipped(log.skipped)
             self.code = self.code or skipped
-        with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
-            recording.disconnect()
+        self._disconnect(recording)
 
 
-def _send(log: GrowingLog, recording: rr.RecordingStream, stop: threading.Event, *, keep_up: bool) -> None:
-    """Send the log as it grows, until it is over, `stop` is set or nobody takes it any more."""
+def _send(
+    log: GrowingLog,
+    recording: rr.RecordingStream,
+    stop: threading.Event,
+    has_failed: threading.Event,
+    *,
+    keep_up: bool,
+    flush: Callable[[], object] | None = None,
+) -> None:
+    """Send the log as it grows, till it is over, `stop` is set (then what is there is sent) or nobody takes it."""
     sender = MessageSender(recording)
     pictures_of_last_s = HISTORY_S if keep_up else None
-    last_s = time.monotonic()
-    while not stop.is_set():
+    last_s = whole_s = time.monotonic()
+    rate: PictureRate | None = None  # of what was there before, all of `HISTORY_S` is shown
+    while not has_failed.is_set():
+        is_last = stop.is_set()
         for messages in log.read(pictures_of_last_s):
-            sender.send(messages)
+            shown, thinned = rate.thin(messages) if rate is not None else (messages, [])
+            for message in thinned:
+                log.skipped.add(THINNED, message.topic)
+            sender.send(shown)
+        is_last = is_last or log.is_finished or bool(log.notice)
+        now_s = time.monotonic()
+        if is_last or now_s - whole_s >= _WHOLE_S:
+            sender.finish()
+            whole_s = now_s
         try:
-            recording.flush()  # what the viewer does not take must not pile up here
-        except RuntimeError:
+            (flush or recording.flush)()  # what the viewer does not take must not pile up here
+        except (GoneError, RuntimeError):
             return  # the viewer is gone
-        if log.is_finished or log.notice:
+        if is_last:
             return
         stop.wait(POLL_S)
         now_s = time.monotonic()
         pictures_of_last_s = BEHIND_S if keep_up and now_s - last_s > BEHIND_S else None
         last_s = now_s
+        if keep_up:
+            rate = rate or PictureRate(now_s)
+            rate.tick(now_s)
 
 
 def _refuse_windows() -> None:

@@ -10,19 +10,22 @@ import numpy as np
 import rerun as rr
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message as ProtobufMessage
 from numpy.typing import NDArray
 
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.topics import CAMERAS, EVENTS, PILOT_COMMAND, PILOT_INPUT, VEHICLE, camera_topic
+from recorder.topics import CAMERAS, EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from viz.drawing import Drawing, picture_size, time_column
 from viz.layout import log_layout
-from viz.playback import curve_values, log_style, send_curve, time_column
 
+CENTER: Final = camera_topic("center")
 PICTURE_TOPICS: Final = (*map(camera_topic, CAMERAS), PILOT_INPUT)
 KINDS: Final[dict[str, type[ProtobufMessage]]] = {
     **dict.fromkeys(PICTURE_TOPICS, CompressedImage),
     VEHICLE: VehicleState,
     PILOT_COMMAND: PilotCommand,
+    POSE: PoseInFrame,
     EVENTS: LogMessage,
 }
 """What is shown, and what it must be."""
@@ -51,14 +54,17 @@ class MessageSender:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
+        self._drawing = Drawing(recording)
         self._topics: set[str] = set()
+        self._has_size = False
 
     def send(self, messages: Iterable[Shown]) -> None:
         by_topic: dict[str, list[Shown]] = {}
         for message in messages:
             by_topic.setdefault(message.topic, []).append(message)
         self._prepare(by_topic.keys())
-        for topic, found in by_topic.items():
+        for topic in sorted(by_topic, key=lambda topic: topic not in PICTURE_TOPICS):
+            found = by_topic[topic]
             time_ns = np.array([message.log_time_ns for message in found], np.int64)
             contents = [message.content for message in found]
             if KINDS[topic] is CompressedImage:
@@ -66,19 +72,23 @@ class MessageSender:
             elif KINDS[topic] is LogMessage:
                 self._send_events(topic, time_ns, contents)
             else:
-                for curve, values in curve_values(topic, contents):
-                    send_curve(self._recording, curve, time_ns, values)
+                self._drawing.send(topic, time_ns, contents)
+
+    def finish(self) -> None:
+        """Send what is drawn of all messages until now: histogram and path. To be called now and then."""
+        self._drawing.finish()
 
     def _prepare(self, topics: Iterable[str]) -> None:
         new = set(topics) - self._topics
-        for curve, _ in (each for topic in new for each in curve_values(topic, [])):
-            log_style(self._recording, curve)
-        if new.intersection(PICTURE_TOPICS) or (new and not self._topics):
+        if new - {EVENTS} or (new and not self._topics):
             # The first event may come late, and must not change a layout that somebody has arranged meanwhile.
             self._recording.send_blueprint(log_layout({*self._topics, *new, EVENTS}))
         self._topics |= new
 
     def _send_pictures(self, topic: str, time_ns: NDArray[np.int64], pictures: list[CompressedImage]) -> None:
+        if topic == CENTER and not self._has_size:
+            self._has_size = True
+            self._drawing.picture_size = picture_size(pictures[0].data) or self._drawing.picture_size
         columns = rr.EncodedImage.columns(
             blob=[picture.data for picture in pictures],
             media_type=[f"image/{picture.format or 'jpeg'}" for picture in pictures],

@@ -1,27 +1,73 @@
-"""A log as a Rerun recording: pictures through Rerun's own MCAP reader, curves as columns."""
+"""A log as a Rerun recording: pictures through Rerun's own MCAP reader, all that is drawn as columns."""
 
 from __future__ import annotations
 
+import contextlib
+import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
+import rerun.blueprint as rrb
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import DecodeError
+from google.protobuf.message import Message as ProtobufMessage
+from rerun.chunk import Chunk, McapReader
 
 from common.files import refuse_existing
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover
-from recorder.topics import PILOT_COMMAND, VEHICLE
-from viz.layout import CURVES, Curve, log_layout
+from recorder.topics import PILOT_COMMAND, POSE, VEHICLE, camera_topic
+from viz.drawing import Drawing, Times, Values, curve_values, picture_size
+from viz.layout import Curve, log_layout
+from viz.prediction_curves import prediction_curves
+from viz.prediction_log import prediction_topics, read_predictions
 from viz.rrd_file import rrd_file
 
-TIMELINE: Final = "message_log_time"  # as Rerun's MCAP reader calls a message's log time
+KINDS: Final[dict[str, type[ProtobufMessage]]] = {
+    VEHICLE: VehicleState,
+    PILOT_COMMAND: PilotCommand,
+    POSE: PoseInFrame,
+}
+"""What the messages on a topic must be for it to be drawn."""
 
-Values = NDArray[np.float64]
+_ROWS_AT_ONCE: Final = 500  # pictures on their way to a viewer, some megabytes: more would only pile up here
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What is shown beside a log: what networks say of it."""
+
+    runs: Sequence[str]  # their names
+    attention: bool  # whether it is shown where they look
+    send: Callable[[rr.RecordingStream, Drawing, Callable[[], object]], object]
+    """To a recording, or as what is drawn there. The third argument is the second of `Prepared.send`."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A log's messages that are drawn: log times (N,) in ns and N contents, by topic."""
+
+    messages: dict[str, tuple[Times, list[Any]]]
+    picture_size: tuple[int, int] | None  # width, height of the centre camera's first picture
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What is ready to be shown: read, and found sound."""
+
+    name: str
+    layout: rrb.Blueprint | None  # None: `send` sends one
+    send: Callable[[rr.RecordingStream, Callable[[], object]], object]
+    """To a recording. The second argument waits until what was sent is taken, and may raise what ends it."""
+    notices: Sequence[str]  # of logs that were never finished
+    recording_id: str | None = None  # in a file: the same log, the same recording
 
 
 def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
@@ -32,53 +78,131 @@ def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
     disk is full.
     """
     refuse_existing(rrd, overwrite)
+    with prepared_log(path) as prepared:
+        save_prepared(prepared, rrd, overwrite=overwrite)
+        return "".join(prepared.notices)
+
+
+def save_prepared(prepared: Prepared, rrd: Path, *, overwrite: bool) -> None:
+    """Write it to the file `rrd`. Raises UserError as `save_rrd` does."""
+    named = prepared.recording_id
+    with rrd_file(rrd, overwrite=overwrite, recording_id=named, layout=prepared.layout) as file:
+        file.recording.send_recording_name(prepared.name)
+        prepared.send(file.recording, file.recording.flush)
+
+
+@contextlib.contextmanager
+def prepared_log(path: Path, beside: Beside | None = None) -> Iterator[Prepared]:
+    """The log at `path`: first what is drawn of it is sent, then its pictures, then what stands beside it.
+
+    Raises LogError for a bad log.
+    """
+    with sound_log(path) as (log, notice):
+        drawn = read_drawn(log)  # before Rerun starts: it must not be given damage
+
+        def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+            drawing = Drawing(recording)
+            draw(drawn, drawing)
+            for curve, time_ns, values in predicted_curves(log):
+                drawing.curve(curve, time_ns, values)
+            send_chunks(chunks_of(log), recording, flush)
+            if beside is not None:
+                beside.send(recording, drawing, flush)
+
+        recording_id = f"{path.name}-{log.fingerprint[:12]}"
+        yield Prepared(path.name, _layout(log, beside), send, [notice] if notice else [], recording_id)
+
+
+@contextlib.contextmanager
+def sound_log(path: Path) -> Iterator[tuple[Log, str]]:
+    """The log at `path`, or what is whole in it where it was never finished, and its notice.
+
+    Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read.
+    """
     with Log(path) as log:
         if not log.problem:
-            _save(log, path.name, rrd, overwrite=overwrite)
-            return ""
-        # Rerun's reader refuses a log without a sound end.
+            yield log, ""
+            return
         with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
             whole = recover(path, Path(folder) / "whole.mcap").path
             with Log(whole) as recovered:
-                _save(recovered, path.name, rrd, overwrite=overwrite)
-        return log.notice
+                yield recovered, log.notice
 
 
-def _save(log: Log, name: str, rrd: Path, *, overwrite: bool) -> None:
-    drawn = list(curves(log))  # before Rerun starts: of a damaged log, it makes a hang
-    layout = log_layout([topic for topic, count in log.counts.items() if count])
-    recording_id = f"{name}-{log.fingerprint[:12]}"
-    with rrd_file(rrd, overwrite=overwrite, recording_id=recording_id, layout=layout) as file:
-        file.recording.send_recording_name(name)
-        file.recording.log_file_from_path(log.path)
-        for curve, time_ns, values in drawn:
-            log_style(file.recording, curve)
-            send_curve(file.recording, curve, time_ns, values)
+def read_drawn(log: Log) -> Drawn:
+    """What is drawn of a log; topics of these names that hold another program's messages are not. Raises LogError
+    where it is damaged."""
+    found: dict[str, tuple[Times, list[Any]]] = {}
+    for topic, messages in ((VEHICLE, log.vehicle_states()), (PILOT_COMMAND, log.commands()), (POSE, _poses(log))):
+        pairs = list(messages) if _is_ours(log, topic) else []
+        if pairs:
+            time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
+            found[topic] = time_ns, [content for _, content in pairs]
+    return Drawn(found, _picture_size(log))
 
 
-def curves(log: Log) -> Iterator[tuple[Curve, NDArray[np.int64], Values]]:
+def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
     """The lines that a log has: which, log times (N,) in ns, values (N,)."""
-    for topic, found in ((VEHICLE, list(log.vehicle_states())), (PILOT_COMMAND, list(log.commands()))):
-        time_ns = np.array([message.log_time_ns for message, _ in found], np.int64)
-        if len(time_ns):
-            contents = [content for _, content in found]
-            yield from ((curve, time_ns, values) for curve, values in curve_values(topic, contents))
+    for topic, (time_ns, contents) in read_drawn(log).messages.items():
+        yield from curve_values(topic, time_ns, contents)
+    yield from predicted_curves(log)
 
 
-def curve_values(topic: str, contents: Sequence[VehicleState | PilotCommand]) -> Iterator[tuple[Curve, Values]]:
-    """The lines that are drawn of the messages on `topic`, a value a message."""
-    for curve in CURVES:
-        if curve.topic == topic:
-            yield curve, np.array([getattr(content, curve.field) for content in contents], np.float64)
+def draw(drawn: Drawn, drawing: Drawing) -> None:
+    """Send what is drawn of a whole log."""
+    drawing.picture_size = drawn.picture_size or drawing.picture_size
+    for topic, (time_ns, contents) in drawn.messages.items():
+        drawing.send(topic, time_ns, contents)
+    drawing.finish()
 
 
-def log_style(recording: rr.RecordingStream, curve: Curve) -> None:
-    recording.log(curve.entity, rr.SeriesLines(names=curve.name, colors=[curve.color], widths=1.5), static=True)
+def topics_of(log: Log) -> list[str]:
+    """The topics on which there is a message."""
+    return [topic for topic, count in log.counts.items() if count]
 
 
-def send_curve(recording: rr.RecordingStream, curve: Curve, time_ns: NDArray[np.int64], values: Values) -> None:
-    recording.send_columns(curve.entity, [time_column(time_ns)], rr.Scalars.columns(scalars=values))
+def chunks_of(log: Log) -> Iterable[Chunk]:
+    """What Rerun's own reader makes of a log, as far as it is not drawn."""
+    drawn = [topic for topic in (VEHICLE, PILOT_COMMAND) if _is_ours(log, topic)] + prediction_topics(log)
+    return McapReader(log.path, exclude_topic_regex=[f"^{re.escape(topic)}$" for topic in drawn]).stream()
 
 
-def time_column(time_ns: NDArray[np.int64]) -> rr.TimeColumn:
-    return rr.TimeColumn(TIMELINE, timestamp=time_ns.astype("datetime64[ns]"))
+def send_chunks(chunks: Iterable[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    """Send chunks no faster than they are taken, so that they do not pile up in this process."""
+    rows = 0
+    for chunk in chunks:
+        recording.send_chunks(chunk)
+        rows += len(chunk)
+        if rows >= _ROWS_AT_ONCE:
+            flush()
+            rows = 0
+    flush()
+
+
+def _layout(log: Log, beside: Beside | None) -> rrb.Blueprint:
+    runs = beside.runs if beside is not None else ()
+    return log_layout(topics_of(log), runs, runs if beside is not None and beside.attention else ())
+
+
+def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
+    """The lines of what networks say, where a log holds that. Raises LogError where it is damaged."""
+    for number, predictions in enumerate(read_predictions(log)):
+        yield from prediction_curves(predictions, number)
+
+
+def _is_ours(log: Log, topic: str) -> bool:
+    return log.schemas.get(topic, "") == str(KINDS[topic].DESCRIPTOR.full_name)
+
+
+def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
+    for message in log.messages(POSE):
+        with contextlib.suppress(DecodeError):  # a path with a gap; `bc-log check` tells
+            yield message, PoseInFrame.FromString(log.read(message.offset, message.length, message.chunk))
+
+
+def _picture_size(log: Log) -> tuple[int, int] | None:
+    topic = camera_topic("center")
+    if topic not in topics_of(log) or log.schemas[topic] != CompressedImage.DESCRIPTOR.full_name:
+        return None
+    found = log.pictures(topic)
+    return picture_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))

@@ -12,12 +12,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
 import rerun_cli
 
 from common import UserError
 
 LOCAL: Final = "127.0.0.1"
+SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
+"""What Rerun may print where data is sent: a viewer that is closed while it gets some is no error."""
 
 _PATIENCE_S: Final = 30.0  # for a window to open on a busy machine
 _GRACE_S: Final = 1.0  # a frozen process does not hear that it shall end
@@ -61,22 +64,28 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def open_viewer(
-    rrd: Path | None, ports: Ports, *, web: bool, memory: str | None = None
+    ports: Ports,
+    *,
+    web: bool,
+    memory: str | None = None,
+    server_memory: str | None = None,
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Open `rrd`, or nothing yet, in a window, or serve it to browsers on this machine.
+    """Open an empty viewer in a window, or serve it to browsers on this machine.
 
-    The viewer ends with the context. `memory` limits what it holds ("1GB"). Raises UserError if a port is taken.
+    The viewer ends with the context. `memory` limits what it holds ("1GB"), `server_memory` what it holds for
+    pages that are opened later. Raises UserError if a port is taken.
     """
     for port in (ports.web, ports.data) if web else (ports.data,):
         _refuse_taken(port)
     command = [str(viewer_program()), "--bind", LOCAL, "--port", str(ports.data)]
-    if rrd is not None:
-        command.append(str(rrd))
     if web:
         command += ["--serve-web", "--web-viewer-port", str(ports.web)]
     if memory is not None:
-        command += ["--memory-limit", memory, "--server-memory-limit", memory]
-    environment = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
+        command += ["--memory-limit", memory]
+    if server_memory is not None:
+        command += ["--server-memory-limit", server_memory]
+    wanted = os.environ.get("RUST_LOG", SENDER_LOG)
+    environment = {**os.environ, "RUST_LOG": "error" if wanted == SENDER_LOG else wanted}
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
     try:
         yield viewer
@@ -94,13 +103,15 @@ def end_viewer(viewer: subprocess.Popen[bytes]) -> None:
         viewer.wait()
 
 
-def wait_until_it_listens(viewer: subprocess.Popen[bytes], ports: Ports) -> None:
+def wait_until_it_listens(viewer: subprocess.Popen[bytes], url: str) -> None:
     """Until data can be sent to it; before that, Rerun waits seconds. Raises UserError if it does not start."""
+    port = urlsplit(url).port
     deadline_s = time.monotonic() + _PATIENCE_S
     while time.monotonic() < deadline_s:
         if viewer.poll() is not None:
+            wait_until_closed(viewer)  # tells how it ended
             break
-        with contextlib.suppress(OSError), socket.create_connection((LOCAL, ports.data), _PATIENCE_S):
+        with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), _PATIENCE_S):
             return
         time.sleep(0.05)
     raise UserError("the Rerun viewer did not start; give --web to use a browser instead, or --save FILE.rrd")
@@ -119,5 +130,6 @@ def _refuse_taken(port: int) -> None:
         socket.create_server((LOCAL, port)).close()
     except (OSError, OverflowError) as error:
         raise UserError(
-            f"port {port} cannot be listened on ({error}); give another one: --port, --web-port"
+            f"port {port} cannot be listened on ({error}): end what has it, perhaps a viewer, or give bc-play"
+            " others: --port, --web-port"
         ) from None

@@ -1,0 +1,324 @@
+"""The viewer beside what goes on, and viewers that run already: what they get, what is said of those not there."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+import pytest
+
+from common import UserError
+from common.preview import preview
+from driving import PATIENCE_S, Process, command, environment
+from logs import START_NS, STEP_NS, write_log
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.topics import CAMERAS, Camera
+from rrd import contents, free_ports, lives
+from udacity import call
+from viz.cli import main
+from viz.connection import viewer_url
+from viz.messages import Shown
+from viz.rate import PictureRate
+from viz.viewer import Ports, open_viewer, viewer_program, wait_until_it_listens
+
+ROWS = 30
+
+not_on_windows = pytest.mark.skipif(sys.platform == "win32", reason="an open log cannot be renamed there")
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    """What cannot be compressed: a file is then at least as large as the pictures in it."""
+    return random.Random(f"{camera} {row}").randbytes(8000)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    steering = [row / 100 for row in range(ROWS)]
+    return write_log(tmp_path_factory.mktemp("live") / "a.mcap", steering, picture)
+
+
+@contextlib.contextmanager
+def running_viewer() -> Iterator[Ports]:
+    """A viewer that serves browsers: it needs neither a display nor a graphics driver."""
+    ports = Ports(*free_ports(2))
+    with open_viewer(ports, web=True) as viewer:
+        wait_until_it_listens(viewer, ports.data_address)
+        yield ports
+
+
+@contextlib.contextmanager
+def received(ports: Ports, rrd: Path) -> Iterator[None]:
+    """Another client of the viewer writes all pictures that it has to a file, until the viewer is ended within."""
+    line = [str(viewer_program()), ports.data_address, "--save", str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
+    size = sum(len(picture(camera, row)) for camera in CAMERAS for row in range(ROWS))
+    deadline_s = time.monotonic() + PATIENCE_S
+    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment()) as client:
+        while not (rrd.exists() and rrd.stat().st_size >= size) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        yield
+        client.wait(PATIENCE_S)
+
+
+def holds_all(rrd: Path) -> bool:
+    found = contents(rrd)
+    pictures = [[bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]] for camera in CAMERAS]
+    return pictures == [[picture(camera, row) for row in range(ROWS)] for camera in CAMERAS] and [
+        value[0] for value in found["/steering/recorded"]["Scalars:scalars"] if value
+    ] == pytest.approx([row / 100 for row in range(ROWS)])
+
+
+# A viewer that runs
+
+
+def test_a_viewer_that_runs_gets_all_of_the_log(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.ExitStack() as client, running_viewer() as ports:
+        assert call(main, log, "--connect", f"127.0.0.1:{ports.data}") == 0
+        client.enter_context(received(ports, tmp_path / "got.rrd"))
+    assert holds_all(tmp_path / "got.rrd")
+    said = capsys.readouterr().err
+    assert "does not tell its version" in said  # what serves browsers does not
+    assert len(said.splitlines()) == 1
+
+
+def test_a_page_gets_all_of_the_log(log: Path, tmp_path: Path) -> None:
+    ports = Ports(*free_ports(2))
+    flags = ("--web", "--web-port", ports.web, "--port", ports.data)
+    with Process(command("bc-play", log, *flags)) as play:
+        play.wait_for("open that address in a browser")
+        wait_until_open(ports.data)
+        with received(ports, tmp_path / "got.rrd"):
+            assert play.end(signal.SIGINT) == 130
+    assert holds_all(tmp_path / "got.rrd")
+
+
+def wait_until_open(port: int) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline_s:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), PATIENCE_S):
+            return
+        time.sleep(0.05)
+
+
+def test_an_address_can_be_short() -> None:
+    assert viewer_url("") == viewer_url("9876") == "rerun+http://127.0.0.1:9876/proxy"
+    assert viewer_url("other:1234") == "rerun+http://other:1234/proxy"
+    assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
+    assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
+    for wrong in ("other", "http://other:1234", "a b:1", "rerun+http://other:x/proxy", "other:123456", "-x:1 2"):
+        with pytest.raises(UserError, match="no address of a viewer"):
+            viewer_url(wrong)
+
+
+@contextlib.contextmanager
+def answering(answer: bytes) -> Iterator[int]:
+    """The port of a server that says something else than a viewer."""
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = server.accept()
+                with connection:
+                    connection.recv(100)
+                    connection.sendall(answer)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield server.getsockname()[1]
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join(PATIENCE_S)
+
+
+def test_what_is_no_viewer_is_one_line(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viz.connection._PATIENCE_S", 0.2)
+
+    def said(port: object) -> str:
+        assert call(main, log, "--connect", port) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    (nobody,) = free_ports(1)
+    assert f"127.0.0.1:{nobody}: no viewer listens there" in said(nobody)
+    with answering(b"HTTP/1.0 400 Bad request\r\n\r\n") as port:
+        assert "is no Rerun viewer" in said(port)
+    with answering(b"") as port:
+        assert "is no Rerun viewer" in said(port)
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # a frozen one
+        assert "does not answer" in said(silent.getsockname()[1])
+    assert "no address of a viewer" in said("somewhere")
+    assert "no viewer listens there" in said("99999")
+
+
+def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viz.connection._version", lambda url: "0.7.1")  # none of so old a version is installed
+    with running_viewer() as ports:
+        assert call(main, log, "--connect", ports.data) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a viewer of version 0.7.1, but version 0." in line
+
+
+# Beside what goes on
+
+
+def test_what_is_no_place_for_a_viewer_is_refused_before_anything_begins(tmp_path: Path) -> None:
+    (tmp_path / "x.rrd").write_bytes(b"precious")
+    for where, says in (
+        ("windwo", "neither window nor web"),
+        ("", "neither window nor web"),
+        ("--web", "neither window nor web"),
+        (str(tmp_path / "x.rrd"), "exists already"),
+    ):
+        with pytest.raises(UserError, match=says), preview(tmp_path / "a.mcap", where):
+            raise AssertionError("it has begun")
+    assert (tmp_path / "x.rrd").read_bytes() == b"precious"
+
+
+def test_a_viewer_that_cannot_start_says_why_and_what_goes_on_is_not_disturbed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (nobody,) = free_ports(1)
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer:
+        with preview(writer.part, f"127.0.0.1:{nobody}"):
+            said = ""
+            deadline_s = time.monotonic() + PATIENCE_S
+            while "\n" not in said and time.monotonic() < deadline_s:
+                writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+                time.sleep(0.05)
+                said += capfd.readouterr().err
+            assert f"127.0.0.1:{nobody}: no viewer listens there" in said
+        writer.vehicle(START_NS + STEP_NS, 1, VehicleState(steering=0.5))
+    assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 0
+
+
+def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> None:
+    """Also what was written when the viewer's process had not even begun to read."""
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with preview(writer.part, str(tmp_path / "a.rrd")):
+        for row in range(ROWS):
+            for camera in CAMERAS:
+                writer.picture(camera, START_NS + row * STEP_NS, row, picture(camera, row))
+            writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(steering=row / 100))
+        writer.close()
+    assert holds_all(tmp_path / "a.rrd")
+
+
+PREVIEW = """
+import sys, time
+from pathlib import Path
+from common.preview import preview
+with preview(Path(sys.argv[1]), sys.argv[2]):
+    time.sleep(1000)
+"""
+
+
+def children_of(process: int) -> list[psutil.Process]:
+    return list(psutil.Process(process).children(recursive=True))
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+
+
+@not_on_windows
+def test_a_preview_ends_when_who_started_it_is_killed(tmp_path: Path) -> None:
+    """As when a terminal is closed. What lies in the working folder is not taken for our own modules."""
+    for name in ("common.py", "viz.py"):
+        (tmp_path / name).write_text("raise SystemExit('of another project')")  # not taken for ours
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer:
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        line = [sys.executable, "-P", "-c", PREVIEW, str(writer.part), "a.rrd"]
+        with Process(line, cwd=tmp_path) as process:
+            wait_for(lambda: list(tmp_path.glob("a.rrd.*.part")))
+            previews = children_of(process.popen.pid)
+            try:
+                process.popen.kill()
+                process.popen.wait(PATIENCE_S)
+                wait_for(lambda: not any(map(lives, previews)))
+            finally:
+                for each in previews:
+                    with contextlib.suppress(psutil.NoSuchProcess):
+                        each.kill()
+    assert len(previews) == 1
+    assert [path.name for path in tmp_path.glob("a.rrd*")] == ["a.rrd"]  # what was there by then
+
+
+@not_on_windows
+def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for grace in ("_FILE_GRACE_S", "_GRACE_S"):
+        monkeypatch.setattr(f"common.preview.{grace}", 0.1)
+    others = set(children_of(os.getpid()))
+    rrd, foreign = tmp_path / "a.rrd", tmp_path / "a.rrd.0123ab.part"
+    foreign.write_bytes(b"another's")
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with preview(writer.part, str(rrd)):
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        wait_for(lambda: len(list(tmp_path.glob("a.rrd.*.part"))) == 2)
+        for child in set(children_of(os.getpid())) - others:
+            child.suspend()
+        writer.close()
+    assert list(tmp_path.glob("a.rrd*")) == [foreign]
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith(f"{rrd}: not written")
+    assert f"`bc-play {tmp_path / 'a.mcap'} --save {rrd}`" in line
+
+
+# How many pictures are shown
+
+
+def pictures(count: int, topic: str = "/camera/center") -> list[Shown]:
+    return [Shown(topic, time_ns, None) for time_ns in range(count)]
+
+
+def test_of_a_drive_faster_than_the_clock_thirty_pictures_a_second_are_shown_evenly() -> None:
+    rate = PictureRate(0.0)
+    shown = []
+    for second in range(1, 11):
+        rate.tick(float(second))
+        kept, thinned = rate.thin(pictures(300))
+        assert len(kept) + len(thinned) == 300
+        assert kept[-1].log_time_ns == 299  # the newest
+        gaps = {after.log_time_ns - before.log_time_ns for before, after in itertools.pairwise(kept)}
+        assert gaps == {10}
+        shown.append(len(kept))
+    assert shown == [30] * 10
+
+
+def test_what_is_no_picture_is_always_shown_and_each_camera_has_its_own_rate() -> None:
+    rate = PictureRate(0.0)
+    rate.tick(1.0)
+    messages = pictures(100) + pictures(1000, "/vehicle") + pictures(20, "/camera/left")
+    kept, thinned = rate.thin(messages)
+    assert [each for each in kept if each.topic == "/vehicle"] == pictures(1000, "/vehicle")
+    assert [each for each in kept if each.topic == "/camera/left"] == pictures(20, "/camera/left")
+    assert {each.topic for each in thinned} == {"/camera/center"}
+    assert len(thinned) == 70
+
+
+def test_pictures_at_the_pace_of_a_camera_are_all_shown() -> None:
+    rate = PictureRate(0.0)
+    for tick in range(1, 200):  # five pictures every 0.2 s
+        rate.tick(tick * 0.2)
+        assert rate.thin(pictures(5))[1] == []

@@ -1,0 +1,160 @@
+"""Several logs beside each other on one time line: by time since each one's start, or by place along the track."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+from rerun.chunk import Chunk
+
+from common import UserError
+from recorder import Log
+from recorder.topics import POSE
+from viz.drawing import TIMELINE, Drawing, Times
+from viz.layout import LOG_COLORS, comparison_layout, log_entity
+from viz.places import along
+from viz.playback import (
+    Drawn,
+    Prepared,
+    chunks_of,
+    draw,
+    predicted_curves,
+    read_drawn,
+    send_chunks,
+    sound_log,
+    topics_of,
+)
+
+By = Literal["time", "place"]
+
+SINCE_START: Final = "since_start"
+PLACE: Final = "place_cm"
+"""Centimetres along the way of the first log: of Rerun's time lines, only whole numbers may be no times."""
+
+MOST_LOGS: Final = 6
+_LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture would have if its log were alone
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """One of several logs."""
+
+    name: str
+    log: Log
+    drawn: Drawn
+    times: Callable[[Times], rr.TimeColumn]
+
+
+@contextlib.contextmanager
+def prepared_comparison(paths: Sequence[Path], by: By = "time") -> Iterator[Prepared]:
+    """The logs at `paths` beside each other.
+
+    Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
+    """
+    if len(paths) > MOST_LOGS:
+        raise UserError(f"{len(paths)} logs: at most {MOST_LOGS} can be shown beside each other")
+    with contextlib.ExitStack() as stack:
+        opened = [stack.enter_context(sound_log(path)) for path in paths]
+        drawn = [read_drawn(log) for log, _ in opened]
+        times = _by_place(paths, drawn) if by == "place" else [_by_time(log) for log, _ in opened]
+        logs = [
+            _Beside(name, log, found, time)
+            for name, (log, _), found, time in zip(names_of(paths), opened, drawn, times, strict=True)
+        ]
+        topics = {each.name: topics_of(each.log) for each in logs}
+        layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START)
+        notices = [notice for _, notice in opened if notice]
+        name = " | ".join(topics)
+        yield Prepared(name, layout, lambda recording, flush: _send(logs, recording, flush), notices)
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """A name for each log: its file's, and its folder's or a number where two would have the same."""
+    names: list[str] = []
+    stems = [path.name.removesuffix(".mcap") for path in paths]
+    for path, stem in zip(paths, stems, strict=True):
+        name = stem if stems.count(stem) == 1 else f"{path.absolute().parent.name}/{stem}"
+        numbers = iter(range(2, len(paths) + 2))
+        unique = name
+        while unique in names:
+            unique = f"{name} ({next(numbers)})"
+        names.append(unique)
+    return names
+
+
+def _by_time(log: Log) -> Callable[[Times], rr.TimeColumn]:
+    start_ns, _ = log.time_range_ns
+    return lambda time_ns: rr.TimeColumn(SINCE_START, duration=(time_ns - start_ns).astype("timedelta64[ns]"))
+
+
+def _by_place(paths: Sequence[Path], drawn: Sequence[Drawn]) -> list[Callable[[Times], rr.TimeColumn]]:
+    """Raises UserError if there is a log without poses, or one of another track."""
+    ways = [_way(path, found) for path, found in zip(paths, drawn, strict=True)]
+    first = ways[0][1]
+    columns = []
+    for path, (time_ns, way) in zip(paths, ways, strict=True):
+        placed_m = along(first, way)
+        if placed_m is None:
+            raise UserError(f"{path}: not on the road of {paths[0]}: compare them by time, without --by place")
+        columns.append(_place_column(time_ns, placed_m))
+    return columns
+
+
+def _place_column(pose_ns: Times, placed_m: NDArray[np.float64]) -> Callable[[Times], rr.TimeColumn]:
+    def column(time_ns: Times) -> rr.TimeColumn:
+        place_m = np.interp((time_ns - pose_ns[0]) * 1e-9, (pose_ns - pose_ns[0]) * 1e-9, placed_m)
+        return rr.TimeColumn(PLACE, sequence=np.round(100 * place_m).astype(np.int64))
+
+    return column
+
+
+def _way(path: Path, drawn: Drawn) -> tuple[Times, NDArray[np.float64]]:
+    time_ns, poses = drawn.messages.get(POSE, (np.zeros(0, np.int64), []))
+    way = np.array([(each.pose.position.x, each.pose.position.y) for each in poses], np.float64).reshape(-1, 2)
+    known = np.isfinite(way).all(axis=1)
+    order = np.argsort(time_ns[known], kind="stable")
+    if not known.any():
+        raise UserError(f"{path}: has no poses, so no place: compare by time, without --by place")
+    return time_ns[known][order], way[known][order]
+
+
+def _send(logs: Sequence[_Beside], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    for number, each in enumerate(logs):
+        color = LOG_COLORS[number % len(LOG_COLORS)]
+        drawing = Drawing(recording, log_entity(each.name), each.times, each.name, color)
+        draw(each.drawn, drawing)
+        for curve, time_ns, values in predicted_curves(each.log):
+            drawing.curve(curve, time_ns, values)
+    for each in logs:
+        send_chunks(_moved(each), recording, flush)
+
+
+def _moved(one: _Beside) -> Iterator[Chunk]:
+    """What Rerun's reader makes of a log, under the log's own entity and on the time line of all of them."""
+    for chunk in chunks_of(one.log):
+        if TIMELINE not in chunk.timeline_names:
+            continue  # of the file, not of a moment
+        batch = chunk.to_record_batch()
+        fields = [field for field in batch.schema if _is_shown(field)]
+        if not fields:
+            continue
+        times = one.times(batch.column(TIMELINE).cast(pa.int64()).to_numpy(zero_copy_only=False))
+        time_ns = times.as_arrow_array()
+        moved = pa.RecordBatch.from_arrays(
+            [time_ns, *(batch.column(field.name) for field in fields)],
+            schema=pa.schema([pa.field(times.timeline_name(), time_ns.type), *fields]),
+        )
+        yield from Chunk.from_record_batch(
+            moved, index=times.timeline_name(), entity_path=log_entity(one.name) + chunk.entity_path
+        )
+
+
+def _is_shown(field: pa.Field) -> bool:
+    return (field.metadata or {}).get(b"rerun:kind") == b"data" and field.name != _LEFT_OUT

@@ -1,0 +1,90 @@
+"""Another viewer, which runs already: whether one listens at an address, and of which version it is."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+from typing import Final
+from urllib.parse import urlsplit
+
+import rerun as rr
+
+from common import UserError
+from viz.viewer import LOCAL
+
+DEFAULT_PORT: Final = 9876
+"""On which Rerun's viewer listens."""
+
+_PATIENCE_S: Final = 3.0
+_PORT: Final = re.compile(r"\d{1,5}")
+_PLACE: Final = re.compile(r"(?P<host>[\w.-]+|\[[\da-fA-F:]+\]):(?P<port>\d{1,5})")
+# How every gRPC connection begins: HTTP/2's preface and empty settings (RFC 9113, 3.4); so does its answer.
+_HELLO: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+_SETTINGS: Final = 4
+
+
+def viewer_url(address: str) -> str:
+    """What Rerun calls a viewer at "PORT", "HOST:PORT" or a URL of Rerun's own; empty: on its own port, here.
+
+    Raises UserError for what is no such address.
+    """
+    if not address or _PORT.fullmatch(address):
+        return f"rerun+http://{LOCAL}:{address or DEFAULT_PORT}/proxy"
+    if _PLACE.fullmatch(address):
+        return f"rerun+http://{address}/proxy"
+    with contextlib.suppress(ValueError):
+        url = urlsplit(address)
+        if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
+            return address
+    raise UserError(
+        f"{address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
+        f" {LOCAL}:{DEFAULT_PORT}"
+    )
+
+
+def check_viewer(url: str) -> str:
+    """Make sure that a Rerun viewer of our version listens at `url`; what to tell a person if it does not say its
+    version, else "". Rerun itself would wait for five seconds, and find out nothing.
+
+    Raises UserError otherwise.
+    """
+    where = urlsplit(url).netloc
+    _refuse_others(url, where)
+    needed = f"version {rr.__version__} is needed: open it with `rerun` of the environment that bc-play is in"
+    try:
+        version = _version(url)
+    except (OSError, RuntimeError) as error:  # a ConnectionError or a TimeoutError, both of OSError
+        if "Unimplemented" not in str(error):
+            raise UserError(f"{where}: the viewer does not answer; open another one with `rerun`") from None
+        # servers of `rerun --serve-web`, and viewers of long ago
+        return f"{where}: it does not tell its version; {needed}"
+    if version is not None and version.split(".")[:2] != rr.__version__.split(".")[:2]:
+        raise UserError(f"{where}: a viewer of version {version}, but {needed}")
+    return ""
+
+
+def _version(url: str) -> str | None:
+    from rerun.experimental import ViewerClient
+
+    return ViewerClient.connect(url).get_state().viewer_version
+
+
+def _refuse_others(url: str, where: str) -> None:
+    place = urlsplit(url)
+    try:
+        connection = socket.create_connection((place.hostname or LOCAL, place.port or DEFAULT_PORT), _PATIENCE_S)
+    except (OSError, OverflowError, ValueError):
+        raise UserError(
+            f"{where}: no viewer listens there; open one with `rerun`, or let a new one be opened"
+        ) from None
+    with connection:
+        try:
+            connection.sendall(_HELLO)
+            answer = connection.recv(9)
+        except TimeoutError:
+            raise UserError(f"{where}: what listens there does not answer: a frozen viewer, or none") from None
+        except OSError:
+            answer = b""
+    if len(answer) < 4 or answer[3] != _SETTINGS:
+        raise UserError(f"{where}: what listens there is no Rerun viewer; open one with `rerun --port PORT`")
