@@ -1,0 +1,173 @@
+"""What the benchmarks of driving share: servers in processes of their own, their turns, and the pictures.
+
+A server that waits for its turn is suspended with all that it has started, so that only one at a time computes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Final
+
+import numpy as np
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+
+from recorder import Log
+from recorder.topics import camera_topic
+from simulator.pose import Pose
+from simulator.simulation import Simulation
+
+HERE: Final = Path(__file__).parent
+PATIENCE_S: Final = 120.0  # until a server listens, or has ended
+RENDERED: Final = 300  # pictures, where there is no recording
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What the client saw of one server for a while."""
+
+    seconds: float
+    round_trips_ms: list[float]
+    steering: list[float]  # the first commands
+
+    @property
+    def replies_per_s(self) -> float:
+        return len(self.round_trips_ms) / self.seconds
+
+
+@dataclass
+class Server:
+    """A server that runs."""
+
+    name: str
+    process: psutil.Popen
+    port: int
+    errors: IO[str]
+    greetings: int = 0  # commands that it sends unasked when a simulator connects
+    log: Path | None = None
+    turns: list[Turn] = field(default_factory=list)
+
+    def drive(self, pictures: Path, frames: int, seconds: float, *, keep_stopped: bool = False) -> Turn:
+        """One turn: `frames` telemetries, or as many as `seconds` allow. `keep_stopped` leaves what the server has
+        started suspended."""
+        self.resume(keep_stopped=keep_stopped)
+        line = [sys.executable, str(HERE / "driving_client.py"), str(self.port), str(pictures), str(frames)]
+        line += ["--seconds", str(seconds), "--greetings", str(self.greetings)]
+        client = subprocess.run(line, stdout=subprocess.PIPE, text=True, check=False)
+        if client.returncode != 0:
+            raise SystemExit(f"{self.name}: the client failed\n{self.said()}")
+        turn = Turn(**json.loads(client.stdout))
+        self.turns.append(turn)
+        self.suspend()
+        return turn
+
+    def started(self) -> list[psutil.Process]:
+        """The processes that the server has started."""
+        found: list[psutil.Process] = self.process.children(recursive=True)
+        return found
+
+    def suspend(self) -> None:
+        self.process.suspend()
+        for child in self.started():
+            child.suspend()
+
+    def resume(self, *, keep_stopped: bool = False) -> None:
+        self.process.resume()
+        if not keep_stopped:
+            for child in self.started():
+                child.resume()
+
+    def end(self) -> int:
+        """As Ctrl-C ends it; its exit code."""
+        self.resume()
+        self.process.send_signal(signal.SIGINT)
+        return int(self.process.wait(PATIENCE_S))
+
+    def said(self) -> str:
+        """The end of its stderr."""
+        self.errors.seek(0)
+        return self.errors.read()[-2000:]
+
+
+def start(name: str, line: list[str], port: int, stack: ExitStack, *, greetings: int = 0) -> Server:
+    """A server that listens on `port`, as `line` says; it ends with `stack`."""
+    errors = stack.enter_context(tempfile.TemporaryFile("w+"))  # noqa: SIM115
+    process = psutil.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
+    server = Server(name, process, port, errors, greetings)
+    stack.callback(_kill, server)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not _listens(server):
+        if process.poll() is not None or time.monotonic() > deadline_s:
+            raise SystemExit(f"{name}: does not listen; it said\n{server.said()}")
+        time.sleep(0.1)
+    return server
+
+
+def start_ours(name: str, run: Path, log: Path, stack: ExitStack, *flags: str) -> Server:
+    """`bc-drive`, which drives with `run` and writes `log`."""
+    port = free_port()
+    code = "from drive.cli import main; main()"
+    line = [sys.executable, "-c", code, str(run), "--log", str(log), "--port", str(port), *flags]
+    server = start(name, line, port, stack)
+    server.log = log
+    return server
+
+
+def free_port() -> int:
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        port: int = bound.getsockname()[1]
+        return port
+
+
+def write_pictures(recording: Path | None, folder: Path) -> int:
+    """The centre camera's JPEGs as files in `folder`, in their order; how many. They come from a folder of the
+    Udacity simulator, from a log, or from a round of the built-in simulator's lake track."""
+    count = 0
+    for count, jpeg in enumerate(_pictures(recording), 1):
+        (folder / f"{count:06}.jpg").write_bytes(jpeg)
+    if not count:
+        raise SystemExit(f"{recording}: no picture of a centre camera")
+    return count
+
+
+def _pictures(recording: Path | None) -> Iterator[bytes]:
+    if recording is None:
+        simulation = Simulation("lake")
+        line = simulation.track.line
+        for arc_m in np.linspace(0.0, line.length_m, RENDERED, endpoint=False):
+            place = line.at(arc_m)
+            pose = Pose(place.x_m, place.y_m, place.z_m, place.heading_rad, float(np.arctan(place.slope)))
+            yield simulation.jpeg(pose=pose)
+    elif recording.is_dir():
+        for path in sorted(recording.glob("IMG/center*.jpg")):
+            yield path.read_bytes()
+    else:
+        with Log(recording) as log:
+            found = log.pictures(camera_topic("center"))
+            for at in range(len(found.offset)):
+                yield log.read(int(found.offset[at]), int(found.length[at]), int(found.chunk[at]))
+
+
+def _listens(server: Server) -> bool:
+    with contextlib.suppress(psutil.Error):  # it has ended
+        connections = server.process.net_connections("tcp")
+        return any(c.status == psutil.CONN_LISTEN and c.laddr.port == server.port for c in connections)
+    return False
+
+
+def _kill(server: Server) -> None:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for process in [*server.started(), server.process]:
+            process.kill()
+    server.process.wait()

@@ -1,0 +1,236 @@
+"""How fast a log opens in the viewer, and how much memory that takes: by minutes of driving, 25 rows a second.
+
+python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 120] [--folder .]
+
+The rows of a session (three cameras) and of a drive (one camera, and what the network saw) are repeated until a
+log is long enough. bc-play shows it in a real viewer without a window, which has started before, and writes it as
+an .rrd file, which such a viewer opens; all is there when the view of the centre camera shows the last picture, a
+green one. Its start-up is part of the times of bc-play; memory is without mapped files. A viewer without a window
+needs a graphics driver: on a bare server, Debian's package mesa-vulkan-drivers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from rerun.experimental import ViewerClient
+
+from recorder import Log, LogWriter
+from recorder.topics import CAMERAS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from viz.drawing import TIMELINE
+from viz.showing import WINDOW_MEMORY
+from viz.viewer import free_port, viewer_program
+
+ROWS_A_SECOND: Final = 25
+REPEATED: Final = 500  # rows
+GREEN: Final = (0, 255, 0)
+PATIENCE_S: Final = 300.0
+LEAST_FREE_MB: Final = 1500  # a machine without memory measures nothing, and may end other programs
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What opening a log took: seconds until its first pictures were there, until all was sent, and until its last
+    picture was seen; megabytes of bc-play and of the viewer."""
+
+    first_s: float
+    sent_s: float
+    seen_s: float
+    player_mb: float
+    viewer_mb: float
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What an .rrd file took: seconds to write it, and until its last picture was seen; megabytes of the
+    viewer."""
+
+    written_s: float
+    seen_s: float
+    viewer_mb: float
+
+
+def write_long_log(source: Path, path: Path, minutes: float) -> None:
+    """The rows of `source`, again and again; the centre camera's last picture is green."""
+    green = cv2.imencode(".jpg", np.full((160, 320, 3), GREEN, np.uint8))[1].tobytes()
+    rows = int(minutes * 60 * ROWS_A_SECOND)
+    with Log(source) as log, LogWriter(path, {"source": "benchmark"}) as writer:
+        cameras = {camera: _contents(log, camera_topic(camera)) for camera in CAMERAS}
+        crops, poses = _contents(log, PILOT_INPUT), [PoseInFrame.FromString(each) for each in _raw(log, POSE)]
+        states = [state for _, state in log.vehicle_states()][:REPEATED] if log.counts.get(VEHICLE) else []
+        commands = [command for _, command in log.commands()][:REPEATED] if log.counts.get(PILOT_COMMAND) else []
+        start_ns, _ = log.time_range_ns
+        for row in range(rows):
+            time_ns = start_ns + row * 1_000_000_000 // ROWS_A_SECOND
+            for camera, pictures in cameras.items():
+                if pictures:
+                    is_last = row == rows - 1 and camera == "center"
+                    writer.picture(camera, time_ns, row, green if is_last else pictures[row % len(pictures)])
+            if crops:
+                writer.crop(time_ns, row, crops[row % len(crops)])
+            if states:
+                writer.vehicle(time_ns, row, states[row % len(states)])
+            if commands:
+                writer.command(time_ns, row, commands[row % len(commands)])
+            if poses:
+                writer.pose(time_ns, row, poses[row % len(poses)])
+
+
+def _contents(log: Log, topic: str) -> list[bytes]:
+    found = log.pictures(topic)
+    places = zip(found.offset, found.length, found.chunk, strict=True)
+    return [log.read(*map(int, place)) for place, _ in zip(places, range(REPEATED), strict=False)]
+
+
+def _raw(log: Log, topic: str) -> list[bytes]:
+    return [log.read(each.offset, each.length, each.chunk) for each in log.messages(topic)[:REPEATED]]
+
+
+def opened(log: Path) -> Opened:
+    with viewer() as (process, client, port):
+        start_s = time.perf_counter()
+        player = subprocess.Popen(bc_play(str(log), "--connect", str(port)))
+        first_s = player_mb = viewer_mb = 0.0
+        while player.poll() is None:
+            player_mb, viewer_mb = max(player_mb, memory_mb(player.pid)), max(viewer_mb, memory_mb(process.pid))
+            refuse_full_memory(player)
+            if not first_s and has_pictures(client):
+                first_s = time.perf_counter() - start_s
+            time.sleep(0.05)
+        sent_s = time.perf_counter() - start_s
+        if player.returncode != 0:
+            sys.exit(f"bc-play: exit code {player.returncode}")
+        wait_for_last(client, log)
+        seen_s = time.perf_counter() - start_s
+        return Opened(first_s or sent_s, sent_s, seen_s, player_mb, max(viewer_mb, memory_mb(process.pid)))
+
+
+def saved(log: Path, rrd: Path) -> Saved:
+    start_s = time.perf_counter()
+    subprocess.run(bc_play(str(log), "--save", str(rrd)), stdout=subprocess.DEVNULL, check=True)
+    written_s = time.perf_counter() - start_s
+    with viewer() as (process, client, _):
+        start_s = time.perf_counter()
+        client.open(str(rrd.absolute()))
+        while client.get_state().loading:
+            time.sleep(0.05)
+        wait_for_last(client, log)
+        return Saved(written_s, time.perf_counter() - start_s, memory_mb(process.pid))
+
+
+def wait_for_last(client: ViewerClient, log: Path) -> None:
+    """Until the view of the centre camera shows the last picture."""
+    with Log(log) as read:
+        _, last_ns = read.time_range_ns
+    deadline_s = time.perf_counter() + PATIENCE_S
+    client.set_time(TIMELINE, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
+    while not shows_green(client):
+        if time.perf_counter() > deadline_s:
+            sys.exit("the viewer does not show the last picture")
+        time.sleep(0.05)
+
+
+def bc_play(*arguments: str) -> list[str]:
+    return [sys.executable, "-c", "from viz.cli import main; main()", *arguments]
+
+
+@contextlib.contextmanager
+def viewer() -> Iterator[tuple[subprocess.Popen[bytes], ViewerClient, int]]:
+    """A viewer without a window, otherwise as bc-play opens one, and its port, as soon as it answers."""
+    port = free_port()
+    command = [str(viewer_program()), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
+    command += ["--server-memory-limit", WINDOW_MEMORY]
+    with subprocess.Popen(
+        [*command, "--hide-welcome-screen"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            yield process, answering(f"rerun+http://127.0.0.1:{port}/proxy"), port
+        finally:
+            process.terminate()
+
+
+def answering(url: str) -> ViewerClient:
+    for _ in range(100):
+        with contextlib.suppress(Exception):  # what it raises is not documented
+            client = ViewerClient.connect(url)
+            client.get_state()
+            return client
+        time.sleep(0.2)
+    sys.exit("the viewer does not start")
+
+
+def has_pictures(client: ViewerClient) -> bool:
+    try:
+        schema = client.get_recording_schema(entity_path=camera_topic("center"))
+    except Exception:  # nothing is open yet; what it raises is not documented
+        return False
+    return any(each.component.endswith(":blob") for entity in schema.entities for each in entity.components)
+
+
+def shows_green(client: ViewerClient) -> bool:
+    view = next((view for view in client.get_state().views if view.origin == camera_topic("center")), None)
+    if view is None:
+        return False
+    encoded = np.frombuffer(client.take_screenshot(view.view_id, max_size=200), np.uint8)
+    shown = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    if shown is None:
+        return False
+    blue, green, red = np.moveaxis(shown, 2, 0)
+    return bool(((green > 200) & (blue < 80) & (red < 80)).mean() > 0.2)
+
+
+def memory_mb(pid: int) -> float:
+    """Of a process, without the files that it has mapped; 0 if it has ended."""
+    with contextlib.suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines():
+            if line.startswith("RssAnon"):
+                return int(line.split()[1]) / 1024
+    return 0.0
+
+
+def refuse_full_memory(player: subprocess.Popen[bytes]) -> None:
+    lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    free_mb = next(int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
+    if free_mb < LEAST_FREE_MB:
+        player.kill()
+        sys.exit(f"only {free_mb:.0f} MB of memory are left")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("session", type=Path)
+    parser.add_argument("drive", type=Path)
+    parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 120.0])
+    parser.add_argument("--folder", type=Path, default=Path())
+    chosen = parser.parse_args()
+    print("| log | size | first pictures | all sent | last picture seen | bc-play | viewer", end="")
+    print(" | `--save` | that file: last picture seen | viewer |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    for minutes in chosen.minutes:
+        for kind, source in (("session", chosen.session), ("drive", chosen.drive)):
+            with tempfile.TemporaryDirectory(dir=chosen.folder) as folder:
+                log, rrd = Path(folder) / "long.mcap", Path(folder) / "long.rrd"
+                write_long_log(source, log, minutes)
+                size_mb = log.stat().st_size / 1e6
+                shown, file = opened(log), saved(log, rrd)
+            cells = [f"{kind}, {minutes:g} minutes", f"{size_mb:,.0f} MB"]
+            cells += [f"{seconds:.1f} s" for seconds in (shown.first_s, shown.sent_s, shown.seen_s)]
+            cells += [f"{shown.player_mb:,.0f} MB", f"{shown.viewer_mb:,.0f} MB"]
+            cells += [f"{file.written_s:.1f} s", f"{file.seen_s:.1f} s", f"{file.viewer_mb:,.0f} MB"]
+            print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
