@@ -1,177 +1,173 @@
 """Makes the pictures of the README and the docs.
 
-    make pictures                                          the tracks
-    python docs/make_pictures.py --log drives/run.mcap     the tracks, and the viewer showing that drive
+    make pictures                                                          trains what bc-demo trains, once
+    python docs/make_pictures.py --run runs/first --log sessions/a.mcap    with what there is
 
-The second needs a graphics driver; on a bare server, Debian's package mesa-vulkan-drivers.
+The pictures of the viewer need a graphics driver; on a bare server, Debian's package mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
 
-import socket
+import io
+import shutil
 import subprocess
+import sys
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from rerun.experimental import ViewerClient
+from PIL import Image
+from track_pictures import Picture, layout_sheet, track_sheet
+from viewer_pictures import screenshot
 
+from dataset.figure_style import DPI, figure_style
+from drive.demo import Demo, demo
+from model.figures import draw_curves
+from model.history import read_history
 from recorder import Log
-from simulator.camera import Renderer
-from simulator.course import Course
-from simulator.track import Track, load_track
-from simulator.world import build_world
-from viz import save_rrd
-from viz.playback import TIMELINE
-from viz.viewer import viewer_program
+from viz.comparison import PLACE
+from viz.drawing import TIMELINE
 
-Picture = NDArray[np.uint8]
-
-WIDTH, HEIGHT = 320, 160
-WHITE, GREY, FIRST, SECOND = (255, 255, 255), (120, 120, 120), (60, 120, 230), (60, 170, 60)
-# Measured on the published recordings: where the horizon, the bonnet and the network's crop lie.
-HORIZON_ROW, BONNET_ROW, CROP_TOP_ROW, CROP_BOTTOM_ROW = 60, 137, 50, 140
+DEMO: Final = Path("demo/pictures")
+TRACK: Final = "mountain"
+SLOW_MPH, FAST_MPH = 10, 20
+_COLORS: Final = 256
+_LARGE_BYTES: Final = 450_000
+_MPS: Final = 0.44704  # metres per second in a mile per hour
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """Make the pictures of the docs."""
+    """Make the pictures of the docs, from a run, a session and drives of the run on the mountain track."""
 
+    run: Path | None = None
+    """The run that drives; by default, that of a demo, which is made if demo/pictures is not there."""
     log: Path | None = None
-    """A drive to show in the viewer."""
+    """A session to show; by default, that of the demo."""
+    laps: float = 0.2
+    """How far the run drives."""
+    curve: Path | None = None
+    """What benchmarks/learning_curve.py has trained; without it, that picture stays as it is."""
     folder: Path = Path(__file__).parent / "pictures"
     """Where pictures are written; existing ones are replaced."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """What is shown."""
+
+    run: Path
+    session: Path
+    slow: Path
+    fast: Path
 
 
 def main(config: Pictures) -> None:
     config.folder.mkdir(parents=True, exist_ok=True)
     for name in ("lake", "mountain"):
-        cv2.imwrite(str(config.folder / f"{name}.png"), track_sheet(name))
-    cv2.imwrite(str(config.folder / "layout.png"), layout_sheet())
-    if config.log is not None:
-        screenshot(config.log, config.folder / "viewer.png")
-
-
-def track_sheet(name: str) -> Picture:
-    """The track from above, and what the centre camera sees at eight places along it."""
-    track = load_track(name)
-    world = build_world(track)
-    renderer, course = Renderer(world), Course(track, world.height_m)
-    views = []
-    for k in range(8):
-        course.start((k + 0.5) / 8 * track.line.length_m)
-        picture = renderer.render(course.pose)
-        cv2.putText(picture, str(k + 1), (6, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.6, WHITE, 2, cv2.LINE_AA)
-        views.append(picture)
-    grid = np.vstack([np.hstack(views[i : i + 2]) for i in range(0, 8, 2)])
-    return np.hstack([overview(track, grid.shape[0]), grid]).astype(np.uint8)
-
-
-def overview(track: Track, size: int) -> Picture:
-    """The centre line from above: the half that is recorded in blue-grey, the other in green."""
-    points = track.line.points_m[:, :2]
-    low, high = points.min(axis=0), points.max(axis=0)
-    scale = (size - 80) / float((high - low).max())
-    middle = (low + high) / 2
-
-    def pixel(point: NDArray[np.float64]) -> tuple[int, int]:
-        x, y = (point - middle) * scale
-        return round(size / 2 + x), round(size / 2 - y)
-
-    sheet = np.full((size, size, 3), 250, np.uint8)
-    half = len(points) // 2
-    for i in range(len(points)):
-        color = FIRST[::-1] if i < half else SECOND
-        cv2.line(sheet, pixel(points[i]), pixel(points[(i + 1) % len(points)]), color, 5, cv2.LINE_AA)
-    for k in range(8):
-        x, y = pixel(points[round((k + 0.5) / 8 * len(points))])
-        cv2.circle(sheet, (x, y), 11, WHITE, -1, cv2.LINE_AA)
-        cv2.circle(sheet, (x, y), 11, GREY, 1, cv2.LINE_AA)
-        cv2.putText(sheet, str(k + 1), (x - 5, y + 5), cv2.FONT_HERSHEY_SIMPLEX, 0.45, GREY, 1, cv2.LINE_AA)
-    text = f"{track.name}: {track.line.length_m:.0f} m; blue: first half, green: second"
-    cv2.putText(sheet, text, (16, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.55, GREY, 1, cv2.LINE_AA)
-    return sheet
-
-
-def layout_sheet() -> Picture:
-    """The layout of the real simulator's pictures, drawn as a plan, above ours on both tracks: three cameras."""
-    rows = []
-    for name in ("lake", "mountain"):
-        track = load_track(name)
-        world = build_world(track)
-        course = Course(track, world.height_m)
-        course.start(0.06 * track.line.length_m)
-        pictures = Renderer(world).render_all(course.pose)
-        rows.append(np.hstack([with_lines(pictures[camera]) for camera in ("left", "center", "right")]))
-    plan = np.hstack([with_lines(plan_of_real(shift)) for shift in (1, 0, -1)])
-    return np.vstack([plan, *rows]).astype(np.uint8)
-
-
-def plan_of_real(shift: int) -> Picture:
-    """Where sky, land, road and bonnet are in the real simulator's pictures, in flat colours."""
-    picture = np.full((HEIGHT, WIDTH, 3), (215, 180, 150), np.uint8)
-    picture[HORIZON_ROW:] = (120, 175, 165)
-    vanishing, bottom = WIDTH // 2, WIDTH // 2 + 100 * shift
-    road = np.array([(vanishing - 8, HORIZON_ROW + 2), (vanishing + 8, HORIZON_ROW + 2), (bottom + 420, HEIGHT),
-                     (bottom - 420, HEIGHT)])  # fmt: skip
-    cv2.fillPoly(picture, [road.astype(np.int32)], (110, 110, 110))
-    cv2.ellipse(
-        picture, (WIDTH // 2 + 105 * shift, HEIGHT), (82, HEIGHT - BONNET_ROW), 0, 180, 360, (90, 70, 60), -1
-    )
-    return picture
-
-
-def with_lines(picture: Picture) -> Picture:
-    """The crop's bounds and the horizon as lines."""
-    marked = picture.copy()
-    for row, color in ((CROP_TOP_ROW, WHITE), (CROP_BOTTOM_ROW, WHITE), (HORIZON_ROW, (80, 80, 255))):
-        cv2.line(marked, (0, row), (WIDTH - 1, row), color, 1)
-    return marked
-
-
-def screenshot(log: Path, path: Path) -> None:
-    """The real viewer, showing `log` where it steers most."""
-    with Log(log) as opened:
-        message, _ = max(opened.commands(), key=lambda pair: abs(pair[1].steering))
+        write(config.folder / f"{name}.png", track_sheet(name))
+    write(config.folder / "layout.png", layout_sheet())
+    if config.curve is not None:
+        script = Path(__file__).parent.parent / "benchmarks" / "learning_curve.py"
+        _python(str(script), str(config.curve), "--figure", str(config.folder / "learning-curve.png"))
+    if (config.run is None or config.log is None) and not (DEMO / "drives").exists():
+        shutil.rmtree(DEMO, ignore_errors=True)  # of one that was stopped before its drives
+        demo(Demo(folder=DEMO, laps=config.laps))
+    run, session = config.run or DEMO / "runs" / "demo", config.log or DEMO / "sessions" / f"{TRACK}.mcap"
     with tempfile.TemporaryDirectory() as folder:
-        rrd = Path(folder) / "drive.rrd"
-        save_rrd(log, rrd)
-        port = free_port()
-        command = [str(viewer_program()), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
-        with subprocess.Popen([*command, "--hide-welcome-screen"]) as viewer:
-            try:
-                client = connect(f"rerun+http://127.0.0.1:{port}/proxy")
-                client.open(str(rrd))
-                client.set_time(TIMELINE, timestamp=message.log_time_ns * 1e-9, play_state="paused")
-                time.sleep(3)  # the views decode on their own threads, and nothing tells when they are done
-                client.save_screenshot(str(path))
-            finally:
-                viewer.terminate()
+        made = driven(run, session, config.laps, Path(folder))
+        for name, picture in viewer_pictures(made, Path(folder)).items():
+            write(config.folder / f"{name}.png", picture)
+        write(config.folder / "video.png", video_picture(made, Path(folder)))
+    with figure_style():
+        draw_curves(read_history(run)[0]).savefig(config.folder / "curves.png", format="png", dpi=DPI)
 
 
-def connect(url: str) -> ViewerClient:
-    """The viewer at `url`, which may still be starting."""
-    for _ in range(50):
-        try:
-            client = ViewerClient.connect(url)
-            client.get_state()
-        except Exception:  # what it raises is not documented; the last try shows it
-            time.sleep(0.2)
-        else:
-            return client
-    return ViewerClient.connect(url)
+def driven(run: Path, session: Path, laps: float, folder: Path) -> Made:
+    """Let `run` drive at two speeds."""
+    where = ["--simulator", TRACK, "--laps", f"{laps:g}", "--logs", str(folder)]
+    _bc("drive.eval_cli", str(run), *where, "--speed", str(SLOW_MPH), str(FAST_MPH))
+    slow, fast = (next(folder.glob(f"*-{TRACK}-{mph}mph.mcap")) for mph in (SLOW_MPH, FAST_MPH))
+    return Made(run, session, slow.rename(folder / "slow.mcap"), fast.rename(folder / "fast.mcap"))
 
 
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-        return port
+def viewer_pictures(made: Made, folder: Path) -> dict[str, Picture]:
+    """The viewer as it shows a session, a drive, two drives by place, and where a network looks."""
+    predicted = ["--run", str(made.run), "--attention"]
+    turn_s, turn_m = hardest_turn(made.slow)
+    return {
+        "session": played([made.session], [], folder, TIMELINE, hardest_turn(made.session)[0]),
+        "viewer": played([made.slow], [], folder, TIMELINE, turn_s),
+        "comparison": played([made.slow, made.fast], ["--by", "place"], folder, PLACE, 100 * turn_m),
+        "attention": played([made.session], predicted, folder, TIMELINE, hardest_turn(made.session)[0]),
+    }
+
+
+def played(logs: list[Path], flags: list[str], folder: Path, timeline: str, at: float) -> Picture:
+    """The viewer with what bc-play makes of logs."""
+    rrd = folder / "shown.rrd"
+    _bc("viz.cli", *map(str, logs), *flags, "--save", str(rrd), "--force")
+    return screenshot(rrd, timeline, at)
+
+
+def video_picture(made: Made, folder: Path) -> Picture:
+    """Two frames of a video with the instruments: at the beginning, and where it steers most."""
+    video = folder / "drive.mp4"
+    _bc("viz.cli", str(made.slow), "--video", str(video), "--overlay")
+    with Log(made.slow) as log:
+        start_ns, _ = log.time_range_ns
+    read = cv2.VideoCapture(str(video))
+    frames = []
+    for at_s in (3.0, hardest_turn(made.slow)[0] - start_ns * 1e-9):
+        read.set(cv2.CAP_PROP_POS_MSEC, 1000 * at_s)
+        is_there, frame = read.read()
+        if not is_there:
+            raise SystemExit(f"{video}: has no frame at {at_s:.1f} s")
+        frames.append(frame)
+    return np.hstack(frames).astype(np.uint8)
+
+
+def hardest_turn(log: Path) -> tuple[float, float]:
+    """Where a log steers most: seconds since 1970, and metres from its start."""
+    with Log(log) as opened:
+        pairs = list(opened.vehicle_states())
+    time_s = np.array([message.log_time_ns for message, _ in pairs], np.float64) * 1e-9
+    speed_mps = _MPS * np.array([state.speed_mph for _, state in pairs], np.float64)
+    place_m = np.concatenate([[0.0], np.cumsum(speed_mps[1:] * np.diff(time_s))])
+    at = int(np.argmax(np.abs([state.steering for _, state in pairs])))
+    return float(time_s[at]), float(place_m[at])
+
+
+def write(path: Path, picture: NDArray[np.uint8]) -> None:
+    """A PNG; of 256 colours if it would be large otherwise."""
+    image = Image.fromarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
+    encoded = _png(image)
+    if len(encoded) > _LARGE_BYTES:
+        encoded = _png(image.quantize(_COLORS))
+    path.write_bytes(encoded)
+    print(path)
+
+
+def _png(image: Image.Image) -> bytes:
+    encoded = io.BytesIO()
+    image.save(encoded, "PNG", optimize=True)
+    return encoded.getvalue()
+
+
+def _bc(module: str, *arguments: str) -> None:
+    """Run the command of a module."""
+    _python("-c", f"from {module} import main; main()", *arguments)
+
+
+def _python(*arguments: str) -> None:
+    done = subprocess.run([sys.executable, *arguments], check=False)
+    if done.returncode != 0:
+        raise SystemExit(f"{' '.join(arguments)}: exit code {done.returncode}")
 
 
 if __name__ == "__main__":
