@@ -55,6 +55,12 @@ def warn_skipped(skipped: Skipped) -> int:
     return DONE_BUT_SKIPPED if len(skipped) else DONE
 
 
+def flags_given(config: object, *names: str) -> str:
+    """Those flags of a command that have another value than by default, as they are typed: "--laps, --force"."""
+    changed = [name for name in names if getattr(config, name) != getattr(type(config), name)]
+    return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     """`kill` cleans up as Ctrl-C does. A second signal must not interrupt the cleaning up."""
     for other in STOPPING:

@@ -14,12 +14,10 @@ from typing import Final
 
 import torch
 
-from common.interrupts import stop_signals
 from dataset import DatasetError, build_index, find_logs
-from drive.closed_loop import Course, drive_built_in
+from drive.closed_loop import Course, drive_course
 from drive.config import DriveConfig
 from drive.errors import DriveError
-from drive.server import DriveServer
 from model import TrainConfig, load_pilot, train
 from model.like import data_of_run
 from model.run import run_name
@@ -108,13 +106,7 @@ class Aggregation:
     def _drive(self, run: Path, log: Path, mode: ServerMode) -> Round:
         pilot = load_pilot(run)
         pilot.get_ready()
-        with (
-            stop_signals() as stopped,
-            DriveServer(pilot, self._config, log, port=0, mode=mode, is_built_in=True) as server,
-        ):
-            if not drive_built_in(server, self._course, stopped):
-                raise KeyboardInterrupt
-            summary = server.session.summary
+        _, summary = drive_course(pilot, self._course, self._config, log, mode=mode)
         return Round(run_name(run), log, summary.laps or 0.0, summary.interventions, summary.autonomy_percent)
 
 

@@ -12,7 +12,7 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, run_command, stderr, stdout, warn
+from common.command import DONE, flags_given, run_command, stderr, stdout, warn
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.preview import preview
@@ -135,18 +135,15 @@ def drive(config: Drive) -> int:
 
 def _refuse_contradictions(config: Drive) -> None:
     """Raise UserError for flags that would be passed over."""
-
-    def given(*names: str) -> str:
-        changed = [name for name in names if getattr(config, name) != getattr(Drive, name)]
-        return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-
-    if config.simulator is None and (flags := given("laps", "real_time", "aggregate")):
+    if config.simulator is None and (flags := flags_given(config, "laps", "real_time", "aggregate")):
         raise UserError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
-    if config.simulator is not None and (flags := given("host", "port")):
+    if config.simulator is not None and (flags := flags_given(config, "host", "port")):
         raise UserError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
-    if config.aggregate is None and (flags := given("epochs", "sessions")):
+    if config.aggregate is None and (flags := flags_given(config, "epochs", "sessions")):
         raise UserError(f"{flags}: only with --aggregate N")
-    if config.aggregate is not None and (flags := given("log", "viewer", "precision", "port", "force")):
+    if config.aggregate is not None and (
+        flags := flags_given(config, "log", "viewer", "precision", "port", "force")
+    ):
         raise UserError(
             f"{flags}: not with --aggregate, which names its logs itself and shows a table; leave it out"
         )

@@ -18,7 +18,9 @@ from common.interrupts import stop_signals
 from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.server import DriveServer
+from drive.summary import DriveSummary
 from model import Pilot
+from recorder.telemetry_server import ServerMode
 from simulator.track import load_track
 
 SIMULATOR_METADATA: Final = "bc.simulator"
@@ -80,18 +82,35 @@ def evaluate(
         raise DriveError("the same track at the same speed is named twice")
     for (course, config), path in zip(drives, paths, strict=True):
         said(f"{pilot.run} on {course.track} at {config.set_speed_mph:g} mph, {course.laps:g} laps")
-        with (
-            stop_signals() as stopped,
-            DriveServer(pilot, config, path, overwrite=overwrite, port=0, is_built_in=True) as server,
-        ):
-            book = drive_built_in(server, course, stopped)
-            if not book:
-                raise KeyboardInterrupt
+        book, _ = drive_course(pilot, course, config, path, overwrite=overwrite)
         yield Result(course, config, path, book)
 
 
 def _log_path(pilot: Pilot, course: Course, config: DriveConfig, logs: Path) -> Path:
     return logs / f"{pilot.run}-{course.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
+
+
+def drive_course(
+    pilot: Pilot,
+    course: Course,
+    config: DriveConfig,
+    log: Path,
+    *,
+    overwrite: bool = False,
+    mode: ServerMode = "eventlet",
+) -> tuple[dict[str, Any], DriveSummary]:
+    """Drive a course in lock-step, and log it: the simulator's book, and what the drive's own log says in the end.
+
+    Raises DriveError if the simulator fails, KeyboardInterrupt if it was stopped; the log is finished then too.
+    """
+    with (
+        stop_signals() as stopped,
+        DriveServer(pilot, config, log, overwrite=overwrite, port=0, mode=mode, is_built_in=True) as server,
+    ):
+        book = drive_built_in(server, course, stopped)
+        if not book:
+            raise KeyboardInterrupt
+        return book, server.session.summary
 
 
 def drive_built_in(

@@ -6,8 +6,6 @@ import gc
 import sys
 from typing import Final
 
-from common.memory import keep_freed_memory
-
 SWITCH_S: Final = 0.0005
 """How long another thread (the log's) may hold up the one that drives; Python's own 5 ms is five networks long."""
 
@@ -15,7 +13,6 @@ SWITCH_S: Final = 0.0005
 def prepare_process() -> None:
     """To be called once everything is loaded, before the first telemetry."""
     sys.setswitchinterval(SWITCH_S)
-    keep_freed_memory()
     # What is there now stays: no collection has to look through all of PyTorch in the middle of a drive.
     gc.collect()
     gc.freeze()

@@ -8,6 +8,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Final, Self
 
+from drive.braking import WALKING_MPH
 from drive.config import DriveConfig
 from drive.driver import Decision, Driver
 from drive.log import DriveLog
@@ -19,8 +20,6 @@ from recorder.topics import DRIVE_METADATA
 
 WATCHDOG_S: Final = 1.0
 """The real simulator tells nothing more once all its telemetries are lost; a steer makes it go on."""
-STANDING_MPH: Final = 1.0
-"""Braking any longer would reverse the car."""
 
 
 class DriveSession:
@@ -126,7 +125,7 @@ class DriveSession:
 
     def _braked(self, decision: Decision) -> Decision:
         told = decision.telemetry
-        self.stands = told is not None and told.speed_mph <= STANDING_MPH
+        self.stands = told is not None and told.speed_mph <= WALKING_MPH
         return replace(decision, throttle=0.0 if self.stands or told is None else -1.0)
 
     def _note_manual(self, total_ms: float) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, FAILED, run_command, stderr
+from common.command import BAD_USAGE, DONE, FAILED, flags_given, run_command, stderr
 from common.progress import progress_bar, track
 from simulator.client import SimulatorClient, WaitTimeoutError
 
@@ -125,10 +125,8 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
     if config.tell_world:
         raise UserError("--tell-world: nobody knows the world of --replay's pictures; leave one of them out")
     driven = ("track", "laps", "rate", "real_time", "leave_off_road", "expert_speed")
-    if others := [f"--{name.replace('_', '-')}" for name in driven if getattr(config, name) != getattr(Sim, name)]:
-        raise UserError(
-            f"{', '.join(others)}: of driving, and --replay only tells pictures; leave one of them out"
-        )
+    if flags := flags_given(config, *driven):
+        raise UserError(f"{flags}: of driving, and --replay only tells pictures; leave them out")
     images = config.replay / "IMG" if (config.replay / "IMG").is_dir() else config.replay
     pictures = sorted(images.glob("center_*.jpg"))[: config.count]
     if not pictures:
