@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -25,3 +26,9 @@ def recordings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real recordings were not tried: there is no {folder}; BC_RECORDINGS names another folder")
     return folder
+
+
+@pytest.fixture(params=["eventlet", "threading"])
+def mode(request: pytest.FixtureRequest) -> Any:
+    """Each way in which a telemetry server can serve: a `ServerMode`."""
+    return request.param

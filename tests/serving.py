@@ -26,7 +26,6 @@ from recorder.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
 from simulator.client import Answer as Command
 from simulator.client import SimulatorClient, Telemetry, Told
 
-MODES: tuple[ServerMode, ...] = ("eventlet", "threading")
 UNUSED = Steer(0.0, -1.0, False)
 """What a telemetry is answered by that cannot be used."""
 

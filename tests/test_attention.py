@@ -18,8 +18,9 @@ from model.network import SteeringNetwork
 from model.predict import as_input
 from model.run import load_network
 from rrd import contents, view_names
+from udacity import call
 from viz.attention import overlay
-from viz.predictions import save_predicted
+from viz.cli import main
 
 Values = NDArray[np.float64]
 
@@ -135,7 +136,7 @@ def test_the_overlay_is_the_crop_where_it_does_not_look_and_a_colour_where_it_do
 def test_the_viewer_gets_it_as_jpegs_at_the_times_of_the_frames(tmp_path: Path, run: Path) -> None:
     rows = 70  # more than a batch
     log = write_log(tmp_path / "a.mcap", [0.0] * rows, lambda camera, row: road_jpeg(row), cameras=["center"])
-    save_predicted(log, tmp_path / "a.rrd", [run], attention=True)
+    assert call(main, log, "--run", run, "--attention", "--save", tmp_path / "a.rrd") == 0
     assert "where some run looks" in view_names(tmp_path / "a.rrd")
     found = contents(tmp_path / "a.rrd")["/attention/some\\ run"]
     assert found["message_log_time"] == [START_NS + row * STEP_NS for row in range(rows)]

@@ -27,7 +27,6 @@ from recorder import broken_packets, connection, green, telemetry_server, thread
 from recorder.telemetry_server import MAX_MESSAGE_BYTES, ServerMode
 from recorder.wire import FRAME_BYTES, TOO_LARGE, Wire
 from serving import (
-    MODES,
     UNUSED,
     Book,
     PollingClient,
@@ -39,12 +38,6 @@ from serving import (
     tell,
     wait_until,
 )
-
-
-@pytest.fixture(params=MODES)
-def mode(request: pytest.FixtureRequest) -> ServerMode:
-    chosen: ServerMode = request.param
-    return chosen
 
 
 def sent_until_hung_up(stream: socket.socket, data: bytes, pause_s: float = 0.0, most: int = 1 << 30) -> int:

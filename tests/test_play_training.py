@@ -21,7 +21,6 @@ from typing import Any
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 
-from common import UserError
 from common.locks import lock
 from driving import PATIENCE_S, Process, command, environment
 from histories import epoch_line, step_lines, write_lines, write_run
@@ -31,7 +30,6 @@ from model.progress import Epoch, Step
 from rrd import contents, free_ports, listening, view_names
 from udacity import call
 from viz.cli import main
-from viz.training import save_training
 from viz.viewer import viewer_program
 
 
@@ -79,7 +77,7 @@ def test_every_curve_has_the_values_of_the_runs_files(tmp_path: Path, capsys: py
 
 
 def test_the_errors_by_steering_are_bars_of_every_epoch(tmp_path: Path) -> None:
-    save_training(write_run(tmp_path / "first", 2), tmp_path / "first.rrd")
+    assert call(main, write_run(tmp_path / "first", 2), "--save", tmp_path / "first.rrd") == 0
     found = contents(tmp_path / "first.rrd")
     for name, expected in (("rmse_deg", [[18.0, 6.0], [9.0, 3.0]]), ("frames", [[10, 90], [10, 90]])):
         bars = found[f"/bins/{name}"]
@@ -94,13 +92,13 @@ def test_the_best_epochs_so_far_are_marked(tmp_path: Path) -> None:
     run = write_run(tmp_path / "first", 2)
     write_lines(run / "steps.jsonl", step_lines(3))
     write_lines(run / "metrics.jsonl", [epoch_line(3, is_best=False)])
-    save_training(run, tmp_path / "first.rrd")
+    assert call(main, run, "--save", tmp_path / "first.rrd") == 0
     assert [at for at, _ in points(tmp_path / "first.rrd", "/rmse_deg/best")] == ends(2)
 
 
 def test_the_layout_has_views_of_errors_where_something_was_held_out(tmp_path: Path) -> None:
-    save_training(write_run(tmp_path / "a", 1), tmp_path / "a.rrd")
-    save_training(write_run(tmp_path / "b", 1, frames=0), tmp_path / "b.rrd")
+    assert call(main, write_run(tmp_path / "a", 1), "--save", tmp_path / "a.rrd") == 0
+    assert call(main, write_run(tmp_path / "b", 1, frames=0), "--save", tmp_path / "b.rrd") == 0
     loss = "loss: mean squared error of steering -1 .. 1"
     assert view_names(tmp_path / "b.rrd") == {loss}
     assert loss in view_names(tmp_path / "a.rrd")
@@ -114,15 +112,15 @@ def test_the_layout_has_views_of_errors_where_something_was_held_out(tmp_path: P
 def test_a_training_that_is_still_in_its_first_epoch_is_shown(tmp_path: Path) -> None:
     (tmp_path / "first").mkdir()
     write_lines(tmp_path / "first" / "steps.jsonl", step_lines(1)[:1])
-    save_training(tmp_path / "first", tmp_path / "first.rrd")
+    assert call(main, tmp_path / "first", "--save", tmp_path / "first.rrd") == 0
     assert [at for at, _ in points(tmp_path / "first.rrd", "/loss/steps")] == [2560]
 
 
-def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path) -> None:
+def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run, rrd = write_run(tmp_path / "first", 1), tmp_path / "a.rrd"
     rrd.write_bytes(b"precious")
-    with pytest.raises(UserError, match="--force"):
-        save_training(run, rrd)
+    assert call(main, run, "--save", rrd) == 1
+    assert "--force" in capsys.readouterr().err
     assert rrd.read_bytes() == b"precious"
     assert call(main, run, "--save", rrd, "--force") == 0
     assert len(points(rrd, "/loss/training")) == 1

@@ -29,7 +29,6 @@ from recorder.green import GreenSocket
 from recorder.listener import QuickAckSocket, listen
 from recorder.telemetry_server import MAX_MESSAGE_BYTES, ServerMode, Steer, TelemetryServer
 from serving import (
-    MODES,
     PICTURES,
     UNUSED,
     Book,
@@ -46,12 +45,6 @@ from serving import (
 )
 from simulator.client import Answer as Command
 from simulator.client import SimulatorClient, Telemetry, Told
-
-
-@pytest.fixture(params=MODES)
-def mode(request: pytest.FixtureRequest) -> ServerMode:
-    chosen: ServerMode = request.param
-    return chosen
 
 
 def test_the_old_protocol_and_modern_clients_are_served_at_once_on_one_port(mode: ServerMode) -> None:

@@ -10,30 +10,14 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from common.files import refuse_existing
 from dataset.preprocess import Image
 from model.predictions import LogPredictions
 from model.replay import predict_log, run_names
 from viz.attention import send_overlays
 from viz.drawing import Drawing, time_column
 from viz.layout import attention_entity, entity_part
-from viz.playback import Beside, Prepared, prepared_log, save_prepared
+from viz.playback import Beside, Prepared, prepared_log
 from viz.prediction_curves import prediction_curves
-
-
-def save_predicted(
-    path: Path, rrd: Path, runs: Sequence[Path], *, attention: bool = False, overwrite: bool = False
-) -> LogPredictions:
-    """Write the log at `path` to the file `rrd` as `save_rrd` does, and beside it what the networks of `runs` say
-    of it; what they say.
-
-    Raises what `save_rrd` and `predict_log` do.
-    """
-    refuse_existing(rrd, overwrite)
-    found: list[LogPredictions] = []
-    with prepared_predictions(path, runs, found.append, attention=attention) as prepared:
-        save_prepared(prepared, rrd, overwrite=overwrite)
-    return found[0]
 
 
 @contextlib.contextmanager

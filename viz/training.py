@@ -16,7 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rich.markup import escape
 
-from common import Skipped, UserError
+from common import UserError
 from common.command import complain, stderr, warn_skipped
 from common.locks import is_being_written
 from dataset import MAX_STEERING_DEG
@@ -25,7 +25,6 @@ from model.measures import Errors
 from model.progress import Epoch, Step
 from viz.follow import POLL_S, Follower, GoneError, feed
 from viz.playback import Prepared
-from viz.rrd_file import rrd_file
 from viz.worst import send_worst, worst_views
 
 SAMPLES: Final = "samples"  # learnt from since the run began: what all curves are drawn over
@@ -70,19 +69,6 @@ _LINES: Final = (
 )
 _STEPS: Final = "/loss/steps"
 _BEST: Final = "/rmse_deg/best"
-
-
-def save_training(run: Path, rrd: Path, *, overwrite: bool = False) -> Skipped:
-    """Write how the training of `run` went by now to the file `rrd`; the lines of its files that cannot be shown.
-
-    Raises RunError if `run` holds no training, UserError if `rrd` exists and may not be overwritten, or where the
-    disk is full.
-    """
-    history, skipped = read_history(run)  # before Rerun starts
-    with rrd_file(rrd, overwrite=overwrite) as file:
-        file.recording.send_recording_name(_name(run))
-        TrainingSender(file.recording).send(history)
-    return skipped
 
 
 @contextlib.contextmanager
