@@ -13,6 +13,7 @@ from dataset.preprocess import Image, preprocess
 from model.config import Precision
 from model.machine import training_dtype
 from model.network import SteeringNetwork
+from model.packing import pack_weights
 from model.pooling import slice_max_pools
 from model.predict import as_input
 from model.run import checksum, load_config, load_network, run_name
@@ -37,6 +38,9 @@ class Pilot:
         """What it calculates in: "float32" or "bfloat16"."""
         slice_max_pools(network.features)
         self._network = network.eval().to(dtype=dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        if dtype == torch.bfloat16:
+            pack_weights(network.features)
+            pack_weights(network.head)
         # The network scales its input in float32.
         network.features.register_forward_pre_hook(lambda _, inputs: inputs[0].to(dtype))
 
