@@ -141,7 +141,7 @@ class Connection(Socket):  # type: ignore[misc]
     def _upgrade_websocket(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
         names = ("Host", "Upgrade", "Connection", "Sec-WebSocket-Key", "Sec-WebSocket-Version")
         told = {name: environ.get("HTTP_" + name.upper().replace("-", "_")) for name in names}
-        headers = [(name.encode(), value.encode("latin-1")) for name, value in told.items() if value is not None]
+        headers = [(name, value) for name, value in told.items() if value is not None]
         stream = environ[STREAM]
         stream.settimeout(self.server.ping_interval + self.server.ping_timeout)
         try:

@@ -25,7 +25,7 @@ from logs import read_messages
 from model import load_pilot
 from recorder import broken_packets, connection, green, telemetry_server, threaded_server, visitors
 from recorder.telemetry_server import MAX_MESSAGE_BYTES, ServerMode
-from recorder.wire import FRAME_BYTES, TOO_LARGE, Wire
+from recorder.wire import FRAME_BYTES, TOO_LARGE
 from serving import (
     UNUSED,
     Book,
@@ -168,36 +168,6 @@ def test_heartbeats_that_nobody_reads_are_not_kept(mode: ServerMode) -> None:
         wait_until(lambda: connection.NOT_READ in serving.said)
         deaf.vanish()
         assert len(tell(serving.port, range(3))) == 3
-
-
-def test_a_message_that_was_sent_in_part_is_the_last_one() -> None:
-    near, far = socket.socketpair()
-    with near, far:
-        near.settimeout(0.05)
-        wire = shaken(near, far)
-        far.sendall(b"\x81\x82\0\0\0\0hi")
-        with pytest.raises(OSError, match="timed out"):
-            wire.send("x" * 10_000_000)
-        assert wire.wait() is None
-
-
-def shaken(near: socket.socket, far: socket.socket) -> Wire:
-    headers = {
-        "Host": "x",
-        "Upgrade": "websocket",
-        "Connection": "Upgrade",
-        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",  # RFC 6455
-        "Sec-WebSocket-Version": "13",
-    }
-    wire = Wire(
-        near,
-        [(name.encode(), value.encode()) for name, value in headers.items()],
-        most_bytes=1000,
-        lock=threading.Lock(),
-        give_way=lambda: None,
-    )
-    assert b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo=" in far.recv(1000)
-    return wire
 
 
 # Those who send without end
