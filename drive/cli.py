@@ -121,7 +121,8 @@ def drive(config: Drive) -> int:
         with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
             if config.viewer != "off":
                 # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
-                after.enter_context(preview(server.session.writer.part, config.viewer, overwrite=config.force))
+                part, force = server.session.writer.part, config.force
+                after.enter_context(preview(part, config.viewer, overwrite=force, never_in_the_way=True))
             if course is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                 status.note(f"bc-drive: {waiting}")

@@ -66,7 +66,7 @@ def _recorded(config: Record, log: Path) -> Imported:
 
         def show(growing: Path) -> None:
             if config.viewer:
-                stack.enter_context(preview(growing))
+                stack.enter_context(preview(growing, never_in_the_way=True))
 
         if config.listen:
             from recorder.listen import listen_for_telemetry  # Socket.IO: a second to load

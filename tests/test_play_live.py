@@ -220,6 +220,20 @@ def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> No
     assert holds_all(tmp_path / "a.rrd")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the system knows no lowest priority of all")
+@pytest.mark.parametrize(("flags", "scheduled"), [({}, "SCHED_OTHER"), ({"never_in_the_way": True}, "SCHED_IDLE")])
+def test_a_viewer_has_a_lower_priority_than_what_it_shows(
+    flags: dict[str, bool], scheduled: str, tmp_path: Path
+) -> None:
+    before = set(children_of(os.getpid()))
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with preview(writer.part, str(tmp_path / "a.rrd"), **flags):
+        (viewer,) = set(children_of(os.getpid())) - before
+        assert os.sched_getscheduler(viewer.pid) == getattr(os, scheduled)
+        assert os.getpriority(os.PRIO_PROCESS, viewer.pid) > os.getpriority(os.PRIO_PROCESS, 0)
+        writer.close()
+
+
 PREVIEW = """
 import sys, time
 from pathlib import Path
