@@ -4,9 +4,10 @@ python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 12
 
 The rows of a session (three cameras) and of a drive (one camera, and what the network saw) are repeated until a
 log is long enough. bc-play shows it in a real viewer without a window, which has started before, and writes it as
-an .rrd file, which such a viewer opens; all is there when the view of the centre camera shows the last picture, a
-green one. Its start-up is part of the times of bc-play; memory is without mapped files. A viewer without a window
-needs a graphics driver: on a bare server, Debian's package mesa-vulkan-drivers.
+an .rrd file, which such a viewer opens; beside that, the viewer opens the log by itself and shows no curves. All
+is there when the view of the centre camera shows the last picture, a green one. The start-up of bc-play is part of
+its times; memory is without mapped files. A viewer without a window needs a graphics driver: on a bare server,
+Debian's package mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
@@ -49,6 +50,14 @@ class Opened:
     sent_s: float
     seen_s: float
     player_mb: float
+    viewer_mb: float
+
+
+@dataclass(frozen=True)
+class ByItself:
+    """What the viewer took to open a log by itself: seconds until its last picture was seen; megabytes."""
+
+    seen_s: float
     viewer_mb: float
 
 
@@ -121,13 +130,21 @@ def saved(log: Path, rrd: Path) -> Saved:
     start_s = time.perf_counter()
     subprocess.run(bc_play(str(log), "--save", str(rrd)), stdout=subprocess.DEVNULL, check=True)
     written_s = time.perf_counter() - start_s
+    alone = by_itself(rrd, log)
+    return Saved(written_s, alone.seen_s, alone.viewer_mb)
+
+
+def by_itself(file: Path, log: Path) -> ByItself:
+    """`file` is the log, or what was saved of it."""
     with viewer() as (process, client, _):
         start_s = time.perf_counter()
-        client.open(str(rrd.absolute()))
+        client.open(str(file.absolute()))
+        viewer_mb = 0.0
         while client.get_state().loading:
+            viewer_mb = max(viewer_mb, memory_mb(process.pid))
             time.sleep(0.05)
         wait_for_last(client, log)
-        return Saved(written_s, time.perf_counter() - start_s, memory_mb(process.pid))
+        return ByItself(time.perf_counter() - start_s, max(viewer_mb, memory_mb(process.pid)))
 
 
 def wait_for_last(client: ViewerClient, log: Path) -> None:
@@ -216,19 +233,20 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path())
     chosen = parser.parse_args()
     print("| log | size | first pictures | all sent | last picture seen | bc-play | viewer", end="")
-    print(" | `--save` | that file: last picture seen | viewer |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print(" | `--save` | that file: last picture seen | viewer | by itself: last picture seen | viewer |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
     for minutes in chosen.minutes:
         for kind, source in (("session", chosen.session), ("drive", chosen.drive)):
             with tempfile.TemporaryDirectory(dir=chosen.folder) as folder:
                 log, rrd = Path(folder) / "long.mcap", Path(folder) / "long.rrd"
                 write_long_log(source, log, minutes)
                 size_mb = log.stat().st_size / 1e6
-                shown, file = opened(log), saved(log, rrd)
+                shown, file, alone = opened(log), saved(log, rrd), by_itself(log, log)
             cells = [f"{kind}, {minutes:g} minutes", f"{size_mb:,.0f} MB"]
             cells += [f"{seconds:.1f} s" for seconds in (shown.first_s, shown.sent_s, shown.seen_s)]
             cells += [f"{shown.player_mb:,.0f} MB", f"{shown.viewer_mb:,.0f} MB"]
             cells += [f"{file.written_s:.1f} s", f"{file.seen_s:.1f} s", f"{file.viewer_mb:,.0f} MB"]
+            cells += [f"{alone.seen_s:.1f} s", f"{alone.viewer_mb:,.0f} MB"]
             print(f"| {' | '.join(cells)} |", flush=True)
 
 
