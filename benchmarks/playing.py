@@ -138,13 +138,22 @@ def by_itself(file: Path, log: Path) -> ByItself:
     """`file` is the log, or what was saved of it."""
     with viewer() as (process, client, _):
         start_s = time.perf_counter()
-        client.open(str(file.absolute()))
+        with contextlib.suppress(TimeoutError):  # it goes on opening
+            client.open(str(file.absolute()))
         viewer_mb = 0.0
-        while client.get_state().loading:
+        while is_loading(client):
             viewer_mb = max(viewer_mb, memory_mb(process.pid))
+            refuse_full_memory(process)
             time.sleep(0.05)
         wait_for_last(client, log)
         return ByItself(time.perf_counter() - start_s, max(viewer_mb, memory_mb(process.pid)))
+
+
+def is_loading(client: ViewerClient) -> bool:
+    try:
+        return bool(client.get_state().loading)
+    except TimeoutError:  # it has its hands full
+        return True
 
 
 def wait_for_last(client: ViewerClient, log: Path) -> None:
@@ -152,7 +161,10 @@ def wait_for_last(client: ViewerClient, log: Path) -> None:
     with Log(log) as read:
         _, last_ns = read.time_range_ns
     deadline_s = time.perf_counter() + PATIENCE_S
-    client.set_time(TIMELINE, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
+    while True:
+        with contextlib.suppress(TimeoutError):
+            client.set_time(TIMELINE, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
+            break
     while not shows_green(client):
         if time.perf_counter() > deadline_s:
             sys.exit("the viewer does not show the last picture")
@@ -197,10 +209,13 @@ def has_pictures(client: ViewerClient) -> bool:
 
 
 def shows_green(client: ViewerClient) -> bool:
-    view = next((view for view in client.get_state().views if view.origin == camera_topic("center")), None)
-    if view is None:
+    try:
+        view = next((view for view in client.get_state().views if view.origin == camera_topic("center")), None)
+        if view is None:
+            return False
+        encoded = np.frombuffer(client.take_screenshot(view.view_id, max_size=200), np.uint8)
+    except TimeoutError:
         return False
-    encoded = np.frombuffer(client.take_screenshot(view.view_id, max_size=200), np.uint8)
     shown = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
     if shown is None:
         return False
@@ -217,11 +232,11 @@ def memory_mb(pid: int) -> float:
     return 0.0
 
 
-def refuse_full_memory(player: subprocess.Popen[bytes]) -> None:
+def refuse_full_memory(filling: subprocess.Popen[bytes]) -> None:
     lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     free_mb = next(int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
     if free_mb < LEAST_FREE_MB:
-        player.kill()
+        filling.kill()
         sys.exit(f"only {free_mb:.0f} MB of memory are left")
 
 

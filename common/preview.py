@@ -12,12 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from common.command import warn
+from common.command import stderr, warn
 from common.errors import UserError
 from common.files import final_path, refuse_existing
 
 _GRACE_S: Final = 2.0  # for it to end by itself
 _FILE_GRACE_S: Final = 30.0  # for a file to be written to its end
+_SAID_S: Final = 2.0  # what takes longer is said
 _ADDRESS: Final = re.compile(r"[^-]:\d|^\d+$")
 _NICENESS: Final = 10  # of the viewer
 
@@ -62,8 +63,7 @@ def preview(
     finally:
         try:
             if file is not None:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    viewer.wait(_FILE_GRACE_S)  # the log is finished: it ends by itself, even if it has just begun
+                _wait_until_written(viewer, file)
             viewer.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 viewer.wait(_GRACE_S)
@@ -79,6 +79,16 @@ def preview(
             why = f"its writing hung for {_FILE_GRACE_S:g} s, or was killed"
             again = f"`bc-play {final_path(growing)} --save {file}` makes it of the finished log"
             warn(f"{file}: not written: {why}; {again}")
+
+
+def _wait_until_written(viewer: subprocess.Popen[bytes], file: Path) -> None:
+    """The log is finished: it ends by itself, even if it has just begun."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        viewer.wait(_SAID_S)
+        return
+    stderr().print(f"finishing {file}, {_FILE_GRACE_S:g} s at most", markup=False)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        viewer.wait(_FILE_GRACE_S - _SAID_S)
 
 
 def _parts_of(file: Path | None) -> set[Path]:

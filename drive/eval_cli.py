@@ -11,7 +11,7 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, run_command, stderr, stdout, warn, warn_skipped
+from common.command import DONE, flags_given, run_command, stderr, stdout, warn, warn_skipped
 from common.errors import shown
 
 if TYPE_CHECKING:
@@ -76,9 +76,8 @@ def evaluate(config: Eval) -> int:
 
 def _refuse_contradictions(config: Eval) -> None:
     is_driven = config.simulator is not None
-    unused = [name for name in (RECORDED if is_driven else DRIVEN) if getattr(config, name) not in (None, False)]
-    if unused:
-        flags = ", ".join(f"--{name}" for name in unused)
+    flags = flags_given(config, *(RECORDED if is_driven else DRIVEN))
+    if flags:
         raise UserError(
             f"{flags}: of recorded frames, and --simulator drives: give one or the other"
             if is_driven

@@ -57,8 +57,9 @@ class Pilot:
     def get_ready(self) -> None:
         """Prepare this process for driving: the first predictions are slow, and should not fall into a drive.
 
-        From here on it computes on one thread. On more, one picture is hardly faster, a busy machine makes
-        every layer wait for the slowest thread, and the number of cores would show in the last bits of a steering.
+        From here on it computes on one thread. On two, one picture is a fifth faster, but a busy machine makes
+        every layer wait for the slower thread (one answer in a hundred then takes 20 ms), and the number of cores
+        would show in the last bits of a steering.
         """
         keep_freed_memory()
         torch.set_num_threads(1)
@@ -71,8 +72,8 @@ def load_pilot(run: Path, precision: Precision = "auto") -> Pilot:
     """The pilot of a run folder.
 
     `precision` is what it calculates in; "auto" takes bfloat16 where the processor has it, as training does. One
-    picture is then a quarter to a third faster. Over 5,000 pictures, real and drawn, a trained network's steering
-    differed by 0.02 degrees on average and by 0.2 at most from that of float32, in which evaluations measure.
+    picture then takes half the time. Over 5,000 pictures, real and drawn, a trained network's steering differed by
+    0.02 degrees on average and by 0.2 at most from that of float32, in which evaluations measure.
 
     Raises RunError if the run is incomplete, damaged or of another version.
     """

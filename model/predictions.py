@@ -67,6 +67,6 @@ class LogPredictions:
 def _told(run: str, worst: WorstFrame) -> str:
     side = "right" if worst.error_deg > 0 else "left"
     return (
-        f"{run}: {abs(worst.error_deg):.1f} degrees too far to the {side}: {worst.predicted_deg:.1f} predicted,"
-        f" {worst.recorded_deg:.1f} recorded (row {worst.row})"
+        f"{run}: {abs(worst.error_deg):.1f} degrees too far to the {side}: {worst.predicted_deg:z.1f} predicted,"
+        f" {worst.recorded_deg:z.1f} recorded (row {worst.row})"
     )

@@ -16,8 +16,8 @@ _NO_FRAMES: Final = frozenset({0xC4, 0xC8, 0xCC})  # tables among the numbers of
 _SCAN_OR_END: Final = frozenset({0xD9, 0xDA})
 
 
-def pixels(picture: bytes) -> int | None:
-    """Width x height of a JPEG or PNG; None if it is neither, or cut off before that."""
+def width_and_height(picture: bytes) -> tuple[int, int] | None:
+    """Width and height of a JPEG or PNG; None if it is neither, or cut off before that."""
     try:
         if picture.startswith(PNG_START):
             width, height = struct.unpack_from(">II", picture, 16)
@@ -27,7 +27,13 @@ def pixels(picture: bytes) -> int | None:
             return None
     except (struct.error, IndexError, ValueError):
         return None
-    return int(width) * int(height)
+    return int(width), int(height)
+
+
+def pixels(picture: bytes) -> int | None:
+    """Width x height of a JPEG or PNG; None if it is neither, or cut off before that."""
+    found = width_and_height(picture)
+    return None if found is None else found[0] * found[1]
 
 
 def can_be_decoded(picture: bytes) -> bool:

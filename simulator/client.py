@@ -96,7 +96,7 @@ class SimulatorClient:
                     suppress_origin=True,
                     sockopt=((socket.IPPROTO_TCP, socket.TCP_NODELAY, 0),),
                 )
-            except ValueError as error:  # of an address that is none
+            except (ValueError, websocket.WebSocketAddressException) as error:  # of an address that is none
                 raise WaitTimeoutError(f"{self.url}: {error}") from None
             except (OSError, websocket.WebSocketException):
                 if time.monotonic() > deadline_s:

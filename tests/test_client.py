@@ -236,3 +236,12 @@ def test_it_gives_up_when_there_is_no_server() -> None:
         with pytest.raises(WaitTimeoutError, match=r"within 0\.2 s"):
             client.run(lambda answer: None)
     assert client.connections == 0
+
+
+def test_a_name_that_no_resolver_knows_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(WaitTimeoutError, match=r"locahost.*Name or service not known"):
+        SimulatorClient("locahost", wait_s=1e9).run(lambda answer: None)

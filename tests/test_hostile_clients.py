@@ -12,6 +12,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -227,14 +228,16 @@ def test_a_client_has_one_place_however_often_it_connects(mode: ServerMode) -> N
 def driving(mode: ServerMode, log: Path, pilot_run: Path) -> Iterator[DriveServer]:
     """bc-drive's own server, in a thread."""
     stop = threading.Event()
-    with DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0, mode=mode) as server:
-        thread = threading.Thread(target=server.run, args=(stop.is_set,))
-        thread.start()
+    with (
+        DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0, mode=mode) as server,
+        ThreadPoolExecutor(1) as thread,
+    ):
+        running = thread.submit(server.run, stop.is_set)
         try:
             yield server
         finally:
             stop.set()
-            thread.join(PATIENCE_S)
+            running.result(PATIENCE_S)
 
 
 def test_malformed_telemetries_are_answered_and_the_good_ones_in_between_driven(
@@ -268,3 +271,21 @@ def test_malformed_telemetries_are_answered_and_the_good_ones_in_between_driven(
     assert len(set(good)) == 7  # each picture its steering, whatever came before it
     assert len({angle for _, angle in good}) == 7
     assert len(read_messages(log)["/pilot/command"]) == summary.frames
+
+
+def test_a_client_that_polls_is_driven_like_any_other(mode: ServerMode, tmp_path: Path) -> None:
+    run = untrained_run(tmp_path / "run")
+    log = tmp_path / "run.mcap"
+    with driving(mode, log, run) as server:
+        raw = RawClient(server.port)
+        raw.tell(fields(3))
+        _, expected = raw.command()
+        raw.close()
+        wait_until(lambda: not server.session.is_connected)
+        polling = PollingClient(server.port)
+        name, command = polling.tell(fields(3))
+        assert (name, command["steering_angle"]) == ("steer", expected["steering_angle"])
+        assert polling.tell("nonsense")[0] == "steer"
+        assert polling.tell(None)[0] == "manual"
+    summary = server.session.summary
+    assert (summary.frames, summary.malformed) == (2, 1)

@@ -281,8 +281,8 @@ def test_a_preview_ends_when_who_started_it_is_killed(tmp_path: Path) -> None:
 def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    for grace in ("_FILE_GRACE_S", "_GRACE_S"):
-        monkeypatch.setattr(f"common.preview.{grace}", 0.1)
+    for grace, seconds in (("_FILE_GRACE_S", 0.2), ("_SAID_S", 0.1), ("_GRACE_S", 0.1)):
+        monkeypatch.setattr(f"common.preview.{grace}", seconds)
     others = set(children_of(os.getpid()))
     rrd, foreign = tmp_path / "a.rrd", tmp_path / "a.rrd.0123ab.part"
     foreign.write_bytes(b"another's")
@@ -294,7 +294,8 @@ def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
             child.suspend()
         writer.close()
     assert list(tmp_path.glob("a.rrd*")) == [foreign]
-    (line,) = capfd.readouterr().err.splitlines()
+    waits, line = capfd.readouterr().err.splitlines()
+    assert waits.startswith(f"finishing {rrd}, ")
     assert line.startswith(f"{rrd}: not written")
     assert f"`bc-play {tmp_path / 'a.mcap'} --save {rrd}`" in line
 

@@ -310,3 +310,12 @@ def test_a_port_that_is_taken_is_one_line(drive: Path) -> None:
         done = run("bc-play", drive.with_suffix(".mcap"), "--web", "--port", port, "--web-port", *free_ports(1))
     assert done.returncode == 1
     assert f"port {port}" in one_line_of(done)
+
+
+@pytest.mark.parametrize("flag", ["--port", "--web-port"])
+@pytest.mark.parametrize("port", [0, -1, 65536])
+def test_what_is_no_port_is_one_line(
+    drive: Path, flag: str, port: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, drive.with_suffix(".mcap"), "--web", flag, port) == 1
+    assert f"{flag} {port}: a port is" in capsys.readouterr().err

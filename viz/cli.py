@@ -103,6 +103,9 @@ def _refuse_nonsense(config: Play) -> None:
         raise UserError("--connect shows it in a viewer that runs: give it without --web, --save")
     if config.save is not None and config.web:
         raise UserError("--save writes a file and opens nothing: give it without --web")
+    for flag, port in (("--port", config.port), ("--web-port", config.web_port)):
+        if not 0 < port < 1 << 16:
+            raise UserError(f"{flag} {port}: a port is a number from 1 to 65535")
     if config.connect is not None and len(config.connect) > 1:
         raise UserError("--connect takes one address, and stands behind the logs: bc-play LOG --connect HOST:PORT")
 
@@ -215,8 +218,10 @@ def _play_predicted(config: Play) -> int:
     from viz.predictions import prepared_predictions
     from viz.showing import Whole
 
-    if config.follow or config.log.is_dir():
-        raise UserError("--run: networks look at a log that does not grow: give one, without --follow")
+    if config.log.is_dir():
+        raise UserError(f"{config.log} is a folder: --run shows what a network says of a log; give one")
+    if config.follow:
+        raise UserError("--run: networks look at a log that does not grow: give it without --follow")
     is_only_written = config.write is not None and config.save is None
     if is_only_written and (config.attention or config.web or config.connect is not None):
         raise UserError("--write opens nothing: give it without --attention, --web, --connect")

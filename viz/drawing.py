@@ -11,7 +11,6 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from dataset.balance import bin_of
-from dataset.preprocess import decode
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import PILOT_COMMAND, POSE, VEHICLE
 from viz.layout import ARCS, CAR, CURVES, DRIVER, DRIVERS, HISTOGRAM, PATH, SPEED, Curve
@@ -189,15 +188,6 @@ def strips(points: NDArray[np.float32]) -> pa.Array:
     inner = pa.FixedSizeListArray.from_arrays(pa.array(points.reshape(-1)), type=_STRIPS.value_type)
     offsets = np.arange(0, len(points) * points.shape[1] + 1, points.shape[1], dtype=np.int32)
     return pa.ListArray.from_arrays(pa.array(offsets), inner, type=_STRIPS)
-
-
-def picture_size(picture: bytes) -> tuple[int, int] | None:
-    """Width and height of a JPEG or PNG; None if it is neither, or too large to be decoded."""
-    try:
-        height, width = decode(picture).shape[:2]
-    except ValueError:
-        return None
-    return width, height
 
 
 def histogram(counts: NDArray[np.int64]) -> rr.BarChart:

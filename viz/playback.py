@@ -23,8 +23,9 @@ from common.files import refuse_existing
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover
+from recorder.picture_size import width_and_height
 from recorder.topics import PILOT_COMMAND, POSE, VEHICLE, camera_topic
-from viz.drawing import Drawing, Times, Values, curve_values, picture_size
+from viz.drawing import Drawing, Times, Values, curve_values
 from viz.layout import Curve, log_layout
 from viz.prediction_curves import prediction_curves
 from viz.prediction_log import prediction_topics, read_predictions
@@ -205,4 +206,4 @@ def _picture_size(log: Log) -> tuple[int, int] | None:
     if topic not in topics_of(log) or log.schemas[topic] != CompressedImage.DESCRIPTOR.full_name:
         return None
     found = log.pictures(topic)
-    return picture_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))
+    return width_and_height(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))

@@ -92,8 +92,6 @@ def write_video(
     the centre camera, if `video` exists and may not be overwritten, or where the disk is full.
     """
     _require_av()
-    if video.suffix.lower() != ".mp4":
-        raise UserError(f"{video}: a video is written as .mp4; give --video such a name")
     if not SLOWEST <= speed <= FASTEST:
         raise UserError(f"--speed {speed:g}: how many times as fast must be {SLOWEST:g} to {FASTEST:g}")
     refuse_existing(video, overwrite)

@@ -141,7 +141,7 @@ class Panel:
             ("network", reading.predicted_steering, 133, PREDICTED),
         ):
             if math.isfinite(steering):
-                text = f"{word} {MAX_STEERING_DEG * _clamped(steering):+.1f} deg"
+                text = f"{word} {MAX_STEERING_DEG * _clamped(steering):+z.1f} deg"
                 self._text(text, right, y, 15, color, is_right=True)
 
     def _text(

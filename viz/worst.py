@@ -9,7 +9,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dataset import MAX_STEERING_DEG, decode
+from dataset import MAX_STEERING_DEG
+from dataset.preprocess import SIZE_PX
 from model.worst import WorstFrame
 from model.worst_pictures import COUNT, WorstPictures
 from viz.drawing import arcs
@@ -35,10 +36,9 @@ def send_worst(recording: rr.RecordingStream, worst: WorstPictures, times: Seque
     for number, (frame, jpeg) in enumerate(zip(worst.frames, worst.jpegs, strict=True), 1):
         entity = f"{WORST}/{number}"
         recording.log(entity, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
-        height, width = decode(jpeg).shape[:2]
         for name, color, radius in _ARCS:
             steering = np.array([getattr(frame, f"{name}_deg") / MAX_STEERING_DEG])
-            arc = arcs(steering, (width, height))
+            arc = arcs(steering, (SIZE_PX, SIZE_PX))
             recording.log(f"{entity}/{name}", rr.LineStrips2D(arc, colors=[color], radii=[-radius]))
     for number in range(len(worst.frames) + 1, COUNT + 1):  # of the epoch before
         recording.log(f"{WORST}/{number}", rr.Clear(recursive=True))
@@ -50,5 +50,5 @@ def _in_words(frame: WorstFrame) -> str:
     side = "right" if frame.error_deg > 0 else "left"
     return (
         f"{frame.session} row {frame.row}: {abs(frame.error_deg):.1f} degrees too far to the {side}:"
-        f" {frame.predicted_deg:.1f} predicted, {frame.recorded_deg:.1f} recorded"
+        f" {frame.predicted_deg:z.1f} predicted, {frame.recorded_deg:z.1f} recorded"
     )
