@@ -33,9 +33,7 @@ def track(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
     """Pass `items` on while a bar named `what` counts them up to `total`."""
     with progress_bar() as progress:
         task = progress.add_task(what, total=total, note="")
-        for item in items:
-            yield item
-            progress.advance(task)
+        yield from progress.track(items, total, task_id=task)
 
 
 class StatusLine:

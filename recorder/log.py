@@ -11,7 +11,7 @@ import hashlib
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -66,11 +66,13 @@ class Pictures:
 class Log(Closing):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
+    `shows_progress`: with a progress bar while all of it is read, which is when messages are first asked for.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, *, shows_progress: bool = False) -> None:
         self.path = Path(path)
+        self._shows_progress = shows_progress
         self._file = McapFile(self.path)
         try:
             self._structure = read_structure(self._file)
@@ -300,7 +302,12 @@ class Log(Closing):
 
     @cached_property
     def _places(self) -> NDArray[np.void]:
-        places = find_places(self._file, self._structure)
+        chunks: Iterable[Chunk] = self.chunks
+        if self._shows_progress:
+            from common.progress import track  # training reads logs where no bars are installed
+
+            chunks = track(chunks, f"reading {self.path.name}", len(self.chunks))
+        places = find_places(self._file, self._structure, chunks)
         self._is_verified = bytearray(b"\1") * len(self.chunks)
         return places
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -42,14 +43,14 @@ _HEAD: Final = np.dtype(
 )  # as MESSAGE, without gaps
 
 
-def find_places(file: McapFile, structure: Structure) -> NDArray[np.void]:
-    """One PLACE for each message, in the order of the file.
+def find_places(file: McapFile, structure: Structure, chunks: Iterable[Chunk]) -> NDArray[np.void]:
+    """One PLACE for each message in these chunks, in their order.
 
     Raises LogError for a damaged chunk, or a time that no clock of ours can hold.
     """
     images = _image_channels(structure)
     parts, count = [], 0
-    for chunk in structure.chunks:
+    for chunk in chunks:
         parts.append(_in_chunk(file, chunk, images))
         count += len(parts[-1])
         file.check_count(count)

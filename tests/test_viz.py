@@ -15,9 +15,10 @@ import pytest
 from common import UserError
 from disk import files_of_at_most
 from driving import PATIENCE_S, Process, command, one_line_of, road_jpeg, run
-from recorder import LogError, LogWriter
+from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.simulated import SimulatedDrive, record_simulated
+from recorder.topics import PILOT_COMMAND, VEHICLE
 from rrd import contents, free_ports, listening, view_names
 from udacity import call
 from viz import save_growing, save_rrd, viewer
@@ -319,3 +320,20 @@ def test_what_is_no_port_is_one_line(
 ) -> None:
     assert call(main, drive.with_suffix(".mcap"), "--web", flag, port) == 1
     assert f"{flag} {port}: a port is" in capsys.readouterr().err
+
+
+def test_what_may_take_long_shows_how_far_it_is(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = drive.with_suffix(".mcap")
+    assert call(main, log, "--save", tmp_path / "silent.rrd") == 0
+    assert capsys.readouterr().err == ""  # it is no terminal
+    for name in ("TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.setenv(name, "1")
+    assert call(main, log, "--save", tmp_path / "shown.rrd") == 0
+    shown = capsys.readouterr().err
+    with Log(log) as read:
+        pictures = sum(count for topic, count in read.counts.items() if topic not in (VEHICLE, PILOT_COMMAND))
+    assert f"reading {log.name}" in shown
+    assert f"reading {VEHICLE}" in shown
+    assert f"{pictures}/{pictures}" in shown.partition("sending pictures")[2]

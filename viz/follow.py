@@ -146,6 +146,7 @@ def _feed_other(follower: Follower) -> int:
         follower.join(_LAST_S)
         if follower.is_alive():  # held up by Rerun, for a viewer that is frozen: nothing else ends it
             stderr().print("bc-play: stopped")
+            stderr().show_cursor(True)  # a progress bar has hidden it
             os._exit(INTERRUPTED)
         raise
     return follower.code

@@ -20,6 +20,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from rerun.chunk import Chunk, McapReader
 
 from common.files import refuse_existing
+from common.progress import progress_bar, track
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover
@@ -120,7 +121,7 @@ def sound_log(path: Path) -> Iterator[tuple[Log, str]]:
 
     Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read.
     """
-    with Log(path) as log:
+    with Log(path, shows_progress=True) as log:
         if not log.problem:
             yield log, ""
             return
@@ -135,7 +136,7 @@ def read_drawn(log: Log) -> Drawn:
     where it is damaged."""
     found: dict[str, tuple[Times, list[Any]]] = {}
     for topic, messages in ((VEHICLE, log.vehicle_states()), (PILOT_COMMAND, log.commands()), (POSE, _poses(log))):
-        pairs = list(messages) if _is_ours(log, topic) else []
+        pairs = list(track(messages, f"reading {topic}", log.counts[topic])) if _is_ours(log, topic) else []
         if pairs:
             time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
             found[topic] = time_ns, [content for _, content in pairs]
@@ -162,10 +163,15 @@ def topics_of(log: Log) -> list[str]:
     return [topic for topic, count in log.counts.items() if count]
 
 
-def chunks_of(log: Log) -> Iterable[Chunk]:
-    """What Rerun's own reader makes of a log, as far as it is not drawn."""
+def chunks_of(log: Log) -> Iterator[Chunk]:
+    """What Rerun's own reader makes of a log, as far as it is not drawn; with a progress bar."""
     drawn = [topic for topic in (VEHICLE, PILOT_COMMAND) if _is_ours(log, topic)] + prediction_topics(log)
-    return McapReader(log.path, exclude_topic_regex=[f"^{re.escape(topic)}$" for topic in drawn]).stream()
+    others = sum(count for topic, count in log.counts.items() if topic not in drawn)
+    with progress_bar() as bar:
+        task = bar.add_task("sending pictures", total=others, note="")
+        for chunk in McapReader(log.path, exclude_topic_regex=[f"^{re.escape(each)}$" for each in drawn]).stream():
+            yield chunk
+            bar.advance(task, 0 if chunk.is_static else len(chunk))
 
 
 def send_chunks(chunks: Iterable[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:

@@ -95,7 +95,7 @@ def write_video(
     if not SLOWEST <= speed <= FASTEST:
         raise UserError(f"--speed {speed:g}: how many times as fast must be {SLOWEST:g} to {FASTEST:g}")
     refuse_existing(video, overwrite)
-    with Log(path) as log:
+    with Log(path, shows_progress=True) as log:
         pictures = _Pictures(log)
         plan = schedule(pictures.times_ns, speed)
         readings = Readings(log) if overlay else None
