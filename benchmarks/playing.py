@@ -161,13 +161,14 @@ def wait_for_last(client: ViewerClient, log: Path) -> None:
     with Log(log) as read:
         _, last_ns = read.time_range_ns
     deadline_s = time.perf_counter() + PATIENCE_S
-    while True:
-        with contextlib.suppress(TimeoutError):
-            client.set_time(TIMELINE, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
-            break
-    while not shows_green(client):
+    is_told = False
+    while not is_told or not shows_green(client):
         if time.perf_counter() > deadline_s:
             sys.exit("the viewer does not show the last picture")
+        with contextlib.suppress(TimeoutError):
+            if not is_told:
+                client.set_time(TIMELINE, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
+                is_told = True
         time.sleep(0.05)
 
 

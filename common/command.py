@@ -102,10 +102,9 @@ def _run(
         sys.stdout.flush()
         return code
     except UserError as error:
-        return complain(prog, error)
+        why: str | None = str(error)
     except KeyboardInterrupt:
-        stderr().print(f"{prog}: stopped")
-        return INTERRUPTED
+        why = None
     except BrokenPipeError:  # `bc-... | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
@@ -113,5 +112,9 @@ def _run(
         if error.strerror is None:
             raise
         where = f"{error.filename}: " if error.filename is not None else ""
-        stderr().print(f"[red]{prog}:[/] {escape(where + error.strerror)}")
-        return FAILED
+        why = where + error.strerror
+    # Only here has the last reference to what was interrupted gone, and a progress bar its end.
+    if why is not None:
+        return complain(prog, UserError(why))
+    stderr().print(f"{prog}: stopped")
+    return INTERRUPTED

@@ -122,7 +122,9 @@ def drive(config: Drive) -> int:
             if config.viewer != "off":
                 # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
                 part, force = server.session.writer.part, config.force
-                after.enter_context(preview(part, config.viewer, overwrite=force, never_in_the_way=True))
+                after.enter_context(
+                    preview(part, config.viewer, overwrite=force, never_in_the_way=True, said=status.note)
+                )
             if course is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                 status.note(f"bc-drive: {waiting}")

@@ -41,6 +41,7 @@ class PackedLinear(nn.Module):
         return outputs
 
 
+@torch.inference_mode()
 def pack_weights(layers: nn.Sequential) -> bool:
     """Put packed layers in the place of `layers`' own, whose weights are bfloat16; False, and nothing is changed,
     where this PyTorch or this processor has none."""
@@ -54,6 +55,13 @@ def pack_weights(layers: nn.Sequential) -> bool:
 
 
 def _packed(layer: nn.Module) -> nn.Module:
+    """Each is tried once: a processor may have the weights' order, and not the operator."""
     if isinstance(layer, nn.Conv2d):
-        return PackedConvolution(layer)
-    return PackedLinear(layer) if isinstance(layer, nn.Linear) else layer
+        packed: nn.Module = PackedConvolution(layer)
+        packed(torch.zeros(1, layer.in_channels, *layer.kernel_size, dtype=torch.bfloat16))
+    elif isinstance(layer, nn.Linear):
+        packed = PackedLinear(layer)
+        packed(torch.zeros(1, layer.in_features, dtype=torch.bfloat16))
+    else:
+        packed = layer
+    return packed

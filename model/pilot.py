@@ -72,8 +72,8 @@ def load_pilot(run: Path, precision: Precision = "auto") -> Pilot:
     """The pilot of a run folder.
 
     `precision` is what it calculates in; "auto" takes bfloat16 where the processor has it, as training does. One
-    picture then takes half the time. Over 5,000 pictures, real and drawn, a trained network's steering differed by
-    0.02 degrees on average and by 0.2 at most from that of float32, in which evaluations measure.
+    picture then takes five eighths of the time. Over 5,000 pictures, real and drawn, a trained network's steering
+    differed by 0.02 degrees on average and by 0.2 at most from that of float32, in which evaluations measure.
 
     Raises RunError if the run is incomplete, damaged or of another version.
     """

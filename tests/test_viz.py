@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,7 @@ from rrd import contents, free_ports, listening, view_names
 from udacity import call
 from viz import save_growing, save_rrd, viewer
 from viz.cli import main
+from viz.drawing import frame_size
 
 ROWS = 40
 START_NS = 1_767_225_600 * 10**9
@@ -333,7 +335,20 @@ def test_what_may_take_long_shows_how_far_it_is(
     assert call(main, log, "--save", tmp_path / "shown.rrd") == 0
     shown = capsys.readouterr().err
     with Log(log) as read:
-        pictures = sum(count for topic, count in read.counts.items() if topic not in (VEHICLE, PILOT_COMMAND))
+        sent = sum(count for topic, count in read.counts.items() if topic not in (VEHICLE, PILOT_COMMAND))
     assert f"reading {log.name}" in shown
     assert f"reading {VEHICLE}" in shown
-    assert f"{pictures}/{pictures}" in shown.partition("sending pictures")[2]
+    assert f"{sent}/{sent}" in shown.partition("sending messages")[2]
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 2**32 - 1, 0),
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 2**20, 2**20),
+        b"neither",
+    ],
+)
+def test_a_header_that_lies_does_not_tell_how_large_a_frame_is(picture: bytes) -> None:
+    assert frame_size(picture) is None
+    assert frame_size(road_jpeg(0)) == (320, 160)

@@ -6,12 +6,12 @@ import random
 import socket
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from websocket import ABNF
 
-from recorder.wire import BROKEN_FRAME, TOO_LARGE, Wire, WireError
+from recorder.wire import BROKEN_FRAME, PARSED_BYTES, TOO_LARGE, Wire, WireError
 
 MOST_BYTES = 100_000
 HEADERS = {
@@ -31,9 +31,11 @@ TEXT, BINARY, CONTINUATION, PING, CLOSE = (
 )
 
 
-def make_wire(stream: socket.socket, headers: dict[str, str]) -> Wire:
+def make_wire(
+    stream: socket.socket, headers: dict[str, str], give_way: Callable[[], object] = lambda: None
+) -> Wire:
     named = list(headers.items())
-    return Wire(stream, named, most_bytes=MOST_BYTES, lock=threading.Lock(), give_way=lambda: None)
+    return Wire(stream, named, most_bytes=MOST_BYTES, lock=threading.Lock(), give_way=give_way)
 
 
 @pytest.fixture
@@ -60,6 +62,11 @@ def in_frames(opcode: int, data: bytes, size: int) -> bytes:
         frame(opcode if number == 0 else CONTINUATION, part, is_last=number == last)
         for number, part in enumerate(parts)
     )
+
+
+def send_and_end(far: socket.socket, data: bytes) -> None:
+    far.sendall(data)
+    far.shutdown(socket.SHUT_WR)
 
 
 def received(far: socket.socket) -> tuple[int, bytes]:
@@ -99,6 +106,36 @@ def test_a_ping_within_a_message_is_answered_at_once(ends: tuple[Wire, socket.so
     assert not waiting.is_alive()
 
 
+@pytest.mark.parametrize("opcode", [PING, ABNF.OPCODE_PONG])
+def test_who_sends_without_end_lets_others_in(opcode: int) -> None:
+    given_way: list[int] = []
+    near, far = socket.socketpair()
+    with near, far:
+        wire = make_wire(near, HEADERS, lambda: given_way.append(1))
+        flood = frame(opcode, b"") * 20_000
+        sender = threading.Thread(target=send_and_end, args=(far, flood))
+        sender.start()
+        reader = threading.Thread(target=lambda: [None for _ in iter(lambda: far.recv(1 << 16), b"")])
+        reader.start()
+        assert wire.wait() is None
+        near.shutdown(socket.SHUT_RDWR)
+        sender.join()
+        reader.join()
+    assert len(given_way) >= len(flood) // PARSED_BYTES
+
+
+def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
+    given_way: list[int] = []
+    near, far = socket.socketpair()
+    with near, far:
+        wire = make_wire(near, HEADERS, lambda: given_way.append(1))
+        sender = threading.Thread(target=send_and_end, args=(far, b"\x83\x80\0\0\0\0" + bytes(1 << 22)))
+        sender.start()
+        assert wire.wait() is None
+        sender.join()
+    assert len(given_way) >= 4
+
+
 @pytest.mark.parametrize(
     ("data", "reason", "code"),
     [
@@ -134,6 +171,14 @@ def test_a_client_that_closes_gets_its_messages_handled_and_an_answer(ends: tupl
     assert wire.wait() is None
     assert not wire.broke
     assert received(far) == (CLOSE, struct.pack("!H", 1001))
+
+
+def test_a_client_that_closes_within_a_message_breaks_nothing(ends: tuple[Wire, socket.socket]) -> None:
+    wire, far = ends
+    far.sendall(frame(TEXT, b"half", is_last=False) + frame(CLOSE, struct.pack("!H", 1001)))
+    assert wire.wait() is None
+    assert not wire.broke
+    assert received(far)[0] == CLOSE
 
 
 def test_a_message_that_was_sent_in_part_is_the_last_one(ends: tuple[Wire, socket.socket]) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dataset.balance import bin_of
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.picture_size import can_be_decoded, width_and_height
 from recorder.topics import PILOT_COMMAND, POSE, VEHICLE
 from viz.layout import ARCS, CAR, CURVES, DRIVER, DRIVERS, HISTOGRAM, PATH, SPEED, Curve
 from viz.trail import Trail
@@ -188,6 +189,11 @@ def strips(points: NDArray[np.float32]) -> pa.Array:
     inner = pa.FixedSizeListArray.from_arrays(pa.array(points.reshape(-1)), type=_STRIPS.value_type)
     offsets = np.arange(0, len(points) * points.shape[1] + 1, points.shape[1], dtype=np.int32)
     return pa.ListArray.from_arrays(pa.array(offsets), inner, type=_STRIPS)
+
+
+def frame_size(picture: bytes) -> tuple[int, int] | None:
+    """Width and height of a JPEG or PNG; None if it is neither, or too large to be shown."""
+    return width_and_height(picture) if can_be_decoded(picture) else None
 
 
 def histogram(counts: NDArray[np.int64]) -> rr.BarChart:

@@ -81,6 +81,8 @@ class Follower(threading.Thread):
         super().__init__(name="follower", daemon=True)
         self.url = url
         self.stop = threading.Event()
+        self.has_unsent = False
+        """Whether something is on its way that the viewer did not take."""
         self.code = DONE
 
     def _connected(self, name: str) -> rr.RecordingStream:
@@ -96,9 +98,11 @@ class Follower(threading.Thread):
             try:
                 recording.flush(timeout_sec=_FLUSH_S)
             except RuntimeError as error:
-                if "timed out" not in str(error):
+                self.has_unsent = "timed out" in str(error)
+                if not self.has_unsent:
                     raise GoneError from None
             else:
+                self.has_unsent = False
                 return
         raise GoneError
 
@@ -144,9 +148,10 @@ def _feed_other(follower: Follower) -> int:
     except KeyboardInterrupt:
         follower.stop.set()
         follower.join(_LAST_S)
-        if follower.is_alive():  # held up by Rerun, for a viewer that is frozen: nothing else ends it
-            stderr().print("bc-play: stopped")
-            stderr().show_cursor(True)  # a progress bar has hidden it
+        # Held up by Rerun for a viewer that is frozen, now or when Python ends: nothing else ends it.
+        if follower.is_alive() or follower.has_unsent:
+            stderr().show_cursor(True)  # a progress bar has hidden it, and not ended its line
+            stderr().print("\nbc-play: stopped" if follower.is_alive() else "bc-play: stopped")
             os._exit(INTERRUPTED)
         raise
     return follower.code

@@ -15,9 +15,8 @@ from google.protobuf.message import Message as ProtobufMessage
 from numpy.typing import NDArray
 
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.picture_size import width_and_height
 from recorder.topics import CAMERAS, EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
-from viz.drawing import Drawing, time_column
+from viz.drawing import Drawing, frame_size, time_column
 from viz.layout import log_layout
 
 CENTER: Final = camera_topic("center")
@@ -89,7 +88,7 @@ class MessageSender:
     def _send_pictures(self, topic: str, time_ns: NDArray[np.int64], pictures: list[CompressedImage]) -> None:
         if topic == CENTER and not self._has_size:
             self._has_size = True
-            self._drawing.picture_size = width_and_height(pictures[0].data) or self._drawing.picture_size
+            self._drawing.picture_size = frame_size(pictures[0].data) or self._drawing.picture_size
         columns = rr.EncodedImage.columns(
             blob=[picture.data for picture in pictures],
             media_type=[f"image/{picture.format or 'jpeg'}" for picture in pictures],

@@ -24,9 +24,8 @@ from common.progress import progress_bar, track
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover
-from recorder.picture_size import width_and_height
 from recorder.topics import PILOT_COMMAND, POSE, VEHICLE, camera_topic
-from viz.drawing import Drawing, Times, Values, curve_values
+from viz.drawing import Drawing, Times, Values, curve_values, frame_size
 from viz.layout import Curve, log_layout
 from viz.prediction_curves import prediction_curves
 from viz.prediction_log import prediction_topics, read_predictions
@@ -135,6 +134,7 @@ def read_drawn(log: Log) -> Drawn:
     """What is drawn of a log; topics of these names that hold another program's messages are not. Raises LogError
     where it is damaged."""
     found: dict[str, tuple[Times, list[Any]]] = {}
+    log.messages(VEHICLE)  # the pass over the file, with a bar of its own
     for topic, messages in ((VEHICLE, log.vehicle_states()), (PILOT_COMMAND, log.commands()), (POSE, _poses(log))):
         pairs = list(track(messages, f"reading {topic}", log.counts[topic])) if _is_ours(log, topic) else []
         if pairs:
@@ -168,7 +168,7 @@ def chunks_of(log: Log) -> Iterator[Chunk]:
     drawn = [topic for topic in (VEHICLE, PILOT_COMMAND) if _is_ours(log, topic)] + prediction_topics(log)
     others = sum(count for topic, count in log.counts.items() if topic not in drawn)
     with progress_bar() as bar:
-        task = bar.add_task("sending pictures", total=others, note="")
+        task = bar.add_task("sending messages", total=others, note="")
         for chunk in McapReader(log.path, exclude_topic_regex=[f"^{re.escape(each)}$" for each in drawn]).stream():
             yield chunk
             bar.advance(task, 0 if chunk.is_static else len(chunk))
@@ -212,4 +212,4 @@ def _picture_size(log: Log) -> tuple[int, int] | None:
     if topic not in topics_of(log) or log.schemas[topic] != CompressedImage.DESCRIPTOR.full_name:
         return None
     found = log.pictures(topic)
-    return width_and_height(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))
+    return frame_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))
