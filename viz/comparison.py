@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -136,7 +136,7 @@ def _send(logs: Sequence[_Beside], recording: rr.RecordingStream, flush: Callabl
         send_chunks(_moved(each), recording, flush)
 
 
-def _moved(one: _Beside) -> Iterator[Chunk]:
+def _moved(one: _Beside) -> Generator[Chunk]:
     """What Rerun's reader makes of a log, under the log's own entity and on the time line of all of them."""
     for chunk in chunks_of(one.log):
         if TIMELINE not in chunk.timeline_names:

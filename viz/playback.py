@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -163,7 +163,7 @@ def topics_of(log: Log) -> list[str]:
     return [topic for topic, count in log.counts.items() if count]
 
 
-def chunks_of(log: Log) -> Iterator[Chunk]:
+def chunks_of(log: Log) -> Generator[Chunk]:
     """What Rerun's own reader makes of a log, as far as it is not drawn; with a progress bar."""
     drawn = [topic for topic in (VEHICLE, PILOT_COMMAND) if _is_ours(log, topic)] + prediction_topics(log)
     others = sum(count for topic, count in log.counts.items() if topic not in drawn)
@@ -174,16 +174,17 @@ def chunks_of(log: Log) -> Iterator[Chunk]:
             bar.advance(task, 0 if chunk.is_static else len(chunk))
 
 
-def send_chunks(chunks: Iterable[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
     """Send chunks no faster than they are taken, so that they do not pile up in this process."""
     rows = 0
-    for chunk in chunks:
-        recording.send_chunks(chunk)
-        rows += len(chunk)
-        if rows >= _ROWS_AT_ONCE:
-            flush()
-            rows = 0
-    flush()
+    with contextlib.closing(chunks):  # and their progress bar, before anybody says why it ends
+        for chunk in chunks:
+            recording.send_chunks(chunk)
+            rows += len(chunk)
+            if rows >= _ROWS_AT_ONCE:
+                flush()
+                rows = 0
+        flush()
 
 
 def _layout(log: Log, beside: Beside | None) -> rrb.Blueprint:
