@@ -68,9 +68,9 @@ def train(config: Train) -> int:
         where = "GPU" if machine.device.type == "cuda" else "processor"
         begin = read_position(run) if config.resume is not None else None
         going_on = f", going on in epoch {begin.epoch} after batch {begin.batch}" if begin is not None else ""
+        epochs = "1 epoch" if settings.epochs == 1 else f"{settings.epochs} epochs"
         print(
-            f"{run}: {PARAMETERS:,} parameters, {settings.epochs} epochs, {machine.arithmetic} on the {where}"
-            f"{going_on}",
+            f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}{going_on}",
             flush=True,
         )
     try:

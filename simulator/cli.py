@@ -82,13 +82,18 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
     steps = 1 / (config.rate * STEP_S) if config.rate > 0 else 0.0
     if steps < 0.99 or abs(steps - round(steps)) > 1e-6:
         raise UserError(f"--rate {config.rate:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
-    stderr().print(f"bc-sim: connecting to {client.url}")
     cv2.setNumThreads(1)  # the network that drives needs the other cores more
     try:
         simulation = Simulation(config.track)
     except ValueError as error:
         stderr().print(f"bc-sim: --track: {error}")
         return BAD_USAGE
+    stderr().print(f"bc-sim: connecting to {client.url}")
+    if not config.real_time and not config.tell_world:
+        stderr().print(
+            "bc-sim: time passes faster here than by the clock, which bc-drive goes by: give --real-time or"
+            " --tell-world where distances and times of its log shall be right"
+        )
     expert = Expert(simulation.track.line, config.expert_speed) if config.tell_world else None
     with progress_bar() as bar:
         task = bar.add_task(f"driving {config.track}", total=round(config.laps * 1000), note="")
