@@ -11,7 +11,7 @@ from collections.abc import Callable
 import pytest
 
 from bare_server import OPEN, BareServer, Wire, steer
-from driving import road_jpeg
+from driving import road_jpeg, run
 from simulator.client import FRAME_BYTES, Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
 from simulator.replay import replay
 
@@ -245,3 +245,13 @@ def test_a_name_that_no_resolver_knows_is_not_waited_for(monkeypatch: pytest.Mon
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     with pytest.raises(WaitTimeoutError, match=r"locahost.*Name or service not known"):
         SimulatorClient("locahost", wait_s=1e9).run(lambda answer: None)
+
+
+@pytest.mark.parametrize(("flag", "is_told"), [("", True), ("--real-time", False), ("--tell-world", False)])
+def test_the_built_in_simulator_says_where_its_time_is_not_the_clocks(flag: str, is_told: bool) -> None:
+    with socket.socket() as nobody:
+        nobody.bind(("127.0.0.1", 0))
+        flags = [flag] if flag else []
+        done = run("bc-sim", "--port", nobody.getsockname()[1], "--wait", 0, *flags)
+    assert done.returncode == 1
+    assert ("distances and times of its log" in done.stderr) == is_told
