@@ -7,6 +7,7 @@ has to, as in Kelly et al. 2019 (HG-DAgger, arXiv 1810.02890).
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from drive.config import DriveConfig
 from drive.errors import DriveError
 from model import TrainConfig, load_pilot, train
 from model.like import data_of_run
-from model.run import run_name
+from model.run import CONFIG, run_name
 from recorder import Log
 from recorder.telemetry_server import ServerMode
 
@@ -75,24 +76,51 @@ class Aggregation:
         self._index = places.runs.parent / f"index-{name}"
         self._logs = [places.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
         self._runs = [run, *(places.runs / f"{name}-{number}" for number in range(1, rounds + 1))]
-        for path in (*self._logs, self._index, *self._runs[1:]):
-            if os.path.lexists(path):
-                raise DriveError(f"{path} exists already, of an aggregation before this one: move {name}-* away")
+        if in_the_way := self._left():
+            raise DriveError(f"exist already, of an aggregation before this one; move them away: {in_the_way}")
 
     def rounds(self, mode: ServerMode, said: Callable[[str], None]) -> Iterator[Round]:
         """Each drive as it is done: the first with the run as it is, one more after every training.
 
-        Raises DriveError where the simulator fails, KeyboardInterrupt if a drive was stopped.
+        Raises DriveError where the simulator fails, KeyboardInterrupt if it was stopped; how to go on is said.
         """
+        trained = 0  # the last run that is
         for number, (run, log) in enumerate(zip(self._runs, self._logs, strict=True)):
-            if number:
-                said(f"training {run}")
-                self._train(run, self._runs[number - 1], self._logs[:number])
-            said(f"{run_name(run)} drives {self._course.track}, the expert takes over where it has to")
-            done = self._drive(run, log, mode)
+            try:
+                if number:
+                    said(f"training {run}")
+                    self._train(run, self._runs[trained], self._logs[:number])
+                    trained = number
+                said(f"{run_name(run)} drives {self._course.track}, the expert takes over where it has to")
+                done = self._drive(run, log, mode)
+            except KeyboardInterrupt:
+                said(self._way_on(number, trained))
+                raise
             if not done.interventions and number + 1 < len(self._runs):
                 said("the expert had nothing to do: the next training learns nothing new")
             yield done
+
+    def _left(self) -> str:
+        """What is there already of all that is made, to be pasted into a shell."""
+        made = (*self._logs, self._index, *self._runs[1:])
+        return shlex.join(str(path) for path in made if os.path.lexists(path))
+
+    def _way_on(self, number: int, trained: int) -> str:
+        """What is left of a round that was stopped, and how to go on; `trained` is the last run that is."""
+        run, log = self._runs[number], self._logs[number]
+        told = ""
+        if trained < number and (run / CONFIG).is_file():
+            resume = shlex.join(("bc-train", "--resume", str(run), "--index", str(self._index)))
+            told, trained = f"finish {run} with `{resume}`; then ", number
+        elif trained == number and log.exists():
+            told = f"{log} holds the drive so far; "
+        if not trained:
+            left = self._left()
+            return f"{told}to begin again, move away {left}" if left else "nothing was driven yet"
+        drive = shlex.join(("bc-drive", str(self._runs[trained]), "--simulator", self._course.track))
+        more = len(self._runs) - 1 - trained
+        aggregate = f"{drive} --aggregate {more}" if more else f"{drive} --takeover"
+        return f"{told}go on with `{aggregate}` and the other flags as before"
 
     def _train(self, run: Path, before: Path, drives: list[Path]) -> None:
         torch.set_num_threads(self._threads)

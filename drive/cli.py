@@ -128,6 +128,9 @@ def drive(config: Drive) -> int:
             if course is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                 status.note(f"bc-drive: {waiting}")
+                if config.takeover:
+                    told = "--takeover needs a simulator that tells where its car is: `bc-sim --tell-world`"
+                    status.note(f"bc-drive: {told}; Udacity's cannot, there a human takes over by holding a key")
                 server.run(until=stopped.is_set)
             else:
                 drive_built_in(server, course, stopped, shows_progress=False)
@@ -148,7 +151,8 @@ def _refuse_contradictions(config: Drive) -> None:
         flags := flags_given(config, "log", "viewer", "precision", "port", "force")
     ):
         raise UserError(
-            f"{flags}: not with --aggregate, which names its logs itself and shows a table; leave it out"
+            f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"
+            " fastest arithmetic; leave it out"
         )
 
 

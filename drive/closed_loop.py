@@ -81,7 +81,8 @@ def evaluate(
     if len(set(paths)) < len(paths):
         raise DriveError("the same track at the same speed is named twice")
     for (course, config), path in zip(drives, paths, strict=True):
-        said(f"{pilot.run} on {course.track} at {config.set_speed_mph:g} mph, {course.laps:g} laps")
+        laps = f"{course.laps:g} lap{'' if course.laps == 1 else 's'}"
+        said(f"{pilot.run} on {course.track} at {config.set_speed_mph:g} mph, {laps}")
         book, _ = drive_course(pilot, course, config, path, overwrite=overwrite)
         yield Result(course, config, path, book)
 

@@ -189,7 +189,9 @@ class DriveServer:
         session.connected()
         if self._stopping_since_s is not None:
             session.stop()
-        if session is not self.session:
+        if not session.is_empty:
+            self.say(f"connected again: {session.writer.path} goes on")
+        elif session is not self.session:
             self.say(
                 f"a second simulator has connected: it is driven too, and logged to {session.writer.path};"
                 " close one of them if that is not meant"

@@ -54,14 +54,14 @@ class DriveSummary:
         self.dropped_rows = 0
         self.elapsed_s = 0.0
         self.distance_m = 0.0
-        self.laps: float | None = None
-        """Driven, with the part of the present one; None where the simulator does not tell."""
         self.latency = {stage: Latency() for stage in STAGES}
         self._clock = DriveClock()
         self._time_s = 0.0
         self._told_s = 0.0  # of `elapsed_s`, with a telemetry that told the speed
         self._speed_mph = 0.0
         self._world: World | None = None
+        self._frames_with_world = 0
+        self._laps = 0.0  # as far as they were told
         self._driver = "pilot"  # who drove last: pilot, expert or human
         self._steering = 0.0
         self._telemetries = 0
@@ -104,6 +104,11 @@ class DriveSummary:
     def telemetries(self) -> int:
         """All that were answered: frames, malformed ones, and those of a human's driving."""
         return self._telemetries
+
+    @property
+    def laps(self) -> float | None:
+        """Driven, with the part of the present one; None where a simulator that does not tell drove some of it."""
+        return self._laps if self.frames and self._frames_with_world == self.frames else None
 
     @property
     def interventions(self) -> int:
@@ -152,11 +157,10 @@ class DriveSummary:
     def lines(self) -> list[str]:
         """For people, at the end of a drive."""
         laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
-        blind = " (this simulator does not tell when the car leaves the road)" if self.laps is None else ""
         lines = [
             f"{self.frames:,} frames in {self.elapsed_s:,.1f} s: {laps}{self.distance_m:,.0f} m,"
             f" {self.mean_speed_mph:.1f} mph on average",
-            f"autonomy {self.autonomy_percent:.1f} %, {self._interventions_told()}{blind}"
+            f"autonomy {self.autonomy_percent:.1f} %, {self._interventions_told()}{self._untold()}"
             if self.frames
             else f"nothing could be driven on, {self._interventions_told()}",
         ]
@@ -176,7 +180,8 @@ class DriveSummary:
         return lines
 
     def status(self, now_s: float) -> str:
-        """The live line; empty before the first telemetry. Rates are those since the call of a second ago."""
+        """The live line, for 80 columns; empty before the first telemetry. Rates are those since the call of a
+        second ago."""
         if not self._telemetries:
             return ""
         while len(self._moments) > 1 and self._moments[1].now_s <= now_s - RATE_S:
@@ -188,11 +193,14 @@ class DriveSummary:
         mean_ms = (last.total_ms - first.total_ms) / replies if replies else self._last_ms
         laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
         helped = f"{_count(self.interventions, 'intervention')}, " if self.interventions else ""
-        who = {"pilot": "", "expert": "the expert drives, ", "human": "a human drives, "}[self._driver]
-        return (
-            f"{laps}{helped}{who}{self._speed_mph:.1f} mph, steering {self._steering:+.2f}, {rate:.0f} replies/s,"
-            f" {mean_ms:.1f} ms, last telemetry {max(0.0, now_s - self._last_s):.1f} s ago"
-        )
+        who = {
+            "pilot": f"steering {self._steering:+.2f}",
+            "expert": f"expert {self._steering:+.2f}",
+            "human": "a human drives",
+        }[self._driver]
+        silent_s = max(0.0, now_s - self._last_s)
+        replied = f"{rate:.0f} Hz, {mean_ms:.1f} ms, {silent_s:.1f} s ago"
+        return f"{laps}{helped}{self._speed_mph:.1f} mph, {who}, {replied}"
 
     def _answered(self, total_ms: float, now_s: float | None, world: World | None) -> float:
         """How long it was driven since the telemetry before."""
@@ -209,12 +217,20 @@ class DriveSummary:
         return passed_s
 
     def _course(self, world: World) -> None:
+        self._frames_with_world += 1
         before = self._world
         self._world = world
         if before is None or world.time_s < before.time_s:  # another simulator, or another drive of it
             before = world
-        self.laps = (self.laps or 0.0) + world.laps - before.laps
+        self._laps += world.laps - before.laps
         self.put_back += max(0, world.interventions - before.interventions)
+
+    def _untold(self) -> str:
+        """What the interventions leave out."""
+        frames = self.frames - self._frames_with_world
+        if frames == self.frames:
+            return " (this simulator does not tell when the car leaves the road)"
+        return f" (for {_count(frames, 'frame')} nobody told when the car left the road)" if frames else ""
 
     def _interventions_told(self) -> str:
         whose = (

@@ -88,7 +88,8 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
     except ValueError as error:
         stderr().print(f"bc-sim: --track: {error}")
         return BAD_USAGE
-    stderr().print(f"bc-sim: connecting to {client.url}")
+    if not config.json:  # else a program has started it, as bc-drive and bc-eval do
+        stderr().print(f"bc-sim: connecting to {client.url}")
     if not config.real_time and not config.tell_world:
         stderr().print(
             "bc-sim: time passes faster here than by the clock, which bc-drive goes by: give --real-time or"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from drive.aggregate import Aggregation, Places
 from drive.closed_loop import Course
 from drive.config import DriveConfig
 from drive.errors import DriveError
-from driving import one_line_of, run
+from driving import Process, command, one_line_of, run
 from model import TrainConfig, train
+from model.checkpoint import checkpoint_path, read_position
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.simulated import SimulatedDrive, record_simulated
@@ -111,7 +113,42 @@ def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
 def test_a_second_aggregation_of_the_same_names_is_refused_at_once(aggregated: Aggregated) -> None:
     again = run("bc-drive", "first", "--simulator", TRACK, "--aggregate", 1, cwd=aggregated.folder)
     assert again.returncode == 1
-    assert "first-random-3-0.mcap exists already" in one_line_of(again)
+    in_the_way = (
+        "drives/first-random-3-0.mcap drives/first-random-3-1.mcap index-first-random-3 runs/first-random-3-1"
+    )
+    assert one_line_of(again).endswith(f"move them away: {in_the_way}")
+
+
+def start_aggregation(aggregated: Aggregated, track: str, *flags: object) -> Process:
+    arguments = ("first", "--simulator", track, "--speed", SPEED, "--aggregate", 2, *flags)
+    return Process(command("bc-drive", *arguments), aggregated.folder)
+
+
+def test_a_training_that_is_stopped_says_how_to_finish_it(aggregated: Aggregated) -> None:
+    with start_aggregation(aggregated, "random:5", "--laps", 0.01, "--epochs", 10_000) as process:
+        process.wait_for("training runs/first-random-5-1")
+        while not checkpoint_path(aggregated.folder / "runs" / "first-random-5-1").exists():
+            assert process.popen.poll() is None, process.stderr
+            time.sleep(0.05)
+        assert process.end() == 130
+    told = process.wait_for(r"^bc-drive: finish (\S+) with `bc-train (.+)`; then go on with `bc-drive (.+)` and ")
+    assert told[1] == "runs/first-random-5-1"
+    assert told[3] == "runs/first-random-5-1 --simulator random:5 --aggregate 1"
+    epoch = read_position(aggregated.folder / told[1]).epoch
+    resumed = run("bc-train", *told[2].split(), "--epochs", epoch, cwd=aggregated.folder)
+    assert resumed.returncode == 0, resumed.stderr
+
+
+def test_a_drive_that_is_stopped_says_what_is_left(aggregated: Aggregated) -> None:
+    with start_aggregation(aggregated, "random:6") as process:
+        while not any(part.stat().st_size > 100_000 for part in (aggregated.folder / "drives").glob("*.part")):
+            assert process.popen.poll() is None, process.stderr
+            time.sleep(0.05)
+        assert process.end() == 130
+    log = "drives/first-random-6-0.mcap"
+    process.wait_for(f"^bc-drive: {log} holds the drive so far; to begin again, move away {log}$")
+    with Log(aggregated.folder / log) as opened:
+        assert not opened.problem
 
 
 @pytest.mark.parametrize(
@@ -120,6 +157,7 @@ def test_a_second_aggregation_of_the_same_names_is_refused_at_once(aggregated: A
         (("--aggregate", "1"), "--simulator TRACK"),
         (("--aggregate", "-1", "--simulator", "lake"), "--aggregate -1"),
         (("--aggregate", "1", "--simulator", "lake", "--log", "x.mcap"), "--log: not with --aggregate"),
+        (("--aggregate", "1", "--simulator", "lake", "--force"), "--force: not with --aggregate, which"),
         (("--aggregate", "1", "--simulator", "lake", "--epochs", "0"), "epochs"),
     ],
 )

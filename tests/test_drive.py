@@ -352,6 +352,19 @@ def test_who_connects_and_tells_nothing_takes_nobody_the_log(pilot_run: Path, tm
     assert len(images(log, "/camera/center")) == 1
 
 
+def test_who_comes_back_or_takes_anothers_place_goes_on_in_its_log_and_that_is_said(
+    pilot_run: Path, tmp_path: Path
+) -> None:
+    log, said = tmp_path / "run.mcap", list[str]()
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+        for name in ("a", "b"):
+            server.connected(name)
+            server.telemetry(name, fields(0), time.perf_counter()).then(1.0)
+            server.disconnected(name, "gone")
+    assert [line for line in said if "again" in line] == [f"connected again: {log} goes on"]
+    assert len(images(log, "/camera/center")) == 2
+
+
 def test_a_simulator_that_comes_while_the_others_are_braked_is_braked_too(pilot_run: Path, tmp_path: Path) -> None:
     rolling = fields(0, speed="9.0000")
     with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:

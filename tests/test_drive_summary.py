@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -61,6 +61,21 @@ def test_what_another_simulator_drove_before_is_not_counted() -> None:
             summary.decision(decided(world=world), 2.0, now_s=i / 25)
     assert summary.laps == pytest.approx(0.018)
     assert summary.interventions == 0
+
+
+def test_laps_are_told_only_if_every_frame_told_them() -> None:
+    summary = DriveSummary()
+    for i in range(3):
+        summary.decision(decided(), 2.0, now_s=i / 25)
+    summary.connected()  # another simulator takes its place, and tells
+    for i in range(25):
+        summary.decision(decided(world=replace(WORLD, time_s=i / 25, laps=i / 100)), 2.0, now_s=1 + i / 25)
+    assert summary.laps is None
+    assert "laps" not in summary.as_metadata()
+    distance, autonomy, *_ = summary.lines()
+    assert "laps" not in distance
+    assert autonomy == "autonomy 100.0 %, 0 interventions (for 3 frames nobody told when the car left the road)"
+    assert "laps" not in summary.status(2.0)
 
 
 # Percentiles
@@ -297,11 +312,23 @@ def test_the_live_line_tells_the_last_second() -> None:
         summary.decision(decided(speed_mph=10.1), 9.0 if i <= 200 else 1.9, now_s)
         line = summary.status(now_s)
         if i == 200:
-            assert line == "10.1 mph, steering +0.03, 20 replies/s, 9.0 ms, last telemetry 0.0 s ago"
-    assert line == "10.1 mph, steering +0.03, 50 replies/s, 1.9 ms, last telemetry 0.0 s ago"
-    assert summary.status(16.5) == "10.1 mph, steering +0.03, 0 replies/s, 1.9 ms, last telemetry 2.5 s ago"
+            assert line == "10.1 mph, steering +0.03, 20 Hz, 9.0 ms, 0.0 s ago"
+    assert line == "10.1 mph, steering +0.03, 50 Hz, 1.9 ms, 0.0 s ago"
+    assert summary.status(16.5) == "10.1 mph, steering +0.03, 0 Hz, 1.9 ms, 2.5 s ago"
     summary.manual(0.1, 17.0)
-    assert summary.status(17.0).startswith("1 intervention, a human drives, 10.1 mph")
+    assert summary.status(17.0).startswith("1 intervention, 10.1 mph, a human drives")
+
+
+@pytest.mark.parametrize("driver", ["pilot", "expert"])
+def test_the_live_line_fits_a_terminal_of_80_columns(driver: Literal["pilot", "expert"]) -> None:
+    summary = DriveSummary()
+    for i in range(251):
+        world = replace(WORLD, time_s=i / 100, laps=i / 100, interventions=i // 30)
+        summary.decision(decided(world=world, driver=driver), 13.3, now_s=i / 100)
+        line = summary.status(i / 100)
+    who = {"pilot": "8 interventions, 10.0 mph, steering", "expert": "9 interventions, 10.0 mph, expert"}
+    assert line == f"2.50 laps, {who[driver]} +0.03, 100 Hz, 13.3 ms, 0.0 s ago"
+    assert len(f"* {line}") <= 80  # behind what turns to show that it goes on
 
 
 @given(
