@@ -194,7 +194,7 @@ class DriveSummary:
         laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
         helped = f"{_count(self.interventions, 'intervention')}, " if self.interventions else ""
         who = {
-            "pilot": f"steering {self._steering:+.2f}",
+            "pilot": f"steer {self._steering:+.2f}",
             "expert": f"expert {self._steering:+.2f}",
             "human": "a human drives",
         }[self._driver]

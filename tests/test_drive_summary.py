@@ -312,9 +312,9 @@ def test_the_live_line_tells_the_last_second() -> None:
         summary.decision(decided(speed_mph=10.1), 9.0 if i <= 200 else 1.9, now_s)
         line = summary.status(now_s)
         if i == 200:
-            assert line == "10.1 mph, steering +0.03, 20 Hz, 9.0 ms, 0.0 s ago"
-    assert line == "10.1 mph, steering +0.03, 50 Hz, 1.9 ms, 0.0 s ago"
-    assert summary.status(16.5) == "10.1 mph, steering +0.03, 0 Hz, 1.9 ms, 2.5 s ago"
+            assert line == "10.1 mph, steer +0.03, 20 Hz, 9.0 ms, 0.0 s ago"
+    assert line == "10.1 mph, steer +0.03, 50 Hz, 1.9 ms, 0.0 s ago"
+    assert summary.status(16.5) == "10.1 mph, steer +0.03, 0 Hz, 1.9 ms, 2.5 s ago"
     summary.manual(0.1, 17.0)
     assert summary.status(17.0).startswith("1 intervention, 10.1 mph, a human drives")
 
@@ -326,7 +326,7 @@ def test_the_live_line_fits_a_terminal_of_80_columns(driver: Literal["pilot", "e
         world = replace(WORLD, time_s=i / 100, laps=i / 100, interventions=i // 30)
         summary.decision(decided(world=world, driver=driver), 13.3, now_s=i / 100)
         line = summary.status(i / 100)
-    who = {"pilot": "8 interventions, 10.0 mph, steering", "expert": "9 interventions, 10.0 mph, expert"}
+    who = {"pilot": "8 interventions, 10.0 mph, steer", "expert": "9 interventions, 10.0 mph, expert"}
     assert line == f"2.50 laps, {who[driver]} +0.03, 100 Hz, 13.3 ms, 0.0 s ago"
     assert len(f"* {line}") <= 80  # behind what turns to show that it goes on
 
