@@ -18,6 +18,7 @@ from common.files import final_path, refuse_existing
 
 _GRACE_S: Final = 2.0  # for it to end by itself
 _FILE_GRACE_S: Final = 30.0  # for a file to be written to its end
+_OTHERS_GRACE_S: Final = 5.0  # for a viewer that stays to get the end
 _SAID_S: Final = 2.0  # what takes longer is said
 _ADDRESS: Final = re.compile(r"[^-]:\d|^\d+$")
 _NICENESS: Final = 10  # of the viewer
@@ -35,13 +36,13 @@ def preview(
     """Show a log that is being written, or the folder of a run that is (or will be) trained, while this lasts.
 
     `where` is "window" (without a display: "web"), "web", a file that ends in .rrd, or the address of a viewer
-    that runs ("127.0.0.1:9876", or "connect" for one on Rerun's own port). The file has what was in the log when
-    this is left: finish the log before.
+    that runs ("127.0.0.1:9876", or "connect" for one on Rerun's own port). The file, and the viewer that runs,
+    have what was in the log when this is left: finish the log before.
 
     The viewer is a program of its own: it may freeze, or be closed, and whoever writes goes on. It has a lower
     priority; with `never_in_the_way`, the lowest that there is: on a busy machine it hardly runs. It is in a
     process group of its own, so that nothing of it stays when it does not hear that it shall end. Its stdin ends
-    with this process: then it ends. `said` is told when its file takes long to be finished.
+    with this process: then it ends. `said` is told when the end takes long.
 
     Raises UserError if the file is there already and may not be overwritten, or for another `where`. A viewer that
     does not start, or fails later, says why on stderr; of one that had to be killed before its file was whole, it
@@ -68,7 +69,9 @@ def preview(
     finally:
         try:
             if file is not None:
-                _wait_until_written(viewer, file, said)
+                _wait_for_end(viewer, f"finishing {file}", _FILE_GRACE_S, said)
+            elif "--connect" in flags:
+                _wait_for_end(viewer, "the viewer gets the rest", _OTHERS_GRACE_S, said)
             viewer.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 viewer.wait(_GRACE_S)
@@ -86,15 +89,17 @@ def preview(
             warn(f"{file}: not written: {why}; {again}")
 
 
-def _wait_until_written(viewer: subprocess.Popen[bytes], file: Path, said: Callable[[str], object]) -> None:
+def _wait_for_end(
+    viewer: subprocess.Popen[bytes], doing: str, grace_s: float, said: Callable[[str], object]
+) -> None:
     """The log is finished: it ends by itself, even if it has just begun."""
     _set_group_niceness(viewer.pid, 0)  # it is waited for
     with contextlib.suppress(subprocess.TimeoutExpired):
         viewer.wait(_SAID_S)
         return
-    said(f"finishing {file}, {_FILE_GRACE_S:g} s at most")
+    said(f"{doing}, {grace_s:g} s at most")
     with contextlib.suppress(subprocess.TimeoutExpired):
-        viewer.wait(_FILE_GRACE_S - _SAID_S)
+        viewer.wait(grace_s - _SAID_S)
 
 
 def _parts_of(file: Path | None) -> set[Path]:

@@ -21,6 +21,7 @@ from typing import Any
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
+import rerun as rr
 
 from common import UserError
 from driving import PATIENCE_S, Process, command, environment
@@ -32,6 +33,7 @@ from rrd import contents, free_ports, listening, lives, view_names
 from udacity import call
 from viz import save_growing, save_rrd
 from viz.cli import main
+from viz.follow import LogFollower
 from viz.growing import GrowingLog, find_log
 from viz.messages import Shown
 from viz.viewer import viewer_program
@@ -169,7 +171,7 @@ def test_a_log_that_is_given_up_is_an_error_and_not_waited_for(tmp_path: Path) -
     with GrowingLog(writer.part) as log:
         shown_of(log.read())
         writer.discard()
-        with pytest.raises(LogError, match=r"a\.mcap.*deleted"):
+        with pytest.raises(LogError, match=r"a\.mcap: nothing more to show: whoever recorded it"):
             shown_of(log.read())
 
 
@@ -322,6 +324,35 @@ def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path) -> None:
     assert rrd.read_bytes() == b"precious"
     save_growing(log, rrd, overwrite=True)
     assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == 1
+
+
+def test_pictures_too_many_to_be_shown_are_told_once_for_each_camera(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("viz.rate.PICTURES_PER_S", 0.0)
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    write_row(writer, 0)  # before there was a viewer: is shown
+
+    class Taking(LogFollower):
+        """Its viewer takes all; the rest of the log is written when it has taken the first row."""
+
+        def _connected(self, name: str) -> rr.RecordingStream:
+            return rr.RecordingStream(name)
+
+        def _flush(self, recording: rr.RecordingStream) -> None:
+            if not (tmp_path / "a.mcap").exists():
+                for row in range(1, ROWS):
+                    write_row(writer, row)
+                writer.close()
+
+    follower = Taking(writer.part, "")
+    follower.run()
+    finished, skipped = capsys.readouterr().err.splitlines()
+    assert finished == "bc-play: a.mcap is finished, all of it is shown"
+    assert skipped.startswith(f"bc-play: skipped {4 * (ROWS - 1)} pictures not shown, of more than 30 a second")
+    topics = ("/camera/center", "/camera/left", "/camera/right", "/pilot/input")
+    assert skipped.endswith(": " + ", ".join(f"{ROWS - 1} of {topic}" for topic in topics))
+    assert follower.code == 3
 
 
 class Following(Process):

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
+import rerun as rr
 
 from common import UserError
 from common.preview import preview
@@ -29,8 +30,11 @@ from rrd import contents, free_ports, lives
 from udacity import call
 from viz.cli import main
 from viz.connection import viewer_url
+from viz.follow import Follower, GoneError, feed
 from viz.messages import Shown
+from viz.playback import Prepared
 from viz.rate import PictureRate
+from viz.showing import Where, Whole
 from viz.viewer import Ports, open_viewer, viewer_program, wait_until_it_listens
 
 ROWS = 30
@@ -89,9 +93,43 @@ def test_a_viewer_that_runs_gets_all_of_the_log(
         assert call(main, log, "--connect", f"127.0.0.1:{ports.data}") == 0
         client.enter_context(received(ports, tmp_path / "got.rrd"))
     assert holds_all(tmp_path / "got.rrd")
-    said = capsys.readouterr().err
-    assert "does not tell its version" in said  # what serves browsers does not
-    assert len(said.splitlines()) == 1
+    said = capsys.readouterr()
+    assert "does not tell its version" in said.err  # what serves browsers does not
+    assert len(said.err.splitlines()) == 1
+    assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
+
+
+def test_of_a_viewer_that_is_closed_too_early_it_is_not_said_that_it_has_all(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+        raise GoneError
+
+    with running_viewer() as ports:
+        shown = Whole(lambda: contextlib.nullcontext(Prepared("a.mcap", None, send, [])))
+        assert shown.show(Where(web=False, connect=str(ports.data), ports=ports)) == 1
+    said = capsys.readouterr()
+    assert "the viewer has lost its connection" in said.err.splitlines()[-1]
+    assert said.out == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one thread alone")
+def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else its progress bar would still stand where the last line is printed."""
+    monkeypatch.setattr("viz.follow._LAST_S", PATIENCE_S)
+    ended = []
+
+    class Slow(Follower):
+        def run(self) -> None:
+            time.sleep(0.1)
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            self.stop.wait(PATIENCE_S)
+            time.sleep(0.1)
+            ended.append(self)
+
+    with pytest.raises(KeyboardInterrupt):
+        feed(Slow(""), None)
+    assert ended
 
 
 def test_a_page_gets_all_of_the_log(log: Path, tmp_path: Path) -> None:
@@ -203,9 +241,48 @@ def test_a_viewer_that_cannot_start_says_why_and_what_goes_on_is_not_disturbed(
                 writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
                 time.sleep(0.05)
                 said += capfd.readouterr().err
-            assert f"127.0.0.1:{nobody}: no viewer listens there" in said
+            assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens there")
+            assert said.endswith(
+                f"; all else goes on without it; `bc-play {tmp_path / 'a.mcap'} --follow` opens another one\n"
+            )
         writer.vehicle(START_NS + STEP_NS, 1, VehicleState(steering=0.5))
     assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 0
+
+
+def test_a_viewer_that_runs_gets_the_end_of_the_log_before_it_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("common.preview._OTHERS_GRACE_S", PATIENCE_S)
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with contextlib.ExitStack() as client, running_viewer() as ports:
+        with preview(writer.part, f"127.0.0.1:{ports.data}", said=print):
+            for row in range(ROWS):
+                for camera in CAMERAS:
+                    writer.picture(camera, START_NS + row * STEP_NS, row, picture(camera, row))
+                writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(steering=row / 100))
+            writer.close()
+        client.enter_context(received(ports, tmp_path / "got.rrd"))
+    assert holds_all(tmp_path / "got.rrd")
+    said = capfd.readouterr().err
+    assert "a.mcap: sent to" in said or "viewer: a.mcap is finished, all of it is shown" in said
+    assert "stopped" not in said
+
+
+def test_a_viewer_that_is_stopped_by_who_started_it_says_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("common.preview._OTHERS_GRACE_S", 0.1)
+    monkeypatch.setattr("common.preview._SAID_S", 0.1)
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, running_viewer() as ports:
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        said = ""
+        with preview(writer.part, f"127.0.0.1:{ports.data}", said=lambda text: None):
+            deadline_s = time.monotonic() + PATIENCE_S
+            while "\n" not in said and time.monotonic() < deadline_s:
+                time.sleep(0.05)
+                said += capfd.readouterr().err
+            assert said.startswith(f"viewer: 127.0.0.1:{ports.data}: it does not tell its version")
+        assert capfd.readouterr().err == ""
 
 
 def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> None:

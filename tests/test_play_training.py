@@ -248,6 +248,24 @@ def test_a_folder_without_a_training_is_an_error_in_one_line(
     ]
 
 
+def test_of_a_folder_of_logs_or_runs_those_are_named_and_no_viewer_opens(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, run, empty = tmp_path / "lake.mcap", write_run(tmp_path / "first", 1), tmp_path / "other"
+    log.touch()
+    empty.mkdir()
+    for folder, flags, says in (
+        (tmp_path, (), f"give one of them, {run}, {log}"),
+        (tmp_path, ("--follow",), f"give one of them, {run}, {log}"),
+        (empty, (), "no training in it"),
+    ):
+        assert call(main, folder, "--web", *flags) == 1
+        said = capsys.readouterr()
+        assert says in said.err
+        assert said.err.count("\n") == 1
+        assert said.out == ""  # the address of a page
+
+
 # While it is trained
 
 

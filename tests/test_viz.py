@@ -324,6 +324,28 @@ def test_what_is_no_port_is_one_line(
     assert f"{flag} {port}: a port is" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--connect", "9911", "a b.mcap"), "bc-play 'a b.mcap' --connect 9911"),
+        (("--connect", "a b.mcap"), "bc-play 'a b.mcap' --connect"),
+        (("c.mcap", "--connect", "9911", "a b.mcap"), "bc-play c.mcap 'a b.mcap' --connect 9911"),
+        (("--connect", "9911", "nowhere.mcap"), "bc-play LOG --connect HOST:PORT"),
+    ],
+)
+def test_a_log_behind_connect_is_told_where_it_belongs(
+    words: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a b.mcap").touch()
+    assert call(main, *words) == 1
+    assert capsys.readouterr().err == f"bc-play: --connect takes one address, and stands behind the logs: {says}\n"
+
+
 def test_what_may_take_long_shows_how_far_it_is(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

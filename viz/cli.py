@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -12,12 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from common import UserError
-from common.command import DONE, run_command, stderr, warn, warn_skipped
+from common.command import DONE, flags_given, run_command, stderr, warn, warn_skipped
 from common.files import refuse_existing
 
 if TYPE_CHECKING:
     from model.predictions import LogPredictions
     from viz.showing import Shown, Where
+
+_MOST_NAMES = 5  # in an error
 
 
 @dataclass(frozen=True)
@@ -70,10 +73,11 @@ class Play:
 def play(config: Play) -> int:
     _refuse_loss(config)
     _refuse_other_endings(config)
-    if not config.run and (config.attention or config.write is not None):
-        raise UserError("--attention and --write are of networks: give --run NAME as well")
+    _refuse_swallowed(config)
     if config.video is not None:
         return make_video(config, config.video)
+    if not config.run and (config.attention or config.write is not None):
+        raise UserError("--attention and --write are of networks: give --run NAME as well")
     if config.overlay or config.speed != 1.0:
         raise UserError("--speed and --overlay are for a video: give --video FILE.mp4 as well")
     _refuse_nonsense(config)
@@ -106,8 +110,18 @@ def _refuse_nonsense(config: Play) -> None:
     for flag, port in (("--port", config.port), ("--web-port", config.web_port)):
         if not 0 < port < 1 << 16:
             raise UserError(f"{flag} {port}: a port is a number from 1 to 65535")
-    if config.connect is not None and len(config.connect) > 1:
-        raise UserError("--connect takes one address, and stands behind the logs: bc-play LOG --connect HOST:PORT")
+
+
+def _refuse_swallowed(config: Play) -> None:
+    """Raise UserError for logs behind --connect, which takes them for addresses."""
+    given = config.connect or ()
+    swallowed = [name for name in given if os.path.lexists(name)]
+    if len(given) < 2 and (config.logs or not swallowed):
+        return
+    logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *swallowed)) or "LOG"
+    addresses = [name for name in given if name not in swallowed]
+    line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
+    raise UserError(f"--connect takes one address, and stands behind the logs: {line}")
 
 
 def _refuse_loss(config: Play) -> None:
@@ -155,6 +169,7 @@ def _what(config: Play) -> Shown:
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
         return Whole(lambda: prepared_comparison(config.logs, config.by), size)
     if _is_run(config):
+        _refuse_no_training(config)
         return GrowingTraining(config.log) if config.follow else Whole(lambda: prepared_training(config.log))
     if not config.log.exists() and (Path("runs") / config.log).is_dir():
         raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play runs/{config.log}`")
@@ -173,6 +188,24 @@ def _refuse_no_logs(paths: Sequence[Path]) -> None:
         McapFile(path).close()
 
 
+def _refuse_no_training(config: Play) -> None:
+    """Raise UserError for a folder in which nothing was trained, before a viewer opens to show it."""
+    from model.history import read_history
+    from model.progress import METRICS, STEPS
+
+    folder = config.log
+    if any((folder / name).exists() for name in (METRICS, STEPS)) or not folder.is_dir():
+        return
+    within = sorted(folder.iterdir())
+    trained = [path for path in within if any((path / name).exists() for name in (METRICS, STEPS))]
+    found = [str(path) for path in within if path.suffix == ".mcap" or path in trained]
+    if found:
+        some = ", ".join(found[:_MOST_NAMES]) + (", ..." if len(found) > _MOST_NAMES else "")
+        raise UserError(f"{folder}: no training in it, but logs or runs: give one of them, {some}")
+    if not config.follow:  # which waits for a training that has just begun
+        read_history(folder)
+
+
 def _where(config: Play) -> Where:
     from viz.showing import Where
     from viz.viewer import Ports
@@ -187,10 +220,9 @@ def make_video(config: Play, video: Path) -> int:
 
     if len(config.logs) != 1:
         raise UserError("--video is made of one log: give one")
-    shows = config.follow or config.web or config.connect is not None
-    if shows or config.save is not None or config.run or config.by != "time":
-        without = "--save, --follow, --web, --connect, --run, --by"
-        raise UserError(f"--video writes a file and opens nothing: give it without {without}")
+    unfit = flags_given(config, "save", "follow", "web", "connect", "run", "attention", "write", "by")
+    if unfit:
+        raise UserError(f"--video writes a file and opens nothing: give it without {unfit}")
     made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
     size = f"{made.width} x {made.height}"
     print(f"{video}: written; {made.pictures:,} pictures, {size}, {clock(made.duration_s)} long")
@@ -264,5 +296,5 @@ def main() -> None:
     run_command("bc-play", Play, play)
 
 
-if __name__ == "__main__":  # how bc-record and bc-train start it
+if __name__ == "__main__":
     main()

@@ -75,9 +75,7 @@ def _refuse_others(url: str, where: str) -> None:
     try:
         connection = socket.create_connection((place.hostname or LOCAL, place.port or DEFAULT_PORT), _PATIENCE_S)
     except (OSError, OverflowError, ValueError):
-        raise UserError(
-            f"{where}: no viewer listens there; open one with `rerun`, or let a new one be opened"
-        ) from None
+        raise UserError(f"{where}: no viewer listens there; open one with `rerun --port PORT`") from None
     with connection:
         try:
             connection.sendall(_HELLO)

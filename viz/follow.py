@@ -8,21 +8,25 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import rerun as rr
-from rich.markup import escape
+from rich.control import Control
+from rich.segment import ControlType
 
 from common import Skipped, UserError
-from common.command import DONE, INTERRUPTED, complain, stderr, warn, warn_skipped
+from common.command import DONE, DONE_BUT_SKIPPED, INTERRUPTED, stderr, warn
 from common.files import final_path
+from common.interrupts import stop_signals
 from viz.growing import GrowingLog
 from viz.messages import MessageSender
 from viz.rate import THINNED, PictureRate
 from viz.rrd_file import APPLICATION, rrd_file
+from viz.saying import complain, say, say_skipped
 from viz.viewer import end_viewer, wait_until_closed, wait_until_it_listens
 
 POLL_S: Final = 0.1
@@ -34,8 +38,11 @@ VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
 
 _GRACE_S: Final = 0.5
 _FLUSH_S: Final = 0.5  # how long a viewer may take until it is asked whether anybody still waits for it
-_LAST_S: Final = 3.0  # for another's viewer to take what is on its way
+_LAST_S: Final = 1.5  # for another's viewer to take what is on its way
 _WHOLE_S: Final = 2.0  # between two histograms and paths
+_WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
+    ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ def save_growing(
     _refuse_windows()
     with rrd_file(rrd, overwrite=overwrite) as file, GrowingLog(path) as log:
         file.recording.send_recording_name(final_path(path).name)
-        _send(log, file.recording, stop or threading.Event(), file.has_failed, keep_up=False)
+        _send(log, file.recording, stop or threading.Event(), file.has_failed)
     return Followed(log.notice, log.skipped)
 
 
@@ -141,20 +148,20 @@ def feed(follower: Follower, viewer: subprocess.Popen[bytes] | None) -> int:
 
 def _feed_other(follower: Follower) -> int:
     """Feed a viewer that somebody else has opened."""
-    follower.start()
-    try:
-        while follower.is_alive():
+    with stop_signals() as stopped:  # raised within join(), Ctrl-C makes Python 3.11 take the thread for ended
+        follower.start()
+        while follower.is_alive() and not stopped.is_set():
             follower.join(POLL_S)  # without a time, no Ctrl-C would be heard
-    except KeyboardInterrupt:
+        if not stopped.is_set():
+            return follower.code
         follower.stop.set()
         follower.join(_LAST_S)
-        # Held up by Rerun for a viewer that is frozen, now or when Python ends: nothing else ends it.
-        if follower.is_alive() or follower.has_unsent:
-            stderr().show_cursor(True)  # a progress bar has hidden it, and not ended its line
-            stderr().print("\nbc-play: stopped" if follower.is_alive() else "bc-play: stopped")
-            os._exit(INTERRUPTED)
-        raise
-    return follower.code
+    # Held up by Rerun for a viewer that is frozen, now or when Python ends: nothing else ends it.
+    if follower.is_alive() or follower.has_unsent:
+        stderr().control(_WITHOUT_BAR)
+        say("stopped; the viewer has not taken all that was sent to it")
+        os._exit(INTERRUPTED)
+    raise KeyboardInterrupt
 
 
 class LogFollower(Follower):
@@ -168,19 +175,24 @@ class LogFollower(Follower):
     def run(self) -> None:
         name = final_path(self._path).name
         recording = self._connected(name)
+        thinned: Counter[str] = Counter()
         with GrowingLog(self._path) as log:
             try:
-                _send(log, recording, self.stop, self.stop, keep_up=True, flush=lambda: self._flush(recording))
-                if log.is_finished:
-                    stderr().print(f"bc-play: {escape(name)} is finished, all of it is shown")
-                elif log.notice:
+                taken = _send(log, recording, self.stop, self.stop, thinned, lambda: self._flush(recording))
+                if log.notice:
                     self.code = warn(log.notice)
-                else:
+                elif not taken:
                     self._refuse_silence()
+                elif log.is_finished and not self.stop.is_set():
+                    say(f"{name} is finished, all of it is shown")
             except UserError as error:
-                self.code = complain("bc-play", error)
-            skipped = warn_skipped(log.skipped)
+                self.code = complain(error)
+            skipped = say_skipped(log.skipped)
             self.code = self.code or skipped
+            if thinned:
+                topics = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(thinned.items()))
+                say(f"skipped {thinned.total():,} {THINNED}: {topics}")
+                self.code = self.code or DONE_BUT_SKIPPED
         self._disconnect(recording)
 
 
@@ -189,11 +201,16 @@ def _send(
     recording: rr.RecordingStream,
     stop: threading.Event,
     has_failed: threading.Event,
-    *,
-    keep_up: bool,
+    thinned: Counter[str] | None = None,
     flush: Callable[[], object] | None = None,
-) -> None:
-    """Send the log as it grows, till it is over, `stop` is set (then what is there is sent) or nobody takes it."""
+) -> bool:
+    """Send the log as it grows, till it is over, `stop` is set (then what is there is sent) or nobody takes it;
+    whether all was taken.
+
+    With `thinned`, it keeps up: pictures that are too many or too old are not sent. Those are counted there, by
+    topic, these in `log.skipped`.
+    """
+    keep_up = thinned is not None
     sender = MessageSender(recording)
     pictures_of_last_s = HISTORY_S if keep_up else None
     last_s = whole_s = time.monotonic()
@@ -201,9 +218,9 @@ def _send(
     while not has_failed.is_set():
         is_last = stop.is_set()
         for messages in log.read(pictures_of_last_s):
-            shown, thinned = rate.thin(messages) if rate is not None else (messages, [])
-            for message in thinned:
-                log.skipped.add(THINNED, message.topic)
+            shown, left_out = rate.thin(messages) if rate is not None else (messages, [])
+            if thinned is not None:
+                thinned.update(message.topic for message in left_out)
             sender.send(shown)
         is_last = is_last or log.is_finished or bool(log.notice)
         now_s = time.monotonic()
@@ -213,9 +230,9 @@ def _send(
         try:
             (flush or recording.flush)()  # what the viewer does not take must not pile up here
         except (GoneError, RuntimeError):
-            return  # the viewer is gone
+            return False  # the viewer is gone
         if is_last:
-            return
+            return True
         stop.wait(POLL_S)
         now_s = time.monotonic()
         pictures_of_last_s = BEHIND_S if keep_up and now_s - last_s > BEHIND_S else None
@@ -223,6 +240,7 @@ def _send(
         if keep_up:
             rate = rate or PictureRate(now_s)
             rate.tick(now_s)
+    return False
 
 
 def _refuse_windows() -> None:

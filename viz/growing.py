@@ -80,7 +80,7 @@ class GrowingLog(Closing):
         before = self._position, len(self._found.chunks), len(self._found.lost)
         self._file = self._file or self._opened()
         if self._file is not None:
-            self._position, self.is_finished = walk_on(self._file, self._position, self._found)
+            self._walk_on(self._file)
         if is_written or self._position > before[0]:
             self._quiet_since_s = time.monotonic()
         elif not self.is_finished and time.monotonic() - self._quiet_since_s >= QUIET_S:
@@ -95,6 +95,15 @@ class GrowingLog(Closing):
             since_ns = _newest_ns(self._file, chunks[-1]) - round(pictures_of_last_s * 1e9)
         for chunk in chunks:
             yield list(self._shown_of(self._file, chunk, since_ns))
+
+    def _walk_on(self, file: McapFile) -> None:
+        try:
+            self._position, self.is_finished = walk_on(file, self._position, self._found)
+        except LogError:
+            if find_log(self.path).exists():
+                raise
+            told = "nothing more to show: whoever recorded it kept nothing, or it was deleted"
+            raise LogError(f"{final_path(self.path)}: {told}") from None
 
     def _end_without_end(self, path: Path) -> None:
         if self._file is None:

@@ -7,7 +7,13 @@ import signal
 import sys
 import threading
 
-from viz.cli import main
+from common import UserError
+from common.command import INTERRUPTED, run_command
+from common.files import final_path
+from viz.cli import Play, play
+from viz.saying import speak_as
+
+_NAME = "viewer"  # nobody has called bc-play
 
 
 def _end_with_parent() -> None:
@@ -18,6 +24,19 @@ def _end_with_parent() -> None:
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # it is waiting for the viewer
 
 
+def _show(config: Play) -> int:
+    try:
+        return play(config)
+    except KeyboardInterrupt:  # who started it needs it no more: nothing to tell anybody
+        return INTERRUPTED
+    except UserError as error:
+        if config.save is not None:
+            raise
+        another = f"`bc-play {final_path(config.log)} --follow` opens another one"
+        raise UserError(f"{error}; all else goes on without it; {another}") from None
+
+
 if __name__ == "__main__":
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
-    main()
+    speak_as(_NAME)
+    run_command(_NAME, Play, _show)

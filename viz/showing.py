@@ -9,13 +9,15 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
+from urllib.parse import urlsplit
 
 from common import UserError
-from common.command import DONE, complain, stderr, warn, warn_skipped
+from common.command import DONE, warn, warn_skipped
 from common.interrupts import stop_signals
 from viz.connection import check_viewer, viewer_url
 from viz.follow import VIEWER_MEMORY, Follower, GoneError, feed, follow, save_growing
 from viz.playback import Prepared, save_prepared
+from viz.saying import complain, say
 from viz.training import follow_training, prepared_training, wait_until_trained
 from viz.viewer import Ports, free_port, has_display, open_viewer
 
@@ -61,13 +63,14 @@ class Whole:
         # The viewer starts while the logs are read. The server of a page holds all of them: it may be opened late.
         memory_mb = max(1000, int(1.2 * self._size + _ROOM) // 1_000_000)
         if self._size > _LARGE and where.connect is None:
-            stderr().print(
-                f"bc-play: {self._size / 1e9:.1f} GB to show: a file needs less memory: --save FILE.rrd, then"
-                " `rerun FILE.rrd`"
-            )
+            less = "a file needs less memory: --save FILE.rrd, then `rerun FILE.rrd`"
+            say(f"{self._size / 1e9:.1f} GB to show: {less}")
         with opened(where, server_memory=f"{memory_mb}MB") as (url, viewer), self._prepare() as prepared:
             code = told(prepared.notices)
-            return max(code, feed(_Sender(url, prepared), viewer))
+            fed = feed(_Sender(url, prepared), viewer)
+            if viewer is None and fed == DONE:
+                print(f"{prepared.name}: sent to {urlsplit(url).netloc}")
+            return max(code, fed)
 
 
 class GrowingLogShown:
@@ -112,7 +115,7 @@ def opened(
     if where.connect is not None:
         url = viewer_url(where.connect)
         if notice := check_viewer(url):
-            stderr().print(f"bc-play: {notice}", markup=False)
+            say(notice)
         yield url, None
         return
     web = where.web or not has_display()
@@ -122,7 +125,7 @@ def opened(
     with open_viewer(ports, web=web, memory=memory, server_memory=kept) as viewer:
         if web:
             print(ports.web_address, flush=True)
-            stderr().print("bc-play: open that address in a browser; Ctrl-C ends")
+            say("open that address in a browser; Ctrl-C ends")
         yield ports.data_address, viewer
 
 
@@ -143,9 +146,11 @@ class _Sender(Follower):
         if self._prepared.layout is not None:
             recording.send_blueprint(self._prepared.layout)
         try:
-            self._prepared.send(recording, lambda: self._flush(recording))
-        except GoneError:
-            return
+            try:
+                self._prepared.send(recording, lambda: self._flush(recording))
+            except GoneError:
+                self._refuse_silence()
+                return
         except UserError as error:
-            self.code = complain("bc-play", error)
+            self.code = complain(error)
         self._disconnect(recording)

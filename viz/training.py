@@ -14,10 +14,8 @@ from typing import Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from rich.markup import escape
 
 from common import UserError
-from common.command import complain, stderr, warn_skipped
 from common.locks import is_being_written
 from dataset import MAX_STEERING_DEG
 from model.history import History, HistoryReader, read_history
@@ -25,6 +23,7 @@ from model.measures import Errors
 from model.progress import Epoch, Step
 from viz.follow import POLL_S, Follower, GoneError, feed
 from viz.playback import Prepared
+from viz.saying import complain, say, say_skipped
 from viz.worst import send_worst, worst_views
 
 SAMPLES: Final = "samples"  # learnt from since the run began: what all curves are drawn over
@@ -211,14 +210,14 @@ class _TrainingFollower(Follower):
         reader = HistoryReader(self._run)
         self._recording = self._connected(_name(self._run))
         if not self._run.is_dir():  # bc-train makes it when it has read its index
-            stderr().print(f"bc-play: waits until {escape(str(self._run))} is trained")
+            say(f"waits until {self._run} is trained")
         while not self._run.is_dir() and not self.stop.is_set():
             self.stop.wait(POLL_S)
         try:
             self._send(reader)
         except UserError as error:
-            self.code = complain("bc-play", error)
-        skipped = warn_skipped(reader.skipped)
+            self.code = complain(error)
+        skipped = say_skipped(reader.skipped)
         self.code = self.code or skipped
         self._disconnect(self._recording)
 

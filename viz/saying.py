@@ -1,0 +1,33 @@
+"""What is said on stderr while something is shown, and under which name: beside another command, as its viewer."""
+
+from __future__ import annotations
+
+from rich.markup import escape
+
+from common import Skipped, UserError, command
+from common.command import DONE, DONE_BUT_SKIPPED, stderr
+
+
+class _Speaker:
+    name = "bc-play"
+
+
+def speak_as(name: str) -> None:
+    """Say all from now on under this name instead of bc-play's."""
+    _Speaker.name = name
+
+
+def say(text: str) -> None:
+    stderr().print(f"{_Speaker.name}: {text}", markup=False)
+
+
+def complain(error: UserError) -> int:
+    """Print what went wrong, in one line; the exit code that says so."""
+    return command.complain(_Speaker.name, error)
+
+
+def say_skipped(skipped: Skipped) -> int:
+    """Print what was left out of what is shown; the exit code that says so."""
+    for line in skipped.lines():
+        stderr().print(f"[yellow]{_Speaker.name}: skipped[/] {escape(line)}")
+    return DONE_BUT_SKIPPED if len(skipped) else DONE
