@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from model.predictions import LogPredictions
     from viz.showing import Shown, Where
 
-_MOST_NAMES = 5  # in an error
-
 
 @dataclass(frozen=True)
 class Play:
@@ -159,7 +157,7 @@ def _what(config: Play) -> Shown:
     from viz.growing import find_log, is_finished
     from viz.playback import prepared_log
     from viz.showing import GrowingLogShown, GrowingTraining, Whole
-    from viz.training import prepared_training
+    from viz.training import prepared_training, refuse_no_training
 
     if len(config.logs) > 1:
         folders = [path for path in config.logs if path.is_dir()]
@@ -169,7 +167,7 @@ def _what(config: Play) -> Shown:
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
         return Whole(lambda: prepared_comparison(config.logs, config.by), size)
     if _is_run(config):
-        _refuse_no_training(config)
+        refuse_no_training(config.log, is_awaited=config.follow)
         return GrowingTraining(config.log) if config.follow else Whole(lambda: prepared_training(config.log))
     if not config.log.exists() and (Path("runs") / config.log).is_dir():
         raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play runs/{config.log}`")
@@ -186,24 +184,6 @@ def _refuse_no_logs(paths: Sequence[Path]) -> None:
 
     for path in paths:
         McapFile(path).close()
-
-
-def _refuse_no_training(config: Play) -> None:
-    """Raise UserError for a folder in which nothing was trained, before a viewer opens to show it."""
-    from model.history import read_history
-    from model.progress import METRICS, STEPS
-
-    folder = config.log
-    if any((folder / name).exists() for name in (METRICS, STEPS)) or not folder.is_dir():
-        return
-    within = sorted(folder.iterdir())
-    trained = [path for path in within if any((path / name).exists() for name in (METRICS, STEPS))]
-    found = [str(path) for path in within if path.suffix == ".mcap" or path in trained]
-    if found:
-        some = ", ".join(found[:_MOST_NAMES]) + (", ..." if len(found) > _MOST_NAMES else "")
-        raise UserError(f"{folder}: no training in it, but logs or runs: give one of them, {some}")
-    if not config.follow:  # which waits for a training that has just begun
-        read_history(folder)
 
 
 def _where(config: Play) -> Where:

@@ -20,7 +20,7 @@ from common.locks import is_being_written
 from dataset import MAX_STEERING_DEG
 from model.history import History, HistoryReader, read_history
 from model.measures import Errors
-from model.progress import Epoch, Step
+from model.progress import METRICS, STEPS, Epoch, Step
 from viz.follow import POLL_S, Follower, GoneError, feed
 from viz.playback import Prepared
 from viz.saying import complain, say, say_skipped
@@ -28,6 +28,8 @@ from viz.worst import send_worst, worst_views
 
 SAMPLES: Final = "samples"  # learnt from since the run began: what all curves are drawn over
 EPOCH: Final = "epoch"
+
+_MOST_NAMES: Final = 5  # in an error
 
 _BLUE, _ORANGE, _GREEN, _GREY, _DARK = (
     (120, 160, 255),
@@ -68,6 +70,24 @@ _LINES: Final = (
 )
 _STEPS: Final = "/loss/steps"
 _BEST: Final = "/rmse_deg/best"
+
+
+def refuse_no_training(folder: Path, *, is_awaited: bool) -> None:
+    """Raise UserError for a folder in which nothing was trained, before a viewer opens to show it. `is_awaited`: a
+    training in it may begin yet."""
+    if not folder.is_dir() or _is_trained(folder):
+        return
+    within = sorted(folder.iterdir())
+    found = [str(path) for path in within if path.suffix == ".mcap" or _is_trained(path)]
+    if found:
+        some = ", ".join(found[:_MOST_NAMES]) + (", ..." if len(found) > _MOST_NAMES else "")
+        raise UserError(f"{folder}: no training in it, but logs or runs: give one of them, {some}")
+    if not is_awaited:
+        read_history(folder)
+
+
+def _is_trained(folder: Path) -> bool:
+    return any((folder / name).exists() for name in (METRICS, STEPS))
 
 
 @contextlib.contextmanager
