@@ -28,6 +28,11 @@ def shown(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in safe)
 
 
+def counted(number: int, what: str, whats: str = "") -> str:
+    """A number and its noun, whose plural is `whats` if it is not made by an s: "1 frame", "2,000 frames"."""
+    return f"{number:,} {what if number == 1 else whats or f'{what}s'}"
+
+
 class UserError(Exception):
     """One clear line for a person: which file, what was expected, and the next command to try."""
 

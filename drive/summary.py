@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from common.errors import counted
 from drive.clock import DriveClock
 from drive.latency import Latency
 from recorder.quality import GAP_S
@@ -168,14 +169,14 @@ class DriveSummary:
             told = (f"{stage} {latency}" for stage, latency in self.latency.items())
             lines.append(f"latency p50/p99/max in ms: {', '.join(told)}")
         if self.malformed:
-            lines.append(_count(self.malformed, "malformed telemetry", "malformed telemetries"))
+            lines.append(counted(self.malformed, "malformed telemetry", "malformed telemetries"))
         if self.without_number:
-            frames = _count(self.without_number, "frame")
+            frames = counted(self.without_number, "frame")
             lines.append(f"the network gave no number for {frames}: the car was braked")
         if self.dropped_pictures or self.dropped_rows:
             lines.append(
-                f"the disk was too slow: {_count(self.dropped_pictures, 'picture')} and"
-                f" {_count(self.dropped_rows, 'row')} are not in the log"
+                f"the disk was too slow: {counted(self.dropped_pictures, 'picture')} and"
+                f" {counted(self.dropped_rows, 'row')} are not in the log"
             )
         return lines
 
@@ -192,7 +193,7 @@ class DriveSummary:
         rate = replies / passed_s if passed_s > 0 else 0.0
         mean_ms = (last.total_ms - first.total_ms) / replies if replies else self._last_ms
         laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
-        helped = f"{_count(self.interventions, 'intervention')}, " if self.interventions else ""
+        helped = f"{counted(self.interventions, 'intervention')}, " if self.interventions else ""
         who = {
             "pilot": f"steer {self._steering:+.2f}",
             "expert": f"expert {self._steering:+.2f}",
@@ -230,7 +231,7 @@ class DriveSummary:
         frames = self.frames - self._frames_with_world
         if frames == self.frames:
             return " (this simulator does not tell when the car leaves the road)"
-        return f" (for {_count(frames, 'frame')} nobody told when the car left the road)" if frames else ""
+        return f" (for {counted(frames, 'frame')} nobody told when the car left the road)" if frames else ""
 
     def _interventions_told(self) -> str:
         whose = (
@@ -239,8 +240,4 @@ class DriveSummary:
             (self.put_back, "by the simulator, which put the car back"),
         )
         told = ", ".join(f"{number:,} {who}" for number, who in whose if number)
-        return _count(self.interventions, "intervention") + (f": {told}" if told else "")
-
-
-def _count(number: int, what: str, whats: str = "") -> str:
-    return f"{number:,} {what if number == 1 else whats or f'{what}s'}"
+        return counted(self.interventions, "intervention") + (f": {told}" if told else "")

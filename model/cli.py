@@ -16,6 +16,7 @@ import tyro
 
 from common import UserError
 from common.command import DONE, FAILED, run_command, stderr, warn, warn_skipped
+from common.errors import counted
 from model.config import TrainConfig
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def train(config: Train) -> int:
         where = "GPU" if machine.device.type == "cuda" else "processor"
         begin = read_position(run) if config.resume is not None else None
         going_on = f", going on in epoch {begin.epoch} after batch {begin.batch}" if begin is not None else ""
-        epochs = "1 epoch" if settings.epochs == 1 else f"{settings.epochs} epochs"
+        epochs = counted(settings.epochs, "epoch")
         print(
             f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}{going_on}",
             flush=True,

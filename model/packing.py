@@ -47,7 +47,7 @@ def pack_weights(layers: nn.Sequential) -> bool:
     where this PyTorch or this processor has none."""
     try:
         packed = [_packed(layer) for layer in layers]
-    except (AttributeError, RuntimeError):  # no such operator; not for this processor (NotImplementedError too)
+    except (AttributeError, RuntimeError):  # no such operator, or none for this processor
         return False
     for number, layer in enumerate(packed):
         layers[number] = layer

@@ -139,7 +139,9 @@ class Wire:
             with contextlib.suppress(OSError):
                 self._flush()  # answers to pings, and to a close
         for frame in frames:
-            if frame.opcode in DATA_OPCODES and not self._take(frame):
+            if frame.opcode in DATA_OPCODES:
+                self._take(frame)
+            if self.broke:
                 return len(frames)
         why = self._protocol.parser_exc
         if self._protocol.close_rcvd is not None:  # also in the middle of a message, which breaks the parser off
@@ -149,28 +151,26 @@ class Wire:
             self._break(TOO_LARGE if isinstance(why, PayloadTooBig) else BROKEN_FRAME)
         return len(frames)
 
-    def _take(self, frame: Frame) -> bool:
-        """A frame of a message; whether the client may go on."""
+    def _take(self, frame: Frame) -> None:
+        """A frame of a message."""
         if frame.opcode is not Opcode.CONT:
             self._is_text = frame.opcode is Opcode.TEXT
         self._parts.append(bytes(frame.data))
         self._size += len(frame.data) + FRAME_BYTES
         if self._size > self._most_bytes:
-            return self._break(TOO_LARGE, CloseCode.MESSAGE_TOO_BIG)
-        if frame.fin:
+            self._break(TOO_LARGE, CloseCode.MESSAGE_TOO_BIG)
+        elif frame.fin:
             message = b"".join(self._parts)
             self._parts, self._size = [], 0
             try:
                 self._messages.append(message.decode() if self._is_text else message)
             except UnicodeDecodeError:
-                return self._break(BROKEN_FRAME, CloseCode.INVALID_DATA)
-        return True
+                self._break(BROKEN_FRAME, CloseCode.INVALID_DATA)
 
-    def _break(self, reason: str, code: CloseCode = CloseCode.PROTOCOL_ERROR) -> bool:
-        """Hang up on the client; False."""
+    def _break(self, reason: str, code: CloseCode = CloseCode.PROTOCOL_ERROR) -> None:
+        """Hang up on the client."""
         self.broke = reason
         self._close(code)
-        return False
 
     def _close(self, code: CloseCode) -> None:
         self._closed_s = time.perf_counter()

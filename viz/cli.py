@@ -14,6 +14,7 @@ import tyro
 
 from common import UserError
 from common.command import DONE, flags_given, run_command, stderr, warn, warn_skipped
+from common.errors import counted
 from common.files import refuse_existing
 
 if TYPE_CHECKING:
@@ -207,10 +208,10 @@ def make_video(config: Play, video: Path) -> int:
     size = f"{made.width} x {made.height}"
     print(f"{video}: written; {made.pictures:,} pictures, {size}, {clock(made.duration_s)} long")
     if made.gaps:
-        gaps = f"{made.gaps:,} {'gap' if made.gaps == 1 else 'gaps'} of more than a second"
+        gaps = f"{counted(made.gaps, 'gap')} of more than a second"
         stderr().print(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")
     if made.left_out:
-        pictures = f"{made.left_out:,} {'picture' if made.left_out == 1 else 'pictures'}"
+        pictures = counted(made.left_out, "picture")
         stderr().print(f"{pictures} left out: a video shows at most 60 a second")
     return max(_told(made.notice), warn_skipped(made.skipped))
 
