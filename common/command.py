@@ -61,6 +61,12 @@ def flags_given(config: object, *names: str) -> str:
     return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
 
 
+def refuse_no_port(flag: str, port: int) -> None:
+    """Raise UserError for what is no port of somebody who listens."""
+    if not 0 < port < 65536:
+        raise UserError(f"{flag} {port}: a port is a number from 1 to 65535")
+
+
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     """`kill` cleans up as Ctrl-C does. A second signal must not interrupt the cleaning up."""
     for other in STOPPING:

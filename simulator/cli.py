@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, FAILED, flags_given, run_command, stderr
+from common.command import BAD_USAGE, DONE, FAILED, flags_given, refuse_no_port, run_command, stderr
 from common.progress import progress_bar, track
 from simulator.client import SimulatorClient, WaitTimeoutError
 
@@ -54,8 +54,7 @@ class Sim:
 
 
 def sim(config: Sim) -> int:
-    if not 0 < config.port < 65536:
-        raise UserError(f"--port {config.port}: a port is a number from 1 to 65535")
+    refuse_no_port("--port", config.port)
     if not 0 <= config.wait < math.inf:
         raise UserError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
     if config.count is not None and (config.count < 1 or config.replay is None):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from common import UserError
-from common.command import DONE, flags_given, run_command, stderr, warn, warn_skipped
+from common.command import DONE, flags_given, refuse_no_port, run_command, stderr, warn, warn_skipped
 from common.errors import counted
 from common.files import refuse_existing
 
@@ -106,9 +106,8 @@ def _refuse_nonsense(config: Play) -> None:
         raise UserError("--connect shows it in a viewer that runs: give it without --web, --save")
     if config.save is not None and config.web:
         raise UserError("--save writes a file and opens nothing: give it without --web")
-    for flag, port in (("--port", config.port), ("--web-port", config.web_port)):
-        if not 0 < port < 1 << 16:
-            raise UserError(f"{flag} {port}: a port is a number from 1 to 65535")
+    refuse_no_port("--port", config.port)
+    refuse_no_port("--web-port", config.web_port)
 
 
 def _refuse_swallowed(config: Play) -> None:
