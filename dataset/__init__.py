@@ -12,7 +12,8 @@ from dataset.samples_file import Samples
 from recorder.topics import MAX_STEERING_DEG
 
 if TYPE_CHECKING:
-    from dataset.index import Indexed, build_index, find_logs, sessions_not_indexed
+    from dataset.index import Indexed, build_index
+    from dataset.sessions import find_logs, sessions_not_indexed
 
 __all__ = [
     "MAX_STEERING_DEG",
@@ -33,5 +34,11 @@ __all__ = [
 
 # training reads an index where what builds one is not installed
 __getattr__ = lazy_names(
-    __name__, dict.fromkeys(("Indexed", "build_index", "find_logs", "sessions_not_indexed"), "dataset.index")
+    __name__,
+    {
+        "Indexed": "dataset.index",
+        "build_index": "dataset.index",
+        "find_logs": "dataset.sessions",
+        "sessions_not_indexed": "dataset.sessions",
+    },
 )

@@ -13,12 +13,13 @@ import tyro
 from common.command import DONE, FAILED, run_command, stderr, stdout, warn
 from dataset.config import IndexConfig
 from dataset.frames import session_name
-from dataset.index import Indexed, build_index, find_logs, unfinished_recordings
+from dataset.index import Indexed, build_index, check_settings
 from dataset.leaks import find_leaks
 from dataset.looks import look_at_all
 from dataset.oddities import print_report, report
 from dataset.report import balance_table, sessions_table
 from dataset.samples_format import SAMPLES_NAME
+from dataset.sessions import find_logs, sessions_beside, unfinished_recordings
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,19 @@ class Index:
 
 def index(config: Index) -> int:
     logs = find_logs(config.sessions, config.folder)
+    # before anything is written, or takes long
+    check_settings(logs, config.index, config.config)
+    if config.figures is not None:
+        from dataset.figures import check_figures, write_figures
+
+        check_figures(config.figures, config.force)
+    is_any = (
+        not config.sessions
+    )  # named by nobody, one damaged log must not keep all the others from being indexed
     if config.look:
-        look_at_all({session_name(log): log for log in logs}, config.index)
-    # named by nobody, one damaged log must not keep all the others from being indexed
-    indexed = build_index(logs, config.index, config.config, leave_out_unreadable=not config.sessions)
+        look_at_all({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
+    others = [] if is_any else sessions_beside(logs, config.folder)
+    indexed = build_index(logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others)
     code = DONE
     for notice in [
         *indexed.notices,
@@ -71,8 +81,6 @@ def index(config: Index) -> int:
     frames = sum(session.frames for session in indexed.counts.values())
     print(f"{indexed.path}: {frames:,} frames, {len(split):,} samples ({counts})")
     if config.figures is not None:
-        from dataset.figures import write_figures
-
         for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
             print(path)
     if config.report:

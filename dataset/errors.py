@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
 from common import UserError
 
 
 class DatasetError(UserError):
     """An index that is missing, empty, damaged, or older than its logs; a picture that cannot be decoded."""
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Say of `path` what the system says in the block, such as that the disk is full: pyarrow names no file."""
+    try:
+        yield
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else " ".join(str(error).split())
+        raise DatasetError(f"{path}: cannot be written ({reason})") from None

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from common.files import refuse_existing, whole_file
 from dataset.alter import alter
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError
+from dataset.errors import DatasetError, naming
 from dataset.figure_data import (
     Distribution,
     Moment,
@@ -44,19 +44,29 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_NAMES: Final = ("preprocessing", "augmentation", "balance")
 
-def write_figures(index: Path, folder: Path, *, seed: int = 0, overwrite: bool = False) -> list[Path]:
+
+def check_figures(folder: Path | str, overwrite: bool = False) -> None:
+    """Raise what `write_figures` could raise without an index: DatasetError if matplotlib is not installed or
+    `folder` is none, UserError if a file exists already."""
+    require_matplotlib(DatasetError)
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise DatasetError(f"{folder}: not a folder; give another name")
+    for path in _paths(folder).values():
+        refuse_existing(path, overwrite)
+
+
+def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overwrite: bool = False) -> list[Path]:
     """Write preprocessing, augmentation and balance, each as PNG (200 dpi) and PDF; their paths.
 
     `seed` chooses the frames and the alterations shown. Same index, seed and matplotlib: the same bytes.
     Raises DatasetError if the index or its logs cannot be used, or if matplotlib is not installed; UserError
     if a file exists already.
     """
-    require_matplotlib(DatasetError)
-    names = ("preprocessing", "augmentation", "balance")
-    paths = {(name, kind): folder / f"{name}.{kind}" for name in names for kind in ("png", "pdf")}
-    for path in paths.values():
-        refuse_existing(path, overwrite)
+    check_figures(folder, overwrite)
+    paths = _paths(folder)
     samples = Samples(index)
     try:
         config = settings_of(samples)
@@ -71,12 +81,17 @@ def write_figures(index: Path, folder: Path, *, seed: int = 0, overwrite: bool =
         "balance": lambda: draw_balance(distribution, config),
     }
     with figure_style():
-        for name in names:
+        for name in _NAMES:
             figure = draw[name]()
             for kind, metadata in (("png", None), ("pdf", {"CreationDate": None})):
-                with whole_file(paths[name, kind], overwrite=overwrite) as part:
+                path = paths[name, kind]
+                with naming(path), whole_file(path, overwrite=overwrite) as part:
                     figure.savefig(part, format=kind, dpi=DPI, metadata=metadata)
     return list(paths.values())
+
+
+def _paths(folder: Path | str) -> dict[tuple[str, str], Path]:
+    return {(name, kind): Path(folder) / f"{name}.{kind}" for name in _NAMES for kind in ("png", "pdf")}
 
 
 def draw_preprocessing(moments: list[Moment]) -> Figure:

@@ -19,6 +19,7 @@ from common.files import final_path
 from dataset.balance import bin_of
 from dataset.config import IndexConfig
 from dataset.drivers import DRIVERS, EXPERT, Commands, is_taken, read_commands
+from dataset.errors import DatasetError
 from dataset.looks import read_look
 from dataset.quality import Looked, Paired, frame_flags
 from dataset.samples_format import METADATA_KEY
@@ -53,6 +54,12 @@ SCHEMA: Final = pa.schema(
         pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
     ]
 )
+
+
+class FramesError(DatasetError):
+    """A frames file that is missing or damaged."""
+
+
 REPEATING: Final = ("session", "camera", "driver", "split")
 """Columns of few values, which are read as dictionaries: a fraction of the memory."""
 
@@ -110,11 +117,16 @@ def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
 
 
 def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """A frames file, or some columns of it. Raises OSError or pa.ArrowException if it is missing or damaged."""
+    """A frames file, or some columns of it. Raises FramesError if it is missing or damaged."""
     repeating = [name for name in REPEATING if columns is None or name in columns]
-    return pq.read_table(
-        path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True
-    )
+    try:
+        return pq.read_table(
+            path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True
+        )
+    except (OSError, pa.ArrowException) as error:
+        raise FramesError(
+            f"{path}: damaged ({' '.join(str(error).split())}); remove it and give `bc-index`"
+        ) from None
 
 
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:

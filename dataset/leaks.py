@@ -16,18 +16,19 @@ from numpy.typing import NDArray
 
 from dataset.errors import DatasetError
 from dataset.frames import read_metadata
-from dataset.index import FRAMES_FOLDER
 from dataset.samples import is_excluded
 from dataset.samples_format import SAMPLES_NAME
+from dataset.state import FRAMES_FOLDER
 
 
-def find_leaks(index: Path) -> list[str]:
+def find_leaks(index: Path | str) -> list[str]:
     """What is wrong with the split of `index`; an empty list if nothing is.
 
     No row of a log may be on both sides (its cameras, mirror images and copies with it); no training sample may
     lie within the gap around a validation sample of its session; nothing that is altered, a copy, or tagged
     `exclude` may be validated or used. Raises DatasetError if there is no index, or if it is damaged.
     """
+    index = Path(index)
     path = index / SAMPLES_NAME
     metadata = read_metadata(path)
     if metadata is None:

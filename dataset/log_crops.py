@@ -33,8 +33,9 @@ class LogCrops(Closing):
     """The pictures of a log, finished or not, numbered from 0 in the order of writing; arrays (N,). Use it as a
     context manager, or call `close()`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | str) -> None:
         """Raises LogError for a damaged log, DatasetError for one without a picture of the centre camera."""
+        path = Path(path)
         self.session = session_name(path)
         self.skipped = Skipped()
         self._log = Log(path)

@@ -5,6 +5,7 @@ Decoding every picture of a session takes tens of times as long as indexing it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 
 from common import whole_file
 from common.progress import progress_bar
+from dataset.errors import naming
 from dataset.quality import Looked, Stretches
-from recorder import Log
+from recorder import Log, LogError
 from recorder.look import Look
 from recorder.places import UNCOMPRESSED
 from recorder.quality import STANDING_MPH
@@ -60,24 +62,28 @@ def look_at(log: Log, on_decoded: Callable[[int], object] = lambda count: None) 
     )
 
 
-def look_at_all(logs: Mapping[str, Path], index: Path) -> list[str]:
+def look_at_all(logs: Mapping[str, Path], index: Path, *, leave_out_unreadable: bool = False) -> list[str]:
     """Look at the pictures of the logs (by session) that `index` has no look of; the sessions looked at now.
 
-    Each one that is done stays done, also if the work is then stopped. Raises LogError for a damaged log.
+    Each one that is done stays done, also if the work is then stopped. Raises LogError for a damaged log
+    (`leave_out_unreadable`: it is left out, as it will be when the index is built).
     """
+    unreadable = (LogError,) if leave_out_unreadable else ()
     pictures: dict[str, int] = {}
     for session, path in logs.items():
-        with Log(path) as log:
+        with contextlib.suppress(*unreadable), Log(path) as log:
             if read_look(index, session, log.fingerprint) is None:
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
+    looked_at = []
     with progress_bar() as progress:
         task = progress.add_task("looking at pictures", total=sum(pictures.values()), note="")
         for session in pictures:
-            with Log(logs[session]) as log:
+            with contextlib.suppress(*unreadable), Log(logs[session]) as log:
                 looked = look_at(log, partial(progress.advance, task))
                 write_look(index, session, log.fingerprint, looked)
-    return list(pictures)
+                looked_at.append(session)
+    return looked_at
 
 
 def write_look(index: Path, session: str, fingerprint: str, looked: Looked) -> None:
@@ -89,7 +95,8 @@ def write_look(index: Path, session: str, fingerprint: str, looked: Looked) -> N
         "broken": dict(looked.broken),
         "frozen": dict(looked.frozen),
     }
-    with whole_file(_look_path(index, session), overwrite=True) as part:
+    path = _look_path(index, session)
+    with naming(path), whole_file(path, overwrite=True) as part:
         part.write_text(json.dumps(entry) + "\n", encoding="utf-8")
 
 

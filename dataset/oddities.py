@@ -16,7 +16,7 @@ from rich.table import Table
 
 from common.command import stdout
 from dataset.errors import DatasetError
-from dataset.index import FRAMES_FOLDER
+from dataset.state import FRAMES_FOLDER
 from recorder.quality import stretches
 
 _COLUMNS = ("session", "row", "log_time_ns", "flags")
@@ -37,14 +37,15 @@ class Reported:
     frames: int  # that have the flag
 
 
-def report(index: Path) -> list[Reported]:
+def report(index: Path | str) -> list[Reported]:
     """What is odd about the frames of `index`, by session and row; reads its frames files alone.
 
     Raises DatasetError if there is no index, or if it is damaged.
     """
-    files = sorted((index / FRAMES_FOLDER).glob("*.parquet"))
+    folder = Path(index) / FRAMES_FOLDER
+    files = sorted(folder.glob("*.parquet"))
     if not files:
-        raise DatasetError(f"{index / FRAMES_FOLDER}: no index; build it with `bc-index`")
+        raise DatasetError(f"{folder}: no index; build it with `bc-index`")
     found = [reported for file in files for reported in _stretches_of(file)]
     return sorted(found, key=lambda reported: (reported.session, reported.first_row, reported.flag))
 

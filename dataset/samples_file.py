@@ -72,7 +72,8 @@ class Samples:
     Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed.
     """
 
-    def __init__(self, index: Path) -> None:
+    def __init__(self, index: Path | str) -> None:
+        index = Path(index)
         self.path = index / SAMPLES_NAME
         try:
             self.metadata: dict[str, Any] = json.loads(pq.read_schema(self.path).metadata[METADATA_KEY])
