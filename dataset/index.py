@@ -121,7 +121,7 @@ def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> No
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
-        Condition(config.where).holds(SCHEMA.empty_table())
+        Condition(config.where).check(SCHEMA.empty_table())
 
 
 def _build(

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import TYPE_CHECKING, Final, TypeVar
+
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from common import UserError
 from dataset.errors import DatasetError
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyRelation
 
 # The condition is code, even if from the user's own command line: it gets no files, no network, no settings.
 _CLOSED: dict[str, str | bool | int | float | list[str]] = {
@@ -16,8 +23,10 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "lock_configuration": "true",
 }
 
+_NUMBER: Final = "position_in_session"
+_PATIENCE_S: Final = 0.1  # on Windows, Ctrl-C is heard only between two waits
 
-_NUMBER = "position_in_session"
+Answer = TypeVar("Answer")
 
 
 class Condition:
@@ -35,19 +44,46 @@ class Condition:
         self._error: type[Exception] = duckdb.Error
         self._connection = duckdb.connect(config=_CLOSED)
 
+    def check(self, frames: pa.Table) -> None:
+        """Raise DatasetError if it is no condition on the columns of `frames`; it is not evaluated."""
+        self._asked(frames, lambda chosen: None)
+
     def holds(self, frames: pa.Table) -> NDArray[np.bool_]:
         """For which rows of `frames` (N,) it is true. Raises DatasetError if it is no condition on them."""
-        numbered = frames.append_column(_NUMBER, pa.array(np.arange(len(frames))))
-        try:
-            # a filter takes one expression: no second statement, no ORDER BY or UNION behind it
-            chosen = self._connection.from_arrow(numbered).filter(self._where).project(_NUMBER)
-            found, again = (np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2))
-        except (self._error, KeyError) as error:
-            what = str(error).splitlines()[0]
-            columns = ", ".join(frames.column_names)
-            raise DatasetError(f"--where {self._where!r}: {what}; the columns are {columns}") from None
+        found, again = self._asked(
+            frames, lambda chosen: [np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2)]
+        )
         if not np.array_equal(found, again):
             raise DatasetError(f"--where {self._where!r}: depends on chance, so that no index could be made again")
         mask = np.zeros(len(frames), np.bool_)
         mask[found] = True
         return mask
+
+    def _asked(self, frames: pa.Table, what: Callable[[DuckDBPyRelation], Answer]) -> Answer:
+        """`what` of the numbers of the rows for which it is true."""
+        numbered = frames.append_column(_NUMBER, pa.array(np.arange(len(frames))))
+
+        def ask() -> Answer:
+            # a filter takes one expression: no second statement, no ORDER BY or UNION behind it
+            return what(self._connection.from_arrow(numbered).filter(self._where).project(_NUMBER))
+
+        try:
+            return self._interruptible(ask)
+        except (self._error, KeyError) as error:
+            what_is_wrong = str(error).splitlines()[0]
+            columns = ", ".join(frames.column_names)
+            raise DatasetError(f"--where {self._where!r}: {what_is_wrong}; the columns are {columns}") from None
+
+    def _interruptible(self, ask: Callable[[], Answer]) -> Answer:
+        """Ctrl-C ends it, as KeyboardInterrupt: in the main thread DuckDB hears signals itself, and what their
+        handler raises becomes another error, or is lost."""
+        with ThreadPoolExecutor(1) as pool:
+            asked = pool.submit(ask)
+            try:
+                while not asked.done():
+                    wait([asked], _PATIENCE_S)
+            finally:
+                while not asked.done():  # it may just have been about to begin
+                    self._connection.interrupt()
+                    wait([asked], _PATIENCE_S)
+            return asked.result()

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import sys
+import threading
+import traceback
 from collections import Counter
 from pathlib import Path
 
@@ -121,6 +125,30 @@ def test_a_condition_reads_no_file(tmp_path: Path) -> None:
 def test_a_condition_that_nothing_meets_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no frame can be used.*--where"):
         build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where="speed_mph > 900"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal to oneself is no Ctrl-C there")
+def test_a_condition_that_takes_long_can_be_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log_of(tmp_path / "sessions" / "a.mcap")
+
+    def stop_what_takes_long() -> None:
+        seen = 0
+        while seen < 20:  # it has been in DuckDB's hands for a while
+            stacks = [traceback.walk_stack(frame) for frame in sys._current_frames().values()]
+            seen += any(frame.f_code.co_name == "fetchnumpy" for stack in stacks for frame, _ in stack)
+            threading.Event().wait(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    stopping = threading.Thread(target=stop_what_takes_long)
+    stopping.start()
+    minutes = "(select count(*) from range(3000000000) many(x) where (x * row) % 7 = 3) > 5"
+    assert call(main, "--where", minutes) == 130
+    stopping.join()
+    assert capsys.readouterr().err.splitlines()[-1] == "bc-index: stopped"
+    assert not (tmp_path / "index" / "samples.parquet").exists()
 
 
 # The split
