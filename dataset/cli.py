@@ -11,13 +11,14 @@ import pyarrow.parquet as pq
 import tyro
 
 from common.command import DONE, FAILED, run_command, stderr, stdout, warn
+from common.errors import counted, shown
 from dataset.config import IndexConfig
 from dataset.frames import session_name
 from dataset.index import Indexed, build_index, check_settings
 from dataset.leaks import find_leaks
 from dataset.looks import look_at_all
 from dataset.oddities import print_report, report
-from dataset.report import balance_table, sessions_table
+from dataset.report import balance_table, mixed_sizes, sessions_table
 from dataset.samples_format import SAMPLES_NAME
 from dataset.sessions import find_logs, sessions_beside, unfinished_recordings
 
@@ -73,13 +74,15 @@ def index(config: Index) -> int:
         *unfinished_recordings(config.folder, config.sessions),
     ]:
         code = warn(notice)
+    for told in [*mixed_sizes(indexed.sizes_px), *_passed_over(others, config)]:
+        stderr().print(told, markup=False)
     console = stdout()
     console.print(sessions_table(indexed))
     console.print(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
     counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
     frames = sum(session.frames for session in indexed.counts.values())
-    print(f"{indexed.path}: {frames:,} frames, {len(split):,} samples ({counts})")
+    print(f"{indexed.path}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
     if config.figures is not None:
         for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
             print(path)
@@ -89,9 +92,17 @@ def index(config: Index) -> int:
         leaks = find_leaks(config.index)
         for leak in leaks:
             stderr().print(leak, markup=False)
-        print("no leak between training and validation" if not leaks else f"{len(leaks)} leaks")
+        print("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
         code = FAILED if leaks else code
     return code
+
+
+def _passed_over(others: list[str], config: Index) -> list[str]:
+    """A line for the sessions that were not named, so that training need not tell of them."""
+    if not others:
+        return []
+    which = ", ".join(map(shown, others))
+    return [f"{config.index}: does not hold {which}; `bc-index` without names takes in all of {config.folder}"]
 
 
 def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:

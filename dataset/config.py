@@ -52,21 +52,36 @@ class IndexConfig:
     """Everything random here is drawn from it: same logs, same seed, same index."""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value that makes no sense."""
-        if not 1 <= self.bins <= 10_000 or self.max_uses < 1 or not self.cameras:
-            raise ValueError("bins must be in 1..10,000, max_uses at least 1, and cameras must name at least one")
-        if isinstance(self.per_bin, int) and self.per_bin < 1:
-            raise ValueError("per_bin must be mean, median, or a number of at least 1")
-        if not 0 <= self.validation_share < 1 or self.seed < 0:
-            raise ValueError("validation_share must be in 0..1 (1 excluded), seed not negative")
-        if not 0.001 <= self.block_s <= 1e6 or not 0 <= self.gap_s <= 1e6:
-            raise ValueError("block_s must be in 0.001..1,000,000 s, gap_s in 0..1,000,000 s")
-        if not abs(self.side_correction) <= 2:  # False for NaN too
-            raise ValueError("side_correction must be in -2..2")
-        if not 0 <= self.label_smooth_s <= 60 or not abs(self.label_shift_s) <= 10:
-            raise ValueError("label_smooth_s must be in 0..60 s, label_shift_s in -10..10 s")
-        if len(set(self.alter)) < len(self.alter) or ("none" in self.alter and len(self.alter) > 1):
-            raise ValueError("alter must name each alteration once, or none alone")
+        """Raises ValueError, which names the flag, for a value that makes no sense."""
+        is_none_alone = "none" not in self.alter or len(self.alter) == 1
+        expected = (
+            ("--bins", self.bins, 1 <= self.bins <= 10_000, "1 to 10,000"),
+            ("--max-uses", self.max_uses, self.max_uses >= 1, "at least 1"),
+            ("--cameras", "", len(self.cameras) > 0, "at least one"),
+            (
+                "--per-bin",
+                self.per_bin,
+                not isinstance(self.per_bin, int) or self.per_bin >= 1,
+                "mean, median, or a number of at least 1",
+            ),
+            # a comparison with NaN is false
+            ("--validation-share", self.validation_share, 0 <= self.validation_share < 1, "0 to less than 1"),
+            ("--seed", self.seed, self.seed >= 0, "0 or more"),
+            ("--block-s", self.block_s, 0.001 <= self.block_s <= 1e6, "0.001 to 1,000,000 seconds"),
+            ("--gap-s", self.gap_s, 0 <= self.gap_s <= 1e6, "0 to 1,000,000 seconds"),
+            ("--side-correction", self.side_correction, abs(self.side_correction) <= 2, "-2 to 2"),
+            ("--label-smooth", self.label_smooth_s, 0 <= self.label_smooth_s <= 60, "0 to 60 seconds"),
+            ("--label-shift", self.label_shift_s, abs(self.label_shift_s) <= 10, "-10 to 10 seconds"),
+            (
+                "--alter",
+                " ".join(self.alter),
+                len(set(self.alter)) == len(self.alter) and is_none_alone,
+                "each alteration once, or none alone",
+            ),
+        )
+        for flag, value, holds, what in expected:
+            if not holds:
+                raise ValueError(f"{flag} {value}: expected {what}")
 
     @property
     def alterations(self) -> tuple[Alteration, ...]:

@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from common.errors import counted
 from dataset.errors import DatasetError
 from dataset.frames import read_metadata
 from dataset.samples import is_excluded
@@ -58,16 +59,24 @@ def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
     found = []
     if len(both := np.intersect1d(training, validation)):
-        found.append(f"{len(both):,} rows are in training and in validation, the first is row {both[0]['row']}")
+        found.append(f"{_rows(both)} in training and in validation, the first is row {both[0]['row']}")
     is_altered = pc.not_equal(samples["alteration"], "").to_numpy() | samples["copy"].to_numpy()
     if altered := int((is_altered & is_validation).sum()):
-        found.append(f"{altered:,} samples of validation are altered or copies")
+        found.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
     excluded = np.unique(_rows_of(frames)[is_excluded(frames)])
     if len(used := np.intersect1d(excluded, rows)):
-        found.append(f"{len(used):,} rows are tagged `exclude` and used, the first is row {used[0]['row']}")
+        found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
     if close := _close(np.unique(_rows_of(frames)), training, validation, gap_s):
         found.append(close)
     return found
+
+
+def _rows(rows: NDArray[np.void]) -> str:
+    return f"{counted(len(rows), 'row')} {_are(len(rows))}"
+
+
+def _are(number: int) -> str:
+    return "is" if number == 1 else "are"
 
 
 def _rows_of(table: pa.Table) -> NDArray[np.void]:

@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.command import stdout
+from common.errors import counted
 from dataset.errors import DatasetError
 from dataset.state import FRAMES_FOLDER
 from recorder.quality import stretches
@@ -62,11 +63,12 @@ def print_report(reported: Sequence[Reported]) -> None:
     frames: dict[str, int] = {}
     for one in reported:
         frames[one.flag] = frames.get(one.flag, 0) + one.frames
+        # as `bc-log tag` and `bc-play` take them: rows and seconds that are typed have no thousands separators
         rows = f"{one.first_row}" if one.first_row == one.last_row else f"{one.first_row} to {one.last_row}"
         seconds = f"{one.begin_s:.2f} to {one.end_s:.2f}"
         table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc[:19])
     console.print(table)
-    console.print(", ".join(f"{count:,} frames {escape(flag)}" for flag, count in sorted(frames.items())))
+    console.print(", ".join(f"{counted(count, 'frame')} {escape(flag)}" for flag, count in sorted(frames.items())))
 
 
 def _stretches_of(file: Path) -> Iterator[Reported]:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from rich.markup import escape
 from rich.table import Table
 
+from common.errors import shown
 from dataset.index import Indexed
+from dataset.preprocess import SIZE_PX
 from dataset.samples import Balance
 
 BAR_CELLS = 13  # so that a line fits 80 columns
+_MOST_NAMES = 8
 MOST_BINS = 101  # more lines than that nobody reads
 
 
@@ -49,6 +54,24 @@ def balance_table(balance: Balance) -> Table:
             note,
         )
     return table
+
+
+def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
+    """A line if pictures are not all of one size: which sessions have which, from their widths and heights."""
+    sessions: dict[tuple[int, int], list[str]] = {}
+    for session, sizes in sizes_px.items():
+        for size in sizes:
+            sessions.setdefault(size, []).append(session)
+    if len(sessions) < 2:
+        return []
+    parts = []
+    for (width, height), names in sorted(sessions.items(), reverse=True):
+        more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""
+        parts.append(f"{width:,} x {height:,} px in {', '.join(map(shown, names[:_MOST_NAMES]))}{more}")
+    return [
+        f"pictures of different sizes: {'; '.join(parts)}. Of each the same share is cut off, and the rest is"
+        f" brought to {SIZE_PX} x {SIZE_PX} px: they should show the same part of the world"
+    ]
 
 
 def _bar(count: int, widest: int) -> str:

@@ -222,12 +222,18 @@ def test_deeply_nested_metadata_costs_no_traceback(tmp_path: Path) -> None:
         {"alter": ("none", "blur")},
         {"per_bin": 0},
         {"bins": 0},
+        {"max_uses": 0},
+        {"cameras": ()},
+        {"seed": -1},
+        {"label_smooth_s": 61},
         {"validation_share": 1.0},
     ],
     ids=str,
 )
 def test_settings_that_make_no_sense_are_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=str(next(iter(bad)))):
+    """By the flag, for that is what most people gave."""
+    flag = f"--{next(iter(bad)).replace('_', '-')}".replace("label-smooth-s", "label-smooth")
+    with pytest.raises(ValueError, match=f"^{flag} .*: expected "):
         Config(**bad)
 
 
