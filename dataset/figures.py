@@ -109,12 +109,10 @@ def draw_preprocessing(moments: list[Moment]) -> Figure:
         _show(crop, moment.picture[top:bottom], (0, width, bottom, top))
         crop.set_ylim(height, 0)
         _show(seen, preprocess(moment.picture), (0, SIZE_PX, SIZE_PX, 0))
-        camera.set_yticks([0, top, bottom, height])
+        camera.set_yticks([0, height])  # the edges are beside it, at the crop
         crop.set_yticks([top, bottom])
         seen.set_yticks([0, SIZE_PX])
-        camera.set_ylabel("row (px)")
-        label = f"{moment.kind}\nsteering {_signed(moment.steering)}"
-        camera.annotate(label, (-0.33, 0.5), xycoords="axes fraction", rotation=90, ha="center", va="center")
+        camera.set_ylabel(f"{moment.kind}\nsteering {_signed(moment.steering)}\nrow (px)")
     for panel, title in zip(grid[0], ("camera picture", "crop", "network’s input"), strict=True):
         panel.set_title(title)
     for panel in grid[:-1].flat:

@@ -15,12 +15,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from common import UserError
 from dataset import DatasetError, IndexConfig, Samples, build_index, decode, preprocess
 from dataset.alter import alter
-from dataset.figure_data import Moment, crop_rows, find_moments, steering_distribution, two_draws
+from dataset.figure_data import Kind, Moment, crop_rows, find_moments, steering_distribution, two_draws
+from dataset.figure_style import figure_style
 from dataset.figures import draw_augmentation, draw_balance, draw_preprocessing, write_figures
 from dataset.preprocess import Image
 from logs import write_log
@@ -268,6 +271,26 @@ def test_preprocessing_shows_picture_crop_and_input_of_each_moment(samples: Samp
         assert (picture == moment.picture).all()
         assert (crop == moment.picture[50:140]).all()
         assert (seen == preprocess(moment.picture)).all()
+
+
+@pytest.mark.parametrize(("width", "height"), [(320, 160), (160, 120), (640, 480), (120, 160), (800, 160)])
+def test_no_text_lies_on_another_whatever_the_pictures_size(width: int, height: int) -> None:
+    picture = np.zeros((height, width, 3), np.uint8)
+    turns: list[tuple[Kind, float]] = [("left turn", -0.3), ("straight", 0.0), ("right turn", 0.5)]
+    moments = [Moment(kind, steering, picture) for kind, steering in turns]
+    with figure_style():
+        figure = draw_preprocessing(moments)
+        FigureCanvasAgg(figure)
+        figure.draw_without_rendering()
+        texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text()]
+        boxes = [(text.get_text(), text.get_window_extent()) for text in texts]
+    assert len(boxes) > 20
+    overlapping = [
+        (one, other) for (one, box), (other, beside) in itertools.combinations(boxes, 2) if box.overlaps(beside)
+    ]
+    assert overlapping == []
+    for text, box in boxes:
+        assert -1 < box.x0 < box.x1 < figure.bbox.width + 1, text
 
 
 def test_blue_is_blue_in_the_file() -> None:
