@@ -5,7 +5,8 @@ tells when the tub was created and the fifth names the catalogues and the delete
 record a line; pictures in `images/`. Version 1 (donkeycar/parts/datastore.py, up to release 3): `meta.json`, one
 `record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of deleted records.
 
-A tub is somebody else's data: of every path in it only the file's name counts, and no link out of it is followed.
+A tub is somebody else's data: of every path in it only the file's name counts, and no link out of it is followed but
+`images` itself: who puts a link in its place keeps the pictures elsewhere.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from recorder.record import Imported, SkippedEvents
 from recorder.udacity import MOST_PICTURE_BYTES
 from recorder.writer import LogWriter
 
-MANIFEST, META, EXCLUDED = "manifest.json", "meta.json", "exclude.json"
+MANIFEST, META, EXCLUDED, IMAGES = "manifest.json", "meta.json", "exclude.json", "images"
 UNTOLD_STEP_MS: Final = 50  # DonkeyCar's loop runs at 20 Hz unless it is configured otherwise
 
 _CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
@@ -250,9 +251,10 @@ def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> _Tu
                     skipped.add("records that cannot be read as a JSON object", f"{name} line {number}")
                 position += 1
 
-    images = root / "images"
-    is_inside = Path(os.path.realpath(images)).is_relative_to(root)
-    pictures = _files(images, root, skipped) if is_inside and images.is_dir() else {}
+    images = root / IMAGES
+    if images.is_symlink() and not images.is_dir():
+        raise RecordingError(f"{images}: a link to {images.readlink()}, which is not there")
+    pictures = _files(images, Path(os.path.realpath(images)), skipped) if images.is_dir() else {}
     count = sum(1 for name in catalogs for _ in _lines(files[name]))
     start_ns = _start_ns(created, "created_at")
     return _Tub("2", pictures, deleted or frozenset(), start_ns, "_timestamp_ms", False, count, records)
@@ -271,11 +273,13 @@ def _indexes(values: object) -> frozenset[int] | None:
 
 
 def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
-    """The files in `place` by name; a link is taken only if what it names lies in `root`."""
+    """The files in `place` by name; a link is taken only if what it names lies in `root`, a path without links."""
     found: dict[str, Path] = {}
     try:
         with os.scandir(place) as entries:
             for entry in entries:
+                if entry.name == IMAGES:
+                    continue
                 if entry.is_symlink() and not Path(os.path.realpath(entry.path)).is_relative_to(root):
                     skipped.add("links out of the tub", entry.name)
                 elif Path(entry.path).is_file():

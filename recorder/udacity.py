@@ -31,6 +31,7 @@ MOST_CSV_BYTES: Final = 1 << 30  # 200 hours of driving
 MOST_PICTURE_BYTES: Final = 1 << 26
 MISSING = "pictures that a row names but no folder has"
 WITHOUT_ROW = "pictures without a row"
+LINKS = "pictures that are links out of the recording"
 
 # Spaces and quotes before a path are stripped later: matched here as well, a line of spaces would take for ever.
 _PATHS = re.compile(r'(.*?\.jpe?g)"?\s*,(.*?\.jpe?g)"?\s*,(.*?\.jpe?g)"?\s*,(.*)$', re.IGNORECASE)
@@ -105,7 +106,8 @@ class RowReader:
 class PictureFiles:
     """The JPEG files of a recording: in IMG/ beside the csv, in the csv's folder, in ../IMG; the first wins.
 
-    A link that leaves the recording is not followed: a recording is somebody else's data.
+    Where one of these folders is a link, its user keeps the pictures elsewhere, and it is followed. A picture that is
+    a link is followed only within these folders: a recording is somebody else's data.
     """
 
     def __init__(self, folder: Path, skipped: Skipped) -> None:
@@ -115,7 +117,7 @@ class PictureFiles:
 
     def places(self) -> list[Path]:
         """The folders that there are to look into."""
-        return [place for place, root in self._places() if place.is_dir() and is_inside(place, root)]
+        return [place for place in self._places() if place.is_dir()]
 
     def find(self, name: str, places: list[Path]) -> str | None:
         """Where the picture called `name` is, in the first of `places` that has it."""
@@ -137,7 +139,7 @@ class PictureFiles:
                     continue
                 if entry.is_symlink() and not self.is_inside(entry.path):
                     if self._links.add(entry.path):
-                        self._skipped.add("pictures that are links out of the recording", entry.name)
+                        self._skipped.add(LINKS, entry.name)
                 elif entry.is_file():
                     yield entry.name
 
@@ -148,14 +150,26 @@ class PictureFiles:
             self._skipped.add(WITHOUT_ROW, name)
 
     def is_inside(self, path: str) -> bool:
-        """Whether a picture is, all links followed, where it was looked for."""
-        return any(is_inside(Path(path), root) for place, root in self._places() if place == Path(path).parent)
+        """Whether a picture is, all links followed, in one of the places."""
+        real = Path(os.path.realpath(path))
+        return any(real.is_relative_to(os.path.realpath(place)) for place in self._places())
 
-    def _places(self) -> tuple[tuple[Path, Path], ...]:
-        """Each place with the folder that no link may leave."""
+    def why_none(self) -> str:
+        """Why not one picture is there, as far as it can be told."""
+        places = self._places()
+        for place in places:
+            if place.is_symlink() and not place.exists():
+                return f"{place} is a link to {place.readlink()}, which is not there"
+        for place in self.places():
+            for _ in self.names_in(place):
+                pass
+        if self._skipped.counts[LINKS]:
+            return "its pictures are links out of it, which are not followed; `cp -rL` copies what they name"
+        return f"they are looked for in IMG/, in {self._folder.name}/ and in ../IMG/"
+
+    def _places(self) -> tuple[Path, Path, Path]:
         root = Path(os.path.realpath(self._folder))
-        above = root.parent / "IMG"
-        return (root / "IMG", root), (root, root), (above, above)
+        return root / "IMG", root, root.parent / "IMG"
 
 
 class UdacityFolder:
@@ -207,10 +221,8 @@ class UdacityFolder:
         if not row_count:
             raise RecordingError(f"{self.csv}: no usable row{because(self._skipped)}")
         if not found:
-            raise RecordingError(
-                f"{self.csv}: none of its pictures is there; they are looked for in IMG/, in {self.folder.name}/"
-                " and in ../IMG/"
-            )
+            with _told(self.folder):
+                raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
         with _told(self.folder):
             self._files.skip_without_row(reader.named)
 
@@ -248,17 +260,12 @@ def _told(path: Path) -> Iterator[None]:
 def check_csv(folder: Path) -> None:
     """Raise RecordingError if the csv of `folder` is a link out of it, or far too large; OSError without one."""
     csv = folder / CSV_NAME
-    if csv.is_symlink() and not is_inside(csv, Path(os.path.realpath(folder))):
+    if csv.is_symlink() and not Path(os.path.realpath(csv)).is_relative_to(os.path.realpath(folder)):
         raise RecordingError(
             f"{csv}: a link out of the recording, which is not followed; give a folder of its own"
         )
     if csv.stat().st_size > MOST_CSV_BYTES:
         raise RecordingError(f"{csv}: larger than {MOST_CSV_BYTES / 1e9:.0f} GB, which no drive writes")
-
-
-def is_inside(path: Path, root: Path) -> bool:
-    """Whether `path`, all links followed, is below `root`, which is free of links."""
-    return Path(os.path.realpath(path)).is_relative_to(root)
 
 
 def because(skipped: Skipped) -> str:

@@ -257,13 +257,53 @@ def test_a_link_that_leaves_the_recording_is_not_followed(tmp_path: Path) -> Non
     assert secret.read_bytes() not in done.path.read_bytes()
 
 
-def test_an_img_folder_that_is_a_link_out_of_the_recording_is_not_followed(tmp_path: Path) -> None:
-    make_recording(tmp_path / "private", three_rows())
-    folder = tmp_path / "downloaded"
-    folder.mkdir()
-    (folder / "driving_log.csv").write_text(three_rows())
-    (folder / "IMG").symlink_to(tmp_path / "private" / "IMG")
-    with pytest.raises(RecordingError, match="none of its pictures"):
+def pictures_elsewhere(folder: Path, place: Path) -> dict[str, bytes]:
+    """A recording whose `place` is a link to a folder on another disk, which has the pictures."""
+    pictures = make_recording(folder, three_rows())
+    disk = folder.parent / "disk" / "pictures of July"
+    disk.parent.mkdir()
+    (folder / "IMG").rename(disk)
+    place.symlink_to(disk)
+    return pictures
+
+
+@pytest.mark.parametrize("place", ["IMG", "../IMG"])
+def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path, place: str) -> None:
+    folder = tmp_path / "drive"
+    pictures = pictures_elsewhere(folder, folder / place)
+    assert_all_three_rows(folder, pictures)
+
+
+def test_a_picture_that_leads_out_of_a_linked_folder_is_named(tmp_path: Path) -> None:
+    secret = tmp_path / "private.jpg"
+    secret.write_bytes(jpeg(250))
+    folder = tmp_path / "drive"
+    pictures_elsewhere(folder, folder / "IMG")
+    link = folder / "IMG" / picture_name("left", 0)
+    link.unlink()
+    link.symlink_to(secret)
+    done = imported(folder)
+    assert done.pictures == 8
+    assert ("pictures that are links out of the recording", link.name) in list(done.skipped)
+    assert secret.read_bytes() not in done.path.read_bytes()
+
+
+def test_a_link_to_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    pictures_elsewhere(folder, folder / "IMG")
+    (tmp_path / "disk").rename(tmp_path / "unplugged")
+    with pytest.raises(RecordingError, match=r"IMG is a link to .*pictures of July, which is not there"):
+        imported(folder)
+
+
+def test_a_recording_all_of_whose_pictures_are_links_says_how_to_copy_it(tmp_path: Path) -> None:
+    """As git-annex and its like keep large files."""
+    folder = tmp_path / "drive"
+    make_recording(folder, three_rows())
+    (tmp_path / "store").mkdir()
+    for picture in list((folder / "IMG").iterdir()):
+        picture.symlink_to(picture.rename(tmp_path / "store" / picture.name))
+    with pytest.raises(RecordingError, match=r"its pictures are links out of it, .*`cp -rL`"):
         imported(folder)
 
 
