@@ -5,7 +5,7 @@ tells when the tub was created and the fifth names the catalogues and the delete
 record a line; pictures in `images/`. Version 1 (donkeycar/parts/datastore.py, up to release 3): `meta.json`, one
 `record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of deleted records.
 
-A tub is somebody else's data: of every path in it only the file's name counts, and no link out of it is followed but
+A tub is somebody else's data: of every path only the file's name counts, and no link out of it is followed but
 `images` itself: who puts a link in its place keeps the pictures elsewhere.
 """
 

@@ -14,7 +14,8 @@ from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.jpeg import is_whole_jpeg
 from recorder.topics import CAMERAS
-from recorder.udacity import MOST_PICTURE_BYTES, Row, UdacityFolder
+from recorder.udacity import MOST_PICTURE_BYTES, UdacityFolder
+from recorder.udacity_csv import Row
 from recorder.writer import LogWriter
 
 NOT_WHOLE = "pictures that are not whole JPEG files"

@@ -28,10 +28,10 @@ from recorder.udacity import (
     MISSING,
     MOST_PICTURE_BYTES,
     PictureFiles,
-    RowReader,
     because,
     check_csv,
 )
+from recorder.udacity_csv import RowReader
 from recorder.writer import LogWriter
 
 POLL_S: Final = 0.25
@@ -177,6 +177,8 @@ class _Watched:
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
             for camera, name in zip(CAMERAS, row.names, strict=True):
+                if not name:
+                    continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
                 self._notice(name, places)
             self.rows += 1
