@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -43,6 +43,9 @@ class Record:
     port: int = 4567
     """Port that --listen listens on; the simulator connects to 4567."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
+    rate: float | None = None
+    """Rows a second: of the built-in simulator (10 by default; it must divide 50), or of a recording whose
+    pictures tell no time in their names."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
     sessions: Path = Path("sessions")
@@ -82,10 +85,18 @@ def _recorded(config: Record, log: Path) -> Imported:
         if config.source is not None and config.watch:
             from recorder.watch import watch_udacity
 
-            return watch_udacity(config.source, log, idle_s=config.idle, overwrite=config.force, on_started=show)
+            return watch_udacity(
+                config.source,
+                log,
+                rate_hz=config.rate,
+                idle_s=config.idle,
+                overwrite=config.force,
+                on_started=show,
+            )
         if config.source is not None:
-            return import_from(config.source, log, config.topics, overwrite=config.force)
-        return record_simulated(config.drive, log, udacity=config.udacity, overwrite=config.force)
+            return import_from(config.source, log, config.topics, rate_hz=config.rate, overwrite=config.force)
+        drive = config.drive if config.rate is None else replace(config.drive, rate=config.rate)
+        return record_simulated(drive, log, udacity=config.udacity, overwrite=config.force)
 
 
 def _refuse_contradictions(config: Record) -> None:
@@ -104,6 +115,8 @@ def _refuse_contradictions(config: Record) -> None:
         raise RecordingError(
             "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
         )
+    if config.listen and config.rate is not None:
+        raise RecordingError("--rate: telemetry has the time at which it comes; leave it out")
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
         raise RecordingError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):

@@ -26,13 +26,14 @@ from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.frame_rate import check_rate, clock
 from recorder.jpeg import is_whole_jpeg
 from recorder.record import Imported, SkippedEvents
 from recorder.udacity import MOST_PICTURE_BYTES
 from recorder.writer import LogWriter
 
 MANIFEST, META, EXCLUDED, IMAGES = "manifest.json", "meta.json", "exclude.json", "images"
-UNTOLD_STEP_MS: Final = 50  # DonkeyCar's loop runs at 20 Hz unless it is configured otherwise
+UNTOLD_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
 
 _CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
 _RECORD = re.compile(r"record_([0-9]+)\.json")
@@ -82,17 +83,22 @@ def is_tub(folder: Path) -> bool:
     return bool(names & {MANIFEST, META}) or any(map(_RECORD.fullmatch, names))
 
 
-def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
+def import_tub(folder: Path, log: Path, *, rate_hz: float | None = None, overwrite: bool = False) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
+    `rate_hz` is of one whose records tell no times: 20 without it.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
+    check_rate(rate_hz)
     events = SkippedEvents()
     skipped = events.skipped
     tub = _open_tub(folder, skipped)
     is_timed = any(_number(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
-    frames = _frames(tub, is_timed, f"importing {folder.name}", skipped)
+    if is_timed and rate_hz is not None:
+        raise RecordingError(f"{folder}: --rate: the tub's records tell their times; leave it out")
+    step_ms = None if is_timed else 1000 / (rate_hz or UNTOLD_RATE_HZ)
+    frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
     first = next(frames, None)
     if first is None:
         reasons = "".join(f"; {line}" for line in skipped.lines(most_names=3))
@@ -101,8 +107,10 @@ def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,
         "tub_version": tub.version,
-        "clock": "recorded" if is_timed else "20 Hz, because no record tells its time",
+        "clock": "recorded" if is_timed else f"{UNTOLD_RATE_HZ} Hz, because no record tells its time",
     }
+    if rate_hz is not None:
+        metadata["clock"] = clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
         metadata["start"] = "1970, because the tub does not tell it"
     rows = 0
@@ -115,12 +123,12 @@ def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
     return Imported(log, rows, rows, skipped)
 
 
-def _frames(tub: _Tub, is_timed: bool, what: str, skipped: Skipped) -> Iterator[_Frame]:
+def _frames(tub: _Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[_Frame]:
     """The usable records with their pictures, one at a time."""
     named: set[str] = set()
     for record in track(tub.records(skipped), what, tub.count):
         try:
-            yield _frame(tub, record, is_timed, named)
+            yield _frame(tub, record, step_ms, named)
         except _UnusableError as error:
             skipped.add(str(error), record.name)
     for name in sorted(tub.pictures.keys() - named):
@@ -128,7 +136,7 @@ def _frames(tub: _Tub, is_timed: bool, what: str, skipped: Skipped) -> Iterator[
             skipped.add("pictures without a record", name)
 
 
-def _frame(tub: _Tub, record: _Record, is_timed: bool, named: set[str]) -> _Frame:
+def _frame(tub: _Tub, record: _Record, step_ms: float | None, named: set[str]) -> _Frame:
     picture = record.values.get("cam/image_array")
     name = re.split(r"[/\\]", picture)[-1] if isinstance(picture, str) else ""
     is_named_before = name in named
@@ -138,7 +146,7 @@ def _frame(tub: _Tub, record: _Record, is_timed: bool, named: set[str]) -> _Fram
     if record.values.get("user/mode") not in ("user", None):
         raise _UnusableError("rows driven by DonkeyCar's pilot")
     angle, throttle = (_value(record, field) for field in ("user/angle", "user/throttle"))
-    time_ns = _time_ns(tub, record, is_timed)
+    time_ns = _time_ns(tub, record, step_ms)
     if name not in tub.pictures:
         raise _UnusableError("records without a picture")
     if is_named_before:  # twice the same, it could be on both sides of a split
@@ -167,11 +175,13 @@ def _value(record: _Record, field: str) -> float:
     return float(number)
 
 
-def _time_ns(tub: _Tub, record: _Record, is_timed: bool) -> int:
-    zero_ns = (tub.start_ns or 0) if tub.is_time_from_start or not is_timed else 0
-    ms = _number(record.values.get(tub.time_field)) if is_timed else record.index * UNTOLD_STEP_MS
+def _time_ns(tub: _Tub, record: _Record, step_ms: float | None) -> int:
+    """When a record was made: as it says, or `step_ms` after the one before it."""
+    zero_ns = (tub.start_ns or 0) if tub.is_time_from_start or step_ms is not None else 0
+    ms = _number(record.values.get(tub.time_field) if step_ms is None else record.index)
     if ms is None:
         raise _UnusableError("records without a time")
+    ms *= 1 if step_ms is None else step_ms
     if not 0 <= ms < _TIME_END_NS or zero_ns + round(ms * 1_000_000) >= _TIME_END_NS:
         raise _UnusableError("records with a time that no log can hold")
     return zero_ns + round(ms * 1_000_000)

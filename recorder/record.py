@@ -12,6 +12,7 @@ from common.errors import KEPT_NAMES
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
+from recorder.frame_rate import clock
 from recorder.jpeg import is_whole_jpeg
 from recorder.topics import CAMERAS
 from recorder.udacity import MOST_PICTURE_BYTES, UdacityFolder
@@ -59,14 +60,15 @@ class SkippedEvents:
             self._writer.event(self._time_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
 
 
-def import_udacity(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
+def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, overwrite: bool = False) -> Imported:
     """Write the Udacity recording in `folder` to `log`; its pictures byte for byte, its rows in their order.
 
+    `rate_hz` is of one whose pictures' names tell no times: its rows are taken as so many a second, from 1970 on.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     events = SkippedEvents()
-    recording = UdacityFolder(folder, events.skipped)
-    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    recording = UdacityFolder(folder, events.skipped, rate_hz)
+    metadata = udacity_metadata(folder, rate_hz)
     row_count = pictures = 0
     rows = recording.rows()
     first = next(rows)  # without any, nothing is begun
@@ -82,6 +84,15 @@ def import_udacity(folder: Path, log: Path, *, overwrite: bool = False) -> Impor
             writer.vehicle(row.time_ns, row_count, vehicle_state(row))
             row_count += 1
     return Imported(log, row_count, pictures, events.skipped)
+
+
+def udacity_metadata(folder: Path, rate_hz: float | None) -> dict[str, str]:
+    """What the log of a Udacity recording says of itself."""
+    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    if rate_hz is not None:
+        metadata["clock"] = clock(rate_hz)
+        metadata["start"] = "1970, because the recording does not tell it"
+    return metadata
 
 
 def _jpeg(path: str, skipped: Skipped) -> bytes | None:

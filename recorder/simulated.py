@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+import tyro
 
 from common import Skipped, UserError
 from common.files import refuse_existing
@@ -35,7 +37,7 @@ class SimulatedDrive:
     """How far to drive; 0.5 records the first half of the track and nothing of the second."""
     speed: float = 10.0
     """Set speed in mph; the expert slows for bends."""
-    rate: float = 10.0
+    rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
     """Recorded rows a second; it must divide 50."""
     recovery: float = 0.35
     """Share of the rows in which the car, pushed off its line, comes back; the push itself is not recorded."""

@@ -26,15 +26,24 @@ class Topics:
     """What makes -1 (left) .. 1 (right) of that field; ROS counts left as positive: a negative scale."""
 
 
-def import_from(source: Path, log: Path, topics: Topics | None = None, *, overwrite: bool = False) -> Imported:
-    """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
-    ROS 2 bag (which need `topics`).
+def import_from(
+    source: Path,
+    log: Path,
+    topics: Topics | None = None,
+    *,
+    rate_hz: float | None = None,
+    overwrite: bool = False,
+) -> Imported:
+    """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub (`rate_hz` for those that tell no
+    times), another program's MCAP log or a ROS 2 bag (which need `topics`).
 
     Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
     `overwrite` is off.
     """
     topics = topics or Topics()
     if is_foreign(source):
+        if rate_hz is not None:
+            raise RecordingError(f"{source}: --rate: its messages tell their times; leave it out")
         if topics.image is None or topics.steering is None:
             raise RecordingError(
                 f"{source}: which topics? Give --image TOPIC and --steering TOPIC.FIELD;"
@@ -45,5 +54,5 @@ def import_from(source: Path, log: Path, topics: Topics | None = None, *, overwr
     if topics != Topics():
         raise RecordingError(f"{source}: --image and --steering are for other programs' logs, which this is not")
     if is_tub(source):
-        return import_tub(source, log, overwrite=overwrite)
-    return import_udacity(source, log, overwrite=overwrite)
+        return import_tub(source, log, rate_hz=rate_hz, overwrite=overwrite)
+    return import_udacity(source, log, rate_hz=rate_hz, overwrite=overwrite)

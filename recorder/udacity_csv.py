@@ -18,15 +18,12 @@ import string
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Final
 
 from common import Skipped
 from recorder.errors import RecordingError
+from recorder.frame_rate import check_rate
 from recorder.lines import MOST_LINE_BYTES
 from recorder.name_set import NameSet
-
-MOST_RATE_HZ: Final = 1000.0
-LEAST_RATE_HZ: Final = 0.1
 
 # Spaces and quotes before a path are stripped later: matched here as well, a line of spaces would take for ever.
 _PATH = r'(.*?\.jpe?g)"?\s*,'
@@ -73,8 +70,7 @@ class RowReader:
 
     def __init__(self, skipped: Skipped, rate_hz: float | None = None) -> None:
         """Raises RecordingError for a rate that no camera has."""
-        if rate_hz is not None and not LEAST_RATE_HZ <= rate_hz <= MOST_RATE_HZ:
-            raise RecordingError(f"--rate {rate_hz:g}: give rows a second, {LEAST_RATE_HZ:g} to {MOST_RATE_HZ:,g}")
+        check_rate(rate_hz)
         self.named = NameSet()  # every picture that a line names
         self._skipped = skipped
         self._seen = NameSet()

@@ -19,8 +19,9 @@ from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
+from recorder.frame_rate import check_rate
 from recorder.jpeg import is_whole_jpeg
-from recorder.record import NOT_WHOLE, UNREADABLE, Imported, SkippedEvents, vehicle_state
+from recorder.record import NOT_WHOLE, UNREADABLE, Imported, SkippedEvents, udacity_metadata, vehicle_state
 from recorder.tail import Tail
 from recorder.topics import CAMERAS, Camera
 from recorder.udacity import (
@@ -46,6 +47,7 @@ def watch_udacity(
     folder: Path,
     log: Path,
     *,
+    rate_hz: float | None = None,
     idle_s: float | None = None,
     overwrite: bool = False,
     on_started: Callable[[Path], None] | None = None,
@@ -53,12 +55,14 @@ def watch_udacity(
     """Write the recording in `folder` to `log` while it grows; neither the folder nor its csv need be there yet.
 
     Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last new row or picture; called outside the main
-    thread, only on the latter. `on_started` is called with the path of the growing file.
+    thread, only on the latter. `on_started` is called with the path of the growing file. `rate_hz` is as for
+    `import_udacity`.
 
     Raises RecordingError if there was no usable row, and UserError if `log` exists and `overwrite` is off, or
     cannot be written any more.
     """
-    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    check_rate(rate_hz)
+    metadata = udacity_metadata(folder, rate_hz)
     if folder.exists() and not folder.is_dir():
         raise RecordingError(f"{folder}: a file; give the folder that {CSV_NAME} is in, or will be")
     with (
@@ -66,7 +70,7 @@ def watch_udacity(
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
         StatusLine() as status,
     ):
-        watched = _Watched(folder, writer)
+        watched = _Watched(folder, writer, rate_hz)
         if on_started is not None:
             on_started(writer.part)
         if not watched.has_csv():
@@ -89,7 +93,7 @@ def watch_udacity(
 class _Watched:
     """What has come of a recording, and what is still awaited."""
 
-    def __init__(self, folder: Path, writer: LogWriter) -> None:
+    def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None) -> None:
         self.rows = 0
         self.pictures = 0
         self._events = SkippedEvents()
@@ -97,7 +101,7 @@ class _Watched:
         self._folder = folder
         self._writer = writer
         self._csv = Tail(folder / CSV_NAME)
-        self._reader = RowReader(self.skipped)
+        self._reader = RowReader(self.skipped, rate_hz)
         self._files = PictureFiles(folder, self.skipped)
         self._looked: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
         self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
