@@ -14,7 +14,7 @@ from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.record import Imported
 from recorder.simulated import SimulatedDrive, record_simulated
-from recorder.sources import Topics, import_from
+from recorder.sources import Topics, import_from, refuse_to_watch
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,8 @@ class Record:
     port: int = 4567
     """Port that --listen listens on; the simulator connects to 4567."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
+    all_catalogs: bool = False
+    """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
     rate: float | None = None
     """Rows a second: of the built-in simulator (10 by default; it must divide 50), or of a recording whose
     pictures tell no time in their names."""
@@ -85,6 +87,7 @@ def _recorded(config: Record, log: Path) -> Imported:
         if config.source is not None and config.watch:
             from recorder.watch import watch_udacity
 
+            refuse_to_watch(config.source)
             return watch_udacity(
                 config.source,
                 log,
@@ -94,7 +97,14 @@ def _recorded(config: Record, log: Path) -> Imported:
                 on_started=show,
             )
         if config.source is not None:
-            return import_from(config.source, log, config.topics, rate_hz=config.rate, overwrite=config.force)
+            return import_from(
+                config.source,
+                log,
+                config.topics,
+                rate_hz=config.rate,
+                all_catalogs=config.all_catalogs,
+                overwrite=config.force,
+            )
         drive = config.drive if config.rate is None else replace(config.drive, rate=config.rate)
         return record_simulated(drive, log, udacity=config.udacity, overwrite=config.force)
 
@@ -121,6 +131,8 @@ def _refuse_contradictions(config: Record) -> None:
         raise RecordingError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
         raise RecordingError("--image and --steering go with --from other.mcap")
+    if config.all_catalogs and (config.source is None or config.watch):
+        raise RecordingError("--all-catalogs goes with --from ~/mycar/data")
 
 
 def main() -> None:

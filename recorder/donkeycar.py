@@ -80,20 +80,28 @@ def is_tub(folder: Path) -> bool:
         names = {path.name for path in folder.iterdir()}
     except OSError:
         return False
-    return bool(names & {MANIFEST, META}) or any(map(_RECORD.fullmatch, names))
+    return bool(names & {MANIFEST, META}) or any(_RECORD.fullmatch(n) or _CATALOG.fullmatch(n) for n in names)
 
 
-def import_tub(folder: Path, log: Path, *, rate_hz: float | None = None, overwrite: bool = False) -> Imported:
+def import_tub(
+    folder: Path,
+    log: Path,
+    *,
+    rate_hz: float | None = None,
+    all_catalogs: bool = False,
+    overwrite: bool = False,
+) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
-    `rate_hz` is of one whose records tell no times: 20 without it.
+    `rate_hz` is of one whose records tell no times: 20 without it. `all_catalogs` takes those, too, that the
+    manifest does not name; DonkeyCar does not read them.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     check_rate(rate_hz)
     events = SkippedEvents()
     skipped = events.skipped
-    tub = _open_tub(folder, skipped)
+    tub = _open_tub(folder, all_catalogs, skipped)
     is_timed = any(_number(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
     if is_timed and rate_hz is not None:
         raise RecordingError(f"{folder}: --rate: the tub's records tell their times; leave it out")
@@ -197,15 +205,17 @@ def _number(value: object) -> int | float | None:
         return None
 
 
-def _open_tub(folder: Path, skipped: Skipped) -> _Tub:
+def _open_tub(folder: Path, all_catalogs: bool, skipped: Skipped) -> _Tub:
     if not folder.is_dir():
         raise RecordingError(f"{folder}: no such folder; give a DonkeyCar tub, such as ~/mycar/data")
     root = Path(os.path.realpath(folder))
     files = _files(root, root, skipped)
     if MANIFEST in files:
-        return _open_version_2(root, files, skipped)
+        return _open_version_2(root, files, all_catalogs, skipped)
     if META in files or any(map(_RECORD.fullmatch, files)):
         return _open_version_1(files, skipped)
+    if any(map(_CATALOG.fullmatch, files)):
+        return _open_version_2(root, files, all_catalogs, skipped)
     raise RecordingError(f"{folder}: not a DonkeyCar tub: neither {MANIFEST} nor {META} is in it")
 
 
@@ -228,8 +238,8 @@ def _open_version_1(files: dict[str, Path], skipped: Skipped) -> _Tub:
     return _Tub("1", files, deleted or frozenset(), start_ns, "milliseconds", True, len(numbered), records)
 
 
-def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> _Tub:
-    lines = [_parse(line) for _, line in _lines(files[MANIFEST])]
+def _open_version_2(root: Path, files: dict[str, Path], all_catalogs: bool, skipped: Skipped) -> _Tub:
+    lines = [_parse(line) for _, line in _lines(files[MANIFEST])] if MANIFEST in files else []
     created, last = (lines[at] if len(lines) > at else None for at in (3, 4))
     numbers = {name: int(match[1]) for name in files if (match := _CATALOG.fullmatch(name))}
     catalogs = sorted(numbers, key=lambda name: (numbers[name], name))
@@ -243,10 +253,13 @@ def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> _Tu
         for name in listed:
             if name not in files:
                 skipped.add("catalogues that are not there", ascii(name))
-        for name in catalogs:
-            if name not in listed:
-                skipped.add("catalogues that the manifest does not name", name)
+        unlisted = [name for name in catalogs if name not in listed]
         catalogs = [name for name in listed if name in files]
+        if all_catalogs:
+            catalogs += unlisted
+        else:
+            for name in unlisted:
+                skipped.add("catalogues that the manifest does not name (--all-catalogs takes them)", name)
 
     def records(skipped: Skipped) -> Iterator[_Record]:
         position = 0

@@ -21,6 +21,7 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.frame_rate import check_rate
 from recorder.jpeg import is_whole_jpeg
+from recorder.nearby import did_you_mean
 from recorder.record import NOT_WHOLE, UNREADABLE, Imported, SkippedEvents, udacity_metadata, vehicle_state
 from recorder.tail import Tail
 from recorder.topics import CAMERAS, Camera
@@ -74,7 +75,8 @@ def watch_udacity(
         if on_started is not None:
             on_started(writer.part)
         if not watched.has_csv():
-            status.say(f"waiting for {folder / CSV_NAME}")
+            meant = did_you_mean(folder)
+            status.say(f"waiting for {folder / CSV_NAME};{meant}" if meant else f"waiting for {folder / CSV_NAME}")
         while not stopped.is_set():
             is_busy = watched.poll()
             writer.flush_if_due()
