@@ -159,7 +159,7 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
             state = VehicleState(steering=row.steering, throttle=0.0, brake=0.0, speed_mph=math.nan)
             writer.vehicle(row.time_ns, count, state)
             count += 1
-    return Imported(log, count, count, skipped)
+    return Imported(log, count, count, skipped, writer.notice)
 
 
 def _files(source: Path, skipped: Skipped) -> list[_File]:

@@ -31,6 +31,7 @@ class Imported:
     rows: int
     pictures: int
     skipped: Skipped
+    notice: str = ""  # what a person should know of what is in it
 
 
 class SkippedEvents:
@@ -83,7 +84,7 @@ def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, ove
                     pictures += 1
             writer.vehicle(row.time_ns, row_count, vehicle_state(row))
             row_count += 1
-    return Imported(log, row_count, pictures, events.skipped)
+    return Imported(log, row_count, pictures, events.skipped, writer.notice)
 
 
 def udacity_metadata(folder: Path, rate_hz: float | None) -> dict[str, str]:

@@ -15,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from common.errors import counted
 from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
@@ -89,7 +90,7 @@ def watch_udacity(
         watched.finish()
         if not watched.rows:
             raise RecordingError(watched.why_nothing())
-    return Imported(log, watched.rows, watched.pictures, watched.skipped)
+    return Imported(log, watched.rows, watched.pictures, watched.skipped, writer.notice)
 
 
 class _Watched:
@@ -161,8 +162,9 @@ class _Watched:
             self._rate = (self.pictures - pictures) / (now_s - since_s)
             self._rate_from = (now_s, self.pictures)
         return (
-            f"{self.rows:,} rows, {self.pictures:,} pictures, {self._writer.bytes_written / 1e6:.1f} MB,"
-            f" {self._rate:.0f} pictures/s, waiting for {len(self._awaited):,} pictures,"
+            f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
+            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s,"
+            f" waiting for {counted(len(self._awaited), 'picture')},"
             f" {len(self.skipped):,} skipped"
         )
 

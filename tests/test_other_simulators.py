@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from driving import one_line_of, run
@@ -131,3 +133,39 @@ def test_a_rate_where_every_message_has_its_time_is_refused(tmp_path: Path, flag
     done = run("bc-record", "x", *flags, "--rate", 20, cwd=tmp_path)
     assert done.returncode == 1
     assert "--rate" in one_line_of(done)
+
+
+# Pictures of different sizes
+
+
+def picture_of(width: int, height: int) -> bytes:
+    return bytes(cv2.imencode(".jpg", np.zeros((height, width, 3), np.uint8))[1])
+
+
+@both_ways
+def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: object) -> None:
+    assert callable(record)
+    folder = tmp_path / "torcs"
+    make_folder(folder)
+    assert record(folder, tmp_path / "one.mcap", 20).notice == ""
+    (folder / "IMG" / "2.jpg").write_bytes(picture_of(640, 480))
+    (folder / "IMG" / "3.jpg").write_bytes(picture_of(640, 480))
+    notice = record(folder, tmp_path / "two.mcap", 20).notice
+    assert notice.startswith("pictures of different sizes: 640 x 480 px (2), 320 x 160 px (2).")
+
+
+def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path) -> None:
+    folder = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
+    (folder / "2_cam-image_array_.jpg").write_bytes(picture_of(320, 240))
+    done = run("bc-record", "car", "--from", folder, cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stderr.startswith("pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)")
+    assert "4 rows, 4 pictures" in done.stdout
+
+
+def test_one_row_is_one_row(tmp_path: Path) -> None:
+    make_folder(tmp_path / "torcs", ROWS.splitlines()[0])
+    for number in range(2, 5):
+        (tmp_path / "torcs" / "IMG" / f"{number}.jpg").unlink()
+    done = run("bc-record", "x", "--from", tmp_path / "torcs", "--rate", 20, cwd=tmp_path)
+    assert done.stdout.startswith("sessions/x.mcap: 1 row, 1 picture, 0.0 MB")
