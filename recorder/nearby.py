@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from recorder.donkeycar import is_tub
+from recorder.donkeycar_tub import is_tub
 from recorder.ros2_bag import is_bag
 from recorder.udacity import CSV_NAME
 

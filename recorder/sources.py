@@ -9,7 +9,8 @@ from typing import Annotated
 import tyro
 
 from common.files import PART_SUFFIX
-from recorder.donkeycar import import_tub, is_tub
+from recorder.donkeycar import import_tub
+from recorder.donkeycar_tub import is_tub
 from recorder.errors import RecordingError
 from recorder.foreign import ForeignTopics, import_foreign, is_foreign, is_own_log
 from recorder.nearby import did_you_mean, is_udacity
