@@ -11,10 +11,11 @@ import pytest
 from driving import one_line_of, run
 from logs import read_messages
 from recorder import Imported, Log, RecordingError, import_udacity
+from recorder.cli import main
 from recorder.donkeycar import import_tub
 from recorder.watch import watch_udacity
 from tubs import record_1, write_tub_1
-from udacity import jpeg, make_recording, paths
+from udacity import call, jpeg, make_recording, paths
 
 ROWS = "".join(f"IMG/{number}.jpg,,,0.{number},0.5,0,{20 + number}.5\n" for number in range(1, 5))
 
@@ -129,10 +130,11 @@ def test_a_tub_without_times_at_another_rate(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("flags", [["--listen"], ["--from", "other.mcap", "--image", "/a", "--steering", "/b.c"]])
-def test_a_rate_where_every_message_has_its_time_is_refused(tmp_path: Path, flags: list[str]) -> None:
-    done = run("bc-record", "x", *flags, "--rate", 20, cwd=tmp_path)
-    assert done.returncode == 1
-    assert "--rate" in one_line_of(done)
+def test_a_rate_where_every_message_has_its_time_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[str]
+) -> None:
+    assert call(main, "x", *flags, "--rate", 20, "--sessions", tmp_path) == 1
+    assert "--rate: " in capsys.readouterr().err
 
 
 # Pictures of different sizes
@@ -154,18 +156,18 @@ def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: 
     assert notice.startswith("pictures of different sizes: 640 x 480 px (2), 320 x 160 px (2).")
 
 
-def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path) -> None:
+def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
     (folder / "2_cam-image_array_.jpg").write_bytes(picture_of(320, 240))
-    done = run("bc-record", "car", "--from", folder, cwd=tmp_path)
-    assert done.returncode == 0
-    assert done.stderr.startswith("pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)")
-    assert "4 rows, 4 pictures" in done.stdout
+    assert call(main, "car", "--from", folder, "--sessions", tmp_path) == 0
+    told = capsys.readouterr()
+    assert "pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)" in told.err
+    assert "4 rows, 4 pictures" in told.out
 
 
-def test_one_row_is_one_row(tmp_path: Path) -> None:
+def test_one_row_is_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_folder(tmp_path / "torcs", ROWS.splitlines()[0])
     for number in range(2, 5):
         (tmp_path / "torcs" / "IMG" / f"{number}.jpg").unlink()
-    done = run("bc-record", "x", "--from", tmp_path / "torcs", "--rate", 20, cwd=tmp_path)
-    assert done.stdout.startswith("sessions/x.mcap: 1 row, 1 picture, 0.0 MB")
+    assert call(main, "x", "--from", tmp_path / "torcs", "--rate", 20, "--sessions", tmp_path) == 0
+    assert "x.mcap: 1 row, 1 picture, 0.0 MB" in capsys.readouterr().out

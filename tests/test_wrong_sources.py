@@ -14,10 +14,11 @@ from driving import one_line_of, run
 from logs import read_messages
 from other_logs import DRIVE, write_bag, write_mcap
 from recorder import Log, RecordingError, import_udacity
+from recorder.cli import main
 from recorder.donkeycar import import_tub
 from recorder.sources import Topics, import_from
 from tubs import record_2, write_tub_2
-from udacity import make_recording, paths
+from udacity import call, make_recording, paths
 
 CSV = f"{paths(0)},0,1,0,9.5\n"
 
@@ -50,10 +51,11 @@ def home(tmp_path: Path) -> Path:
         ("robot/bag/metadata.yaml", "robot/bag"),
     ],
 )
-def test_what_was_meant_is_said(home: Path, given: str, meant: str) -> None:
-    done = run("bc-record", "x", "--from", given, cwd=home)
-    assert done.returncode == 1
-    assert one_line_of(done) == f"bc-record: {given}: no recording itself; did you mean {meant}?"
+def test_what_was_meant_is_said(home: Path, monkeypatch: pytest.MonkeyPatch, given: str, meant: str) -> None:
+    monkeypatch.chdir(home)
+    with pytest.raises(RecordingError) as error:
+        import_from(Path(given), Path("x.mcap"))
+    assert str(error.value) == f"{given}: no recording itself; did you mean {meant}?"
     with pytest.raises(RecordingError, match=rf"did you mean {home / meant}\?"):
         import_from(home / given, home / "x.mcap")
 
@@ -125,10 +127,10 @@ def test_what_is_hardly_a_file_is_no_log_of_ours(tmp_path: Path, content: bytes)
 
 
 @pytest.mark.parametrize("given", ["mycar/data", "robot/bag", "robot/bag/bag.mcap"])
-def test_what_cannot_be_followed_is_refused(home: Path, given: str) -> None:
-    done = run("bc-record", "x", "--from", given, "--watch", cwd=home)
-    assert done.returncode == 1
-    assert "--watch follows folders of the Udacity simulator" in one_line_of(done)
+def test_what_cannot_be_followed_is_refused(home: Path, capsys: pytest.CaptureFixture[str], given: str) -> None:
+    line = ["x", "--from", home / given, "--watch", "--sessions", home / "sessions"]
+    assert call(main, *line) == 1
+    assert "--watch follows folders of the Udacity simulator" in capsys.readouterr().err
 
 
 # Catalogues that a tub's manifest does not name
