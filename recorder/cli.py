@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from common.command import run_command, warn_skipped
+from common.command import run_command, stderr, warn_skipped
+from common.errors import counted
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.record import Imported
 from recorder.simulated import SimulatedDrive, record_simulated
-from recorder.sources import Topics, import_from
+from recorder.sources import Topics, import_from, refuse_to_watch
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,11 @@ class Record:
     port: int = 4567
     """Port that --listen listens on; the simulator connects to 4567."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
+    all_catalogs: bool = False
+    """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
+    rate: float | None = None
+    """Rows a second: of the built-in simulator (10 by default; it must divide 50), or of a recording whose
+    pictures tell no time in their names."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
     sessions: Path = Path("sessions")
@@ -57,7 +63,9 @@ def record(config: Record) -> int:
     done = _recorded(config, config.sessions / f"{config.name}.mcap")
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
-    print(f"{done.path}: {done.rows:,} rows, {done.pictures:,} pictures, {size_mb:.1f} MB")
+    if done.notice:
+        stderr().print(done.notice, markup=False)
+    print(f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB")
     return code
 
 
@@ -82,10 +90,26 @@ def _recorded(config: Record, log: Path) -> Imported:
         if config.source is not None and config.watch:
             from recorder.watch import watch_udacity
 
-            return watch_udacity(config.source, log, idle_s=config.idle, overwrite=config.force, on_started=show)
+            refuse_to_watch(config.source)
+            return watch_udacity(
+                config.source,
+                log,
+                rate_hz=config.rate,
+                idle_s=config.idle,
+                overwrite=config.force,
+                on_started=show,
+            )
         if config.source is not None:
-            return import_from(config.source, log, config.topics, overwrite=config.force)
-        return record_simulated(config.drive, log, udacity=config.udacity, overwrite=config.force)
+            return import_from(
+                config.source,
+                log,
+                config.topics,
+                rate_hz=config.rate,
+                all_catalogs=config.all_catalogs,
+                overwrite=config.force,
+            )
+        drive = config.drive if config.rate is None else replace(config.drive, rate=config.rate)
+        return record_simulated(drive, log, udacity=config.udacity, overwrite=config.force)
 
 
 def _refuse_contradictions(config: Record) -> None:
@@ -104,10 +128,14 @@ def _refuse_contradictions(config: Record) -> None:
         raise RecordingError(
             "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
         )
+    if config.listen and config.rate is not None:
+        raise RecordingError("--rate: telemetry has the time at which it comes; leave it out")
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
         raise RecordingError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
         raise RecordingError("--image and --steering go with --from other.mcap")
+    if config.all_catalogs and (config.source is None or config.watch):
+        raise RecordingError("--all-catalogs goes with --from ~/mycar/data")
 
 
 def main() -> None:

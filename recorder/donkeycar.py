@@ -1,21 +1,12 @@
-"""Reading what DonkeyCar records: a tub, of version 1 or 2, becomes a log.
-
-Version 2 (donkeycar/parts/tub_v2.py and datastore_v2.py): `manifest.json` of five JSON lines, of which the fourth
-tells when the tub was created and the fifth names the catalogues and the deleted records; catalogues of one JSON
-record a line; pictures in `images/`. Version 1 (donkeycar/parts/datastore.py, up to release 3): `meta.json`, one
-`record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of deleted records.
-
-A tub is somebody else's data: of every path in it only the file's name counts, and no link out of it is followed.
-"""
+"""Importing what DonkeyCar records: a tub becomes a log."""
 
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -24,41 +15,17 @@ from common import Skipped
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
+from recorder.donkeycar_tub import TIME_END_NS, Record, Tub, finite, open_tub
 from recorder.errors import RecordingError
+from recorder.frame_rate import check_rate, clock
 from recorder.jpeg import is_whole_jpeg
 from recorder.record import Imported, SkippedEvents
 from recorder.udacity import MOST_PICTURE_BYTES
 from recorder.writer import LogWriter
 
-MANIFEST, META, EXCLUDED = "manifest.json", "meta.json", "exclude.json"
-UNTOLD_STEP_MS: Final = 50  # DonkeyCar's loop runs at 20 Hz unless it is configured otherwise
+UNTOLD_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
 
-_CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
-_RECORD = re.compile(r"record_([0-9]+)\.json")
 _PICTURE = re.compile(r"[0-9]+_cam[_-]image_array_\.jpg")  # other cameras and depths have other names
-_TIME_END_NS = 2**63
-_MOST_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thousand records has 0.3 MB
-
-
-@dataclass(frozen=True)
-class _Record:
-    name: str  # for a person: where it is
-    index: int
-    values: dict[str, object]
-
-
-@dataclass(frozen=True)
-class _Tub:
-    """What importing needs to know of a tub, whatever its version."""
-
-    version: str
-    pictures: dict[str, Path]
-    deleted: frozenset[int]
-    start_ns: int | None
-    time_field: str  # milliseconds
-    is_time_from_start: bool  # else from 1970
-    count: int  # of lines or files that may be records
-    records: Callable[[Skipped], Iterator[_Record]]  # in the tub's order; what is no record is skipped
 
 
 @dataclass(frozen=True)
@@ -72,26 +39,30 @@ class _UnusableError(Exception):
     """Why a record is left out."""
 
 
-def is_tub(folder: Path) -> bool:
-    """Whether `folder` looks like a DonkeyCar tub, whole or damaged."""
-    try:
-        names = {path.name for path in folder.iterdir()}
-    except OSError:
-        return False
-    return bool(names & {MANIFEST, META}) or any(map(_RECORD.fullmatch, names))
-
-
-def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
+def import_tub(
+    folder: Path,
+    log: Path,
+    *,
+    rate_hz: float | None = None,
+    all_catalogs: bool = False,
+    overwrite: bool = False,
+) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
+    `rate_hz` is of one whose records tell no times: 20 without it. `all_catalogs` takes those, too, that the
+    manifest does not name; DonkeyCar does not read them.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
+    check_rate(rate_hz)
     events = SkippedEvents()
     skipped = events.skipped
-    tub = _open_tub(folder, skipped)
-    is_timed = any(_number(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
-    frames = _frames(tub, is_timed, f"importing {folder.name}", skipped)
+    tub = open_tub(folder, all_catalogs, skipped)
+    is_timed = any(finite(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
+    if is_timed and rate_hz is not None:
+        raise RecordingError(f"{folder}: --rate: the tub's records tell their times; leave it out")
+    step_ms = None if is_timed else 1000 / (rate_hz or UNTOLD_RATE_HZ)
+    frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
     first = next(frames, None)
     if first is None:
         reasons = "".join(f"; {line}" for line in skipped.lines(most_names=3))
@@ -100,8 +71,10 @@ def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,
         "tub_version": tub.version,
-        "clock": "recorded" if is_timed else "20 Hz, because no record tells its time",
+        "clock": "recorded" if is_timed else f"{UNTOLD_RATE_HZ} Hz, because no record tells its time",
     }
+    if rate_hz is not None:
+        metadata["clock"] = clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
         metadata["start"] = "1970, because the tub does not tell it"
     rows = 0
@@ -111,15 +84,15 @@ def import_tub(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
             writer.picture("center", frame.time_ns, rows, frame.jpeg)
             writer.vehicle(frame.time_ns, rows, frame.state)
             rows += 1
-    return Imported(log, rows, rows, skipped)
+    return Imported(log, rows, rows, skipped, writer.notice)
 
 
-def _frames(tub: _Tub, is_timed: bool, what: str, skipped: Skipped) -> Iterator[_Frame]:
+def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[_Frame]:
     """The usable records with their pictures, one at a time."""
     named: set[str] = set()
     for record in track(tub.records(skipped), what, tub.count):
         try:
-            yield _frame(tub, record, is_timed, named)
+            yield _frame(tub, record, step_ms, named)
         except _UnusableError as error:
             skipped.add(str(error), record.name)
     for name in sorted(tub.pictures.keys() - named):
@@ -127,7 +100,7 @@ def _frames(tub: _Tub, is_timed: bool, what: str, skipped: Skipped) -> Iterator[
             skipped.add("pictures without a record", name)
 
 
-def _frame(tub: _Tub, record: _Record, is_timed: bool, named: set[str]) -> _Frame:
+def _frame(tub: Tub, record: Record, step_ms: float | None, named: set[str]) -> _Frame:
     picture = record.values.get("cam/image_array")
     name = re.split(r"[/\\]", picture)[-1] if isinstance(picture, str) else ""
     is_named_before = name in named
@@ -137,7 +110,7 @@ def _frame(tub: _Tub, record: _Record, is_timed: bool, named: set[str]) -> _Fram
     if record.values.get("user/mode") not in ("user", None):
         raise _UnusableError("rows driven by DonkeyCar's pilot")
     angle, throttle = (_value(record, field) for field in ("user/angle", "user/throttle"))
-    time_ns = _time_ns(tub, record, is_timed)
+    time_ns = _time_ns(tub, record, step_ms)
     if name not in tub.pictures:
         raise _UnusableError("records without a picture")
     if is_named_before:  # twice the same, it could be on both sides of a split
@@ -157,154 +130,22 @@ def _frame(tub: _Tub, record: _Record, is_timed: bool, named: set[str]) -> _Fram
     return _Frame(time_ns, state, jpeg)
 
 
-def _value(record: _Record, field: str) -> float:
+def _value(record: Record, field: str) -> float:
     if record.values.get(field) is None:
         raise _UnusableError(f"records without {field}")
-    number = _number(record.values[field])
+    number = finite(record.values[field])
     if number is None:
         raise _UnusableError(f"records with a {field} that is not a finite number")
     return float(number)
 
 
-def _time_ns(tub: _Tub, record: _Record, is_timed: bool) -> int:
-    zero_ns = (tub.start_ns or 0) if tub.is_time_from_start or not is_timed else 0
-    ms = _number(record.values.get(tub.time_field)) if is_timed else record.index * UNTOLD_STEP_MS
+def _time_ns(tub: Tub, record: Record, step_ms: float | None) -> int:
+    """When a record was made: as it says, or `step_ms` after the one before it."""
+    zero_ns = (tub.start_ns or 0) if tub.is_time_from_start or step_ms is not None else 0
+    ms = finite(record.values.get(tub.time_field) if step_ms is None else record.index)
     if ms is None:
         raise _UnusableError("records without a time")
-    if not 0 <= ms < _TIME_END_NS or zero_ns + round(ms * 1_000_000) >= _TIME_END_NS:
+    ms *= 1 if step_ms is None else step_ms
+    if not 0 <= ms < TIME_END_NS or zero_ns + round(ms * 1_000_000) >= TIME_END_NS:
         raise _UnusableError("records with a time that no log can hold")
     return zero_ns + round(ms * 1_000_000)
-
-
-def _number(value: object) -> int | float | None:
-    """A finite JSON number that a float can hold, else None; true and false are none."""
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return None
-    try:
-        return value if math.isfinite(value) else None
-    except OverflowError:  # a whole number of over 308 digits
-        return None
-
-
-def _open_tub(folder: Path, skipped: Skipped) -> _Tub:
-    if not folder.is_dir():
-        raise RecordingError(f"{folder}: no such folder; give a DonkeyCar tub, such as ~/mycar/data")
-    root = Path(os.path.realpath(folder))
-    files = _files(root, root, skipped)
-    if MANIFEST in files:
-        return _open_version_2(root, files, skipped)
-    if META in files or any(map(_RECORD.fullmatch, files)):
-        return _open_version_1(files, skipped)
-    raise RecordingError(f"{folder}: not a DonkeyCar tub: neither {MANIFEST} nor {META} is in it")
-
-
-def _open_version_1(files: dict[str, Path], skipped: Skipped) -> _Tub:
-    start_ns = _start_ns(_load(files[META]), "start") if META in files else None
-    deleted = _indexes(_load(files[EXCLUDED])) if EXCLUDED in files else frozenset[int]()
-    if deleted is None:
-        skipped.add("lists of deleted records that cannot be read", EXCLUDED)
-    matches = [match for match in map(_RECORD.fullmatch, files) if match]
-    numbered = sorted((int(match[1]), match[0]) for match in matches)
-
-    def records(skipped: Skipped) -> Iterator[_Record]:
-        for index, name in numbered:
-            values = _load(files[name])
-            if isinstance(values, dict):
-                yield _Record(name, index, values)
-            else:
-                skipped.add("records that cannot be read as a JSON object", name)
-
-    return _Tub("1", files, deleted or frozenset(), start_ns, "milliseconds", True, len(numbered), records)
-
-
-def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> _Tub:
-    lines = [_parse(line) for _, line in _lines(files[MANIFEST])]
-    created, last = (lines[at] if len(lines) > at else None for at in (3, 4))
-    numbers = {name: int(match[1]) for name in files if (match := _CATALOG.fullmatch(name))}
-    catalogs = sorted(numbers, key=lambda name: (numbers[name], name))
-    paths = last.get("paths") if isinstance(last, dict) else None
-    deleted = _indexes(last.get("deleted_indexes")) if isinstance(last, dict) else None
-    if deleted is None or not isinstance(paths, list):
-        # The line is rewritten with every record: it is what a car that loses its power leaves half written.
-        skipped.add("lists of deleted records that cannot be read", MANIFEST)
-    else:
-        listed = list(dict.fromkeys(re.split(r"[/\\]", path)[-1] for path in paths if isinstance(path, str)))
-        for name in listed:
-            if name not in files:
-                skipped.add("catalogues that are not there", ascii(name))
-        for name in catalogs:
-            if name not in listed:
-                skipped.add("catalogues that the manifest does not name", name)
-        catalogs = [name for name in listed if name in files]
-
-    def records(skipped: Skipped) -> Iterator[_Record]:
-        position = 0
-        for name in catalogs:
-            for number, line in _lines(files[name]):
-                values = _parse(line)
-                if isinstance(values, dict):
-                    told = values.get("_index")
-                    index = told if isinstance(told, int) and not isinstance(told, bool) else position
-                    yield _Record(f"{name} line {number}", index, values)
-                else:
-                    skipped.add("records that cannot be read as a JSON object", f"{name} line {number}")
-                position += 1
-
-    images = root / "images"
-    is_inside = Path(os.path.realpath(images)).is_relative_to(root)
-    pictures = _files(images, root, skipped) if is_inside and images.is_dir() else {}
-    count = sum(1 for name in catalogs for _ in _lines(files[name]))
-    start_ns = _start_ns(created, "created_at")
-    return _Tub("2", pictures, deleted or frozenset(), start_ns, "_timestamp_ms", False, count, records)
-
-
-def _start_ns(values: object, field: str) -> int | None:
-    """The time that stands in seconds under `field`, if it is one that a log can hold."""
-    start_s = _number(values.get(field)) if isinstance(values, dict) else None
-    if start_s is None or not 0 <= start_s < _TIME_END_NS // 10**9:
-        return None
-    return round(start_s * 1e6) * 1000  # a float of today's date is no finer
-
-
-def _indexes(values: object) -> frozenset[int] | None:
-    return frozenset(value for value in values if isinstance(value, int)) if isinstance(values, list) else None
-
-
-def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
-    """The files in `place` by name; a link is taken only if what it names lies in `root`."""
-    found: dict[str, Path] = {}
-    try:
-        with os.scandir(place) as entries:
-            for entry in entries:
-                if entry.is_symlink() and not Path(os.path.realpath(entry.path)).is_relative_to(root):
-                    skipped.add("links out of the tub", entry.name)
-                elif Path(entry.path).is_file():
-                    found[entry.name] = Path(entry.path)
-    except OSError as error:
-        raise RecordingError(f"{place}: cannot be read ({error.strerror})") from None
-    return found
-
-
-def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The lines that are not empty, numbered from 1 (DonkeyCar ends them with CR LF, on Windows with CR CR LF)."""
-    try:
-        lines = read_bounded(path, _MOST_JSON_BYTES).split(b"\n")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
-    yield from ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
-
-
-def _load(path: Path) -> object:
-    try:
-        return _parse(read_bounded(path, _MOST_JSON_BYTES))
-    except OSError:
-        return None
-
-
-def _parse(text: bytes) -> object:
-    """What a piece of JSON says; None where it is not JSON, or deeper or longer than Python reads."""
-    try:
-        parsed: object = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    return parsed

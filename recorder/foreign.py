@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import re
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.files import refuse_existing
 from common.progress import track
+from common.untrusted import open_regular
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.foreign_messages import (
@@ -36,11 +38,14 @@ from recorder.foreign_messages import (
 from recorder.log import Log
 from recorder.record import Imported, SkippedEvents
 from recorder.ros2_bag import MCAP, SQLITE, SqliteFile, bag_files, is_bag
+from recorder.topics import PROFILE
 from recorder.writer import LogWriter
 
 MOST_STEERING_AGE_S: Final = 1.0
 
 _TIME_END_NS: Final = 2**63
+# magic, then the header's opcode, length, and the length of its profile
+_OWN_START: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
 _BEYOND: Final = "rows with steering beyond -1..1 (kept, but an index leaves them out): is --steering-scale right?"
 
 
@@ -108,6 +113,15 @@ def is_foreign(source: Path) -> bool:
     return is_bag(source) if source.is_dir() else bool({MCAP, SQLITE} & set(source.suffixes))
 
 
+def is_own_log(source: Path) -> bool:
+    """Whether `source` is a log of this toolkit: an MCAP file whose header names its profile."""
+    try:
+        with open_regular(source) as stream:
+            return _OWN_START.match(stream.read(64)) is not None
+    except OSError:
+        return False
+
+
 def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite: bool = False) -> Imported:
     """Write the pictures of another program's log to `log`, byte for byte, each with the last steering before it.
 
@@ -145,7 +159,7 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
             state = VehicleState(steering=row.steering, throttle=0.0, brake=0.0, speed_mph=math.nan)
             writer.vehicle(row.time_ns, count, state)
             count += 1
-    return Imported(log, count, count, skipped)
+    return Imported(log, count, count, skipped, writer.notice)
 
 
 def _files(source: Path, skipped: Skipped) -> list[_File]:

@@ -54,7 +54,7 @@ def listen_for_telemetry(
             writing.pop_all()  # a live log would be kept, for its events
             writer.discard()
             raise RecordingError(f"{log}: {session.why_nothing()}")
-    return Imported(log, session.rows, session.rows, session.skipped)
+    return Imported(log, session.rows, session.rows, session.skipped, writer.notice)
 
 
 class _Session:

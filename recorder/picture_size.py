@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Final
+
+from common.errors import counted
 
 MOST_PIXELS: Final = 1 << 26
 """No larger picture is decoded: in memory it is up to 200 MB, and a car's camera gives a hundredth of it."""
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 
+_MOST_NAMED: Final = 8
 _JPEG_START: Final = b"\xff\xd8"
 _WITHOUT_LENGTH: Final = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})
 _NO_FRAMES: Final = frozenset({0xC4, 0xC8, 0xCC})  # tables among the numbers of the frames
@@ -34,6 +38,19 @@ def pixels(picture: bytes) -> int | None:
     """Width x height of a JPEG or PNG; None if it is neither, or cut off before that."""
     found = width_and_height(picture)
     return None if found is None else found[0] * found[1]
+
+
+def different_sizes(pictures: Mapping[tuple[int, int] | None, int]) -> str:
+    """What to tell of a recording with so many pictures of each width and height; "" if all have the same."""
+    told = sorted(((size, count) for size, count in pictures.items() if size is not None), reverse=True)
+    if len(told) < 2:
+        return ""
+    parts = [f"{width:,} x {height:,} px ({count:,})" for (width, height), count in told[:_MOST_NAMED]]
+    more = f", and {counted(len(told) - _MOST_NAMED, 'other size')}" if len(told) > _MOST_NAMED else ""
+    return (
+        f"pictures of different sizes: {', '.join(parts)}{more}. A network sees the same share of each: they"
+        " should show the same part of the world"
+    )
 
 
 def can_be_decoded(picture: bytes) -> bool:

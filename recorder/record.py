@@ -12,9 +12,11 @@ from common.errors import KEPT_NAMES
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
+from recorder.frame_rate import clock
 from recorder.jpeg import is_whole_jpeg
 from recorder.topics import CAMERAS
-from recorder.udacity import MOST_PICTURE_BYTES, Row, UdacityFolder
+from recorder.udacity import MOST_PICTURE_BYTES, UdacityFolder
+from recorder.udacity_csv import Row
 from recorder.writer import LogWriter
 
 NOT_WHOLE = "pictures that are not whole JPEG files"
@@ -29,6 +31,7 @@ class Imported:
     rows: int
     pictures: int
     skipped: Skipped
+    notice: str = ""  # what a person should know of what is in it
 
 
 class SkippedEvents:
@@ -58,14 +61,15 @@ class SkippedEvents:
             self._writer.event(self._time_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
 
 
-def import_udacity(folder: Path, log: Path, *, overwrite: bool = False) -> Imported:
+def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, overwrite: bool = False) -> Imported:
     """Write the Udacity recording in `folder` to `log`; its pictures byte for byte, its rows in their order.
 
+    `rate_hz` is of one whose pictures' names tell no times: its rows are taken as so many a second, from 1970 on.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     events = SkippedEvents()
-    recording = UdacityFolder(folder, events.skipped)
-    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    recording = UdacityFolder(folder, events.skipped, rate_hz)
+    metadata = udacity_metadata(folder, rate_hz)
     row_count = pictures = 0
     rows = recording.rows()
     first = next(rows)  # without any, nothing is begun
@@ -80,7 +84,16 @@ def import_udacity(folder: Path, log: Path, *, overwrite: bool = False) -> Impor
                     pictures += 1
             writer.vehicle(row.time_ns, row_count, vehicle_state(row))
             row_count += 1
-    return Imported(log, row_count, pictures, events.skipped)
+    return Imported(log, row_count, pictures, events.skipped, writer.notice)
+
+
+def udacity_metadata(folder: Path, rate_hz: float | None) -> dict[str, str]:
+    """What the log of a Udacity recording says of itself."""
+    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    if rate_hz is not None:
+        metadata["clock"] = clock(rate_hz)
+        metadata["start"] = "1970, because the recording does not tell it"
+    return metadata
 
 
 def _jpeg(path: str, skipped: Skipped) -> bytes | None:

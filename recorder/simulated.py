@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+import tyro
 
 from common import Skipped, UserError
 from common.files import refuse_existing
@@ -35,7 +38,7 @@ class SimulatedDrive:
     """How far to drive; 0.5 records the first half of the track and nothing of the second."""
     speed: float = 10.0
     """Set speed in mph; the expert slows for bends."""
-    rate: float = 10.0
+    rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
     """Recorded rows a second; it must divide 50."""
     recovery: float = 0.35
     """Share of the rows in which the car, pushed off its line, comes back; the push itself is not recorded."""
@@ -59,8 +62,7 @@ def record_simulated(
         simulation = Simulation(drive.track)
         expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)
         steps = drive_for_recording(simulation.course, expert, drive.laps, drive.rate, drive.recovery, drive.seed)
-        folder = UdacityFolder(udacity) if udacity is not None else None
-    except (ValueError, FileExistsError) as error:
+    except ValueError as error:
         raise RecordingError(str(error)) from None
     metadata = {
         "source": "simulator",
@@ -75,7 +77,11 @@ def record_simulated(
     }
     length_m = drive.laps * simulation.track.line.length_m
     rows = 0
-    with LogWriter(log, metadata, overwrite=overwrite) as writer, progress_bar() as bar:
+    with (
+        UdacityFolder(udacity) if udacity is not None else contextlib.nullcontext() as folder,
+        LogWriter(log, metadata, overwrite=overwrite) as writer,
+        progress_bar() as bar,
+    ):
         task = bar.add_task(f"recording {drive.track}", total=math.ceil(length_m), note="metres")
         for step in steps:
             time_ns = CLOCK_START_NS + round(step.time_s * 1e9)
@@ -101,5 +107,5 @@ def record_simulated(
         if not rows:
             raise UserError(f"{drive.laps:g} laps: too short to record a single row")
         if folder is not None:
-            folder.close()
+            folder.finish()
     return Imported(log, rows, rows * len(CAMERAS), Skipped())

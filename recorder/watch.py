@@ -15,12 +15,15 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from common.errors import counted
 from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
+from recorder.frame_rate import check_rate
 from recorder.jpeg import is_whole_jpeg
-from recorder.record import NOT_WHOLE, UNREADABLE, Imported, SkippedEvents, vehicle_state
+from recorder.nearby import did_you_mean
+from recorder.record import NOT_WHOLE, UNREADABLE, Imported, SkippedEvents, udacity_metadata, vehicle_state
 from recorder.tail import Tail
 from recorder.topics import CAMERAS, Camera
 from recorder.udacity import (
@@ -28,10 +31,10 @@ from recorder.udacity import (
     MISSING,
     MOST_PICTURE_BYTES,
     PictureFiles,
-    RowReader,
     because,
     check_csv,
 )
+from recorder.udacity_csv import RowReader
 from recorder.writer import LogWriter
 
 POLL_S: Final = 0.25
@@ -46,6 +49,7 @@ def watch_udacity(
     folder: Path,
     log: Path,
     *,
+    rate_hz: float | None = None,
     idle_s: float | None = None,
     overwrite: bool = False,
     on_started: Callable[[Path], None] | None = None,
@@ -53,12 +57,14 @@ def watch_udacity(
     """Write the recording in `folder` to `log` while it grows; neither the folder nor its csv need be there yet.
 
     Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last new row or picture; called outside the main
-    thread, only on the latter. `on_started` is called with the path of the growing file.
+    thread, only on the latter. `on_started` is called with the path of the growing file. `rate_hz` is as for
+    `import_udacity`.
 
     Raises RecordingError if there was no usable row, and UserError if `log` exists and `overwrite` is off, or
     cannot be written any more.
     """
-    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    check_rate(rate_hz)
+    metadata = udacity_metadata(folder, rate_hz)
     if folder.exists() and not folder.is_dir():
         raise RecordingError(f"{folder}: a file; give the folder that {CSV_NAME} is in, or will be")
     with (
@@ -66,11 +72,12 @@ def watch_udacity(
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
         StatusLine() as status,
     ):
-        watched = _Watched(folder, writer)
+        watched = _Watched(folder, writer, rate_hz)
         if on_started is not None:
             on_started(writer.part)
         if not watched.has_csv():
-            status.say(f"waiting for {folder / CSV_NAME}")
+            meant = did_you_mean(folder)
+            status.say(f"waiting for {folder / CSV_NAME};{meant}" if meant else f"waiting for {folder / CSV_NAME}")
         while not stopped.is_set():
             is_busy = watched.poll()
             writer.flush_if_due()
@@ -83,13 +90,13 @@ def watch_udacity(
         watched.finish()
         if not watched.rows:
             raise RecordingError(watched.why_nothing())
-    return Imported(log, watched.rows, watched.pictures, watched.skipped)
+    return Imported(log, watched.rows, watched.pictures, watched.skipped, writer.notice)
 
 
 class _Watched:
     """What has come of a recording, and what is still awaited."""
 
-    def __init__(self, folder: Path, writer: LogWriter) -> None:
+    def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None) -> None:
         self.rows = 0
         self.pictures = 0
         self._events = SkippedEvents()
@@ -97,7 +104,7 @@ class _Watched:
         self._folder = folder
         self._writer = writer
         self._csv = Tail(folder / CSV_NAME)
-        self._reader = RowReader(self.skipped)
+        self._reader = RowReader(self.skipped, rate_hz)
         self._files = PictureFiles(folder, self.skipped)
         self._looked: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
         self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
@@ -155,8 +162,9 @@ class _Watched:
             self._rate = (self.pictures - pictures) / (now_s - since_s)
             self._rate_from = (now_s, self.pictures)
         return (
-            f"{self.rows:,} rows, {self.pictures:,} pictures, {self._writer.bytes_written / 1e6:.1f} MB,"
-            f" {self._rate:.0f} pictures/s, waiting for {len(self._awaited):,} pictures,"
+            f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
+            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s,"
+            f" waiting for {counted(len(self._awaited), 'picture')},"
             f" {len(self.skipped):,} skipped"
         )
 
@@ -177,6 +185,8 @@ class _Watched:
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
             for camera, name in zip(CAMERAS, row.names, strict=True):
+                if not name:
+                    continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
                 self._notice(name, places)
             self.rows += 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -28,7 +29,7 @@ from common.locks import lock
 from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.picture_size import PNG_START
+from recorder.picture_size import PNG_START, different_sizes, width_and_height
 from recorder.quality import StatesWritten, summary
 from recorder.topics import Camera, camera_topic, prediction_topic
 
@@ -73,6 +74,7 @@ class LogWriter:
         """
         files.refuse_existing(path, overwrite)
         self.path = path
+        self._sizes_px: Counter[tuple[int, int] | None] = Counter()  # width and height of the cameras' pictures
         self.part = files.part_path(path)
         self._overwrite = overwrite
         self._live = False  # until its beginning is written, nothing of it is worth keeping
@@ -114,6 +116,7 @@ class LogWriter:
 
     def picture(self, camera: Camera, time_ns: int, sequence: int, picture: bytes) -> None:
         """A camera's JPEG or PNG, byte for byte."""
+        self._sizes_px[width_and_height(picture)] += 1
         kind = "png" if picture.startswith(PNG_START) else "jpeg"
         self._image(camera_topic(camera), time_ns, sequence, picture, kind)
 
@@ -172,6 +175,11 @@ class LogWriter:
     def bytes_written(self) -> int:
         """Size of the file until now; the open chunk is not in it yet."""
         return self._stream.tell()
+
+    @property
+    def notice(self) -> str:
+        """What a person should know of the cameras' pictures until now, "" if nothing."""
+        return different_sizes(self._sizes_px)
 
     def flush_if_due(self) -> None:
         """Close the chunk if the last flush is long enough ago (call it also while nothing arrives)."""

@@ -37,6 +37,9 @@ SPEEDS = st.sampled_from(["0.5", "12.1822", "22.40861", "30.19", "7.8E-05", "5.1
 NUMBERS = st.tuples(SIGNED, UNITS, st.sampled_from(["0", "1"]), SPEEDS)
 
 
+MINUS_SIGN = "\u2212"
+
+
 @dataclass(frozen=True)
 class Line:
     """A line of the csv, and the values of the row that it is (None: it is no row of the simulator's)."""
@@ -45,25 +48,35 @@ class Line:
     values: Values | None
 
 
+def written(number: str, decimal_sign: str, minus: str) -> str:
+    """A number as .NET writes it for a country; the minus is a prefix, or "behind"."""
+    text = number.replace(".", decimal_sign)
+    if minus == "behind" and text.startswith("-") and decimal_sign != ",":
+        return f"{text[1:]}-"
+    return text.replace("-", "-" if minus == "behind" else minus)
+
+
 @st.composite
-def rows(draw: st.DrawFn, number: int) -> Line:
+def rows(draw: st.DrawFn, number: int, decimal_sign: str, minus: str) -> Line:
     """A row in any of the known styles; its pictures are named by its number."""
-    separator, has_commas = draw(st.sampled_from([",", ", "])), draw(st.booleans())
-    path_separator = draw(st.sampled_from([",", ", "]))
+    separator, path_separator = draw(st.sampled_from([",", ", "])), draw(st.sampled_from([",", ", "]))
     numbers = draw(NUMBERS)
-    cells = [text.replace(".", ",") for text in numbers] if has_commas else list(numbers)
-    text = (
-        f"{paths(number, draw(st.sampled_from(PREFIXES)), path_separator)},{separator[1:]}{separator.join(cells)}"
-    )
+    cells = [written(text, decimal_sign, minus) for text in numbers]
+    its_paths = paths(number, draw(st.sampled_from(PREFIXES)), path_separator)
+    if draw(st.booleans()):  # one camera; a path may have a comma in it
+        center = its_paths[: its_paths.index(picture_name("center", number))] + picture_name("center", number)
+        its_paths = center + 2 * path_separator
+    text = f"{its_paths},{separator[1:]}{separator.join(cells)}"
     steering, throttle, brake, speed_mph = map(float, numbers)
-    return Line(text.encode(draw(st.sampled_from(["utf-8", "mac_roman"]))), (steering, throttle, brake, speed_mph))
+    encoding = draw(st.sampled_from(["utf-8", "mac_roman"])) if "".join(cells).isascii() else "utf-8"
+    return Line(text.encode(encoding), (steering, throttle, brake, speed_mph))
 
 
 def junk() -> st.SearchStrategy[Line]:
     """Anything that stays within its line: bytes, headers, and rows that are cut off or were never whole."""
     anything = st.binary(max_size=60).map(lambda data: data.replace(b"\n", b"").replace(b"\r", b""))
     pieces = st.sampled_from(
-        [*HEADERS, paths(90), "0,5", "-", ",", ".jpg", '"', " ", "nan", "1e999", "\x1c", "\xa0"]
+        [*HEADERS, paths(90), "0,5", "-", ",", ".jpg", '"', " ", "nan", "1e999", "1_0", "\u0663", "+", "\0"]
     )
     texts = st.lists(pieces, max_size=8).map(lambda found: ",".join(found).encode())
     cut = st.builds(lambda data, kept: data[:kept], st.just(f"{paths(91)},0,0,0,1".encode()), st.integers(0, 130))
@@ -72,12 +85,14 @@ def junk() -> st.SearchStrategy[Line]:
 
 @st.composite
 def recordings(draw: st.DrawFn) -> tuple[list[Line], bytes]:
-    """Lines in their order, and the csv that holds them."""
+    """Lines in their order, and the csv that holds them: of one country."""
     count = draw(st.integers(0, 4))
+    decimal_sign = draw(st.sampled_from([".", ",", "/", "\u066b"]))
+    minus = draw(st.sampled_from(["-", MINUS_SIGN, f"\u200e{MINUS_SIGN}", "\u061c-", "behind"]))
     lines = [Line(f"{paths(99)},0,0,0,1".encode(), (0.0, 0.0, 0.0, 1.0))]
     for number in range(count):
         lines += draw(st.lists(junk(), max_size=2))
-        lines.append(draw(rows(number)))
+        lines.append(draw(rows(number, decimal_sign, minus)))
     end = draw(st.sampled_from([[b"\n"], [b"\r\n"], [b"\r"], [b"\n", b"\r\n"]]))
     csv = b"".join(line.content + end[position % len(end)] for position, line in enumerate(lines))
     return lines, csv if draw(st.booleans()) else csv.removesuffix(end[(len(lines) - 1) % len(end)])

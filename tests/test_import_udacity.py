@@ -153,6 +153,49 @@ def test_a_space_tells_a_separator_from_a_decimal_comma(tmp_path: Path) -> None:
     assert values_of(imported(tmp_path).path) == [(0.0, 1.0, 0.5, 31.0)]
 
 
+@pytest.mark.parametrize(
+    ("cells", "values"),
+    [
+        # as Mono's string.Format("{0}") writes -0.2167, 10.9014 and 7.8E-05 for fa-IR
+        ("-0/2167,1,0,10/9014", (-0.2167, 1.0, 0.0, 10.9014)),
+        ("0,0/5,1,7/8E-05", (0.0, 0.5, 1.0, 7.8e-05)),
+        # as ToString("N4") does for ar-SA and fa-IR
+        ("0.2167-,0.5000,0.0000,10.9014", (-0.2167, 0.5, 0.0, 10.9014)),
+        ("0/2167-,0/5000,0/0000,10/9014", (-0.2167, 0.5, 0.0, 10.9014)),
+        # with ICU: fa-IR, ar-EG, sv-SE
+        ("\u200e\u22120\u066b2167,1,0,10\u066b9014", (-0.2167, 1.0, 0.0, 10.9014)),
+        ("\u061c-0\u066b2167,1,0,7\u066b8E\u061c-05", (-0.2167, 1.0, 0.0, 7.8e-05)),
+        ("\u22120,2167,1,0,10,9014", (-0.2167, 1.0, 0.0, 10.9014)),
+        ("+0.5,+1,0,.5", (0.5, 1.0, 0.0, 0.5)),
+        ('"-0,2167","1","0","10,9014"', (-0.2167, 1.0, 0.0, 10.9014)),
+        ('"-0.2167", "1", "0", "10.9014"', (-0.2167, 1.0, 0.0, 10.9014)),
+    ],
+)
+def test_numbers_of_other_countries(tmp_path: Path, cells: str, values: tuple[float, ...]) -> None:
+    make_recording(tmp_path, f"{paths(0)},{cells}\n", [0])
+    assert values_of(imported(tmp_path).path) == [values]
+
+
+@pytest.mark.parametrize(
+    "cells", ["0.1,0.2,0,20.5,7", "0,1,0,30.5,", "0, 1, 0, 30, 7", '"0,1","0,2","0","20,5","7"', "0,1,0,30,7"]
+)
+def test_a_row_with_a_value_too_many_is_named(tmp_path: Path, cells: str) -> None:
+    make_recording(tmp_path, f"{paths(0)},{CELLS[0]}\n{paths(1)},{cells}\n{paths(2)},{CELLS[2]}\n")
+    done = imported(tmp_path)
+    if cells.endswith(","):  # an empty cell is no value
+        assert (done.rows, len(done.skipped)) == (3, 0)
+    else:
+        assert values_of(done.path) == [VALUES[0], VALUES[2]]
+        assert done.skipped.counts == {"rows with more than four values": 1}
+
+
+def test_decimal_commas_behind_a_drive_with_decimal_points(tmp_path: Path) -> None:
+    """Somebody has put another country's recording behind a downloaded one."""
+    cells = ["0,1,0,7.8E-05", "-0,05,1,0,12,25", "0,1,0,12,5"]
+    make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
+    assert values_of(imported(tmp_path).path) == [(0, 1, 0, 7.8e-05), (-0.05, 1, 0, 12.25), (0, 1, 0, 12.5)]
+
+
 def test_decimal_commas_of_a_drive_that_stops_at_a_whole_speed(tmp_path: Path) -> None:
     cells = ["0,05,1,0,29,98", "0,05,1,0,30", "0,1,1,0,30,02"]
     make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
@@ -219,7 +262,24 @@ def test_a_last_row_that_is_cut_off_is_named(tmp_path: Path, kept: int) -> None:
     assert [name for _, name in done.skipped] == ["line 3"]
 
 
-@pytest.mark.parametrize("cells", ["nan,0,0,1", "0,inf,0,1", "left,0,0,1", "0,0,0", ""])
+@pytest.mark.parametrize(
+    "cells",
+    [
+        *["nan,0,0,1", "0,inf,0,1", "0,1e999,0,1", "left,0,0,1", "0,0,0", ""],
+        # Python's float() takes these
+        *["1_0,0,0,1", "0,0,0,1_0.5", "\u0663,0,0,1", "\u0660.\u0665,0,0,1", "infinity,0,0,1", "\uff11,0,0,1"],
+        *[
+            "0x1,0,0,1",
+            "0 1,0,0,1",
+            "0.1\0,0,0,1",
+            "--1,0,0,1",
+            "1-2,0,0,1",
+            "-1-,0,0,1",
+            "1/2/2024,0,0,1",
+            ".,0,0,1",
+        ],
+    ],
+)
 def test_a_row_without_four_numbers_is_named_and_the_others_are_kept(tmp_path: Path, cells: str) -> None:
     make_recording(tmp_path, f"{paths(0)},{CELLS[0]}\n{paths(1)},{cells}\n{paths(2)},{CELLS[2]}\n")
     done = imported(tmp_path)
@@ -257,13 +317,53 @@ def test_a_link_that_leaves_the_recording_is_not_followed(tmp_path: Path) -> Non
     assert secret.read_bytes() not in done.path.read_bytes()
 
 
-def test_an_img_folder_that_is_a_link_out_of_the_recording_is_not_followed(tmp_path: Path) -> None:
-    make_recording(tmp_path / "private", three_rows())
-    folder = tmp_path / "downloaded"
-    folder.mkdir()
-    (folder / "driving_log.csv").write_text(three_rows())
-    (folder / "IMG").symlink_to(tmp_path / "private" / "IMG")
-    with pytest.raises(RecordingError, match="none of its pictures"):
+def pictures_elsewhere(folder: Path, place: Path) -> dict[str, bytes]:
+    """A recording whose `place` is a link to a folder on another disk, which has the pictures."""
+    pictures = make_recording(folder, three_rows())
+    disk = folder.parent / "disk" / "pictures of July"
+    disk.parent.mkdir()
+    (folder / "IMG").rename(disk)
+    place.symlink_to(disk)
+    return pictures
+
+
+@pytest.mark.parametrize("place", ["IMG", "../IMG"])
+def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path, place: str) -> None:
+    folder = tmp_path / "drive"
+    pictures = pictures_elsewhere(folder, folder / place)
+    assert_all_three_rows(folder, pictures)
+
+
+def test_a_picture_that_leads_out_of_a_linked_folder_is_named(tmp_path: Path) -> None:
+    secret = tmp_path / "private.jpg"
+    secret.write_bytes(jpeg(250))
+    folder = tmp_path / "drive"
+    pictures_elsewhere(folder, folder / "IMG")
+    link = folder / "IMG" / picture_name("left", 0)
+    link.unlink()
+    link.symlink_to(secret)
+    done = imported(folder)
+    assert done.pictures == 8
+    assert ("pictures that are links out of the recording", link.name) in list(done.skipped)
+    assert secret.read_bytes() not in done.path.read_bytes()
+
+
+def test_a_link_to_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    pictures_elsewhere(folder, folder / "IMG")
+    (tmp_path / "disk").rename(tmp_path / "unplugged")
+    with pytest.raises(RecordingError, match=r"IMG is a link to .*pictures of July, which is not there"):
+        imported(folder)
+
+
+def test_a_recording_all_of_whose_pictures_are_links_says_how_to_copy_it(tmp_path: Path) -> None:
+    """As git-annex and its like keep large files."""
+    folder = tmp_path / "drive"
+    make_recording(folder, three_rows())
+    (tmp_path / "store").mkdir()
+    for picture in list((folder / "IMG").iterdir()):
+        picture.symlink_to(picture.rename(tmp_path / "store" / picture.name))
+    with pytest.raises(RecordingError, match=r"its pictures are links out of it, .*`cp -rL`"):
         imported(folder)
 
 
@@ -414,7 +514,10 @@ def test_a_time_that_no_log_can_hold_costs_the_row(tmp_path: Path, year: str) ->
     names = ",".join(f"IMG/{camera}_{year}_01_01_00_00_00_000.jpg" for camera in CAMERAS)
     make_recording(tmp_path, f"{three_rows()}{names},0,0,0,1\n")
     done = imported(tmp_path)
-    assert (done.rows, done.skipped.counts) == (3, {"rows with no time in their pictures' names": 1})
+    assert (done.rows, done.skipped.counts) == (
+        3,
+        {"rows with a time in their pictures' names that no log can hold": 1},
+    )
 
 
 def test_a_file_that_only_begins_and_ends_like_a_jpeg_is_left_out(tmp_path: Path) -> None:

@@ -290,7 +290,7 @@ def test_nothing_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_no_line_could_be_used(tmp_path: Path) -> None:
     make_recording(tmp_path / "drive", "junk\n")
-    with pytest.raises(RecordingError, match="no usable row; 1 rows with fewer than three pictures"):
+    with pytest.raises(RecordingError, match="no usable row; 1 rows with fewer than three columns of pictures"):
         watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
     assert [path.name for path in tmp_path.iterdir()] == ["drive"]
 
@@ -302,11 +302,19 @@ def test_links_out_of_the_recording_are_not_followed(tmp_path: Path) -> None:
     (folder / "driving_log.csv").symlink_to(tmp_path / "private" / "driving_log.csv")
     with pytest.raises(RecordingError, match="a link out of the recording"):
         watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
-    (folder / "driving_log.csv").unlink()
-    (folder / "driving_log.csv").write_text(f"{ROWS[0]}\n")
-    (folder / "IMG").symlink_to(tmp_path / "private" / "IMG")
+
+
+def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    make_recording(folder, "".join(f"{row}\n" for row in ROWS[:2]), [0, 1])
+    (folder / "IMG").rename(tmp_path / "disk")
+    (folder / "IMG").symlink_to(tmp_path / "disk")
+    left = tmp_path / "disk" / picture_name("left", 1)
+    left.rename(tmp_path / "private.jpg")
+    left.symlink_to(tmp_path / "private.jpg")
     done = watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
-    assert (done.rows, done.pictures, len(done.skipped)) == (1, 0, 3)
+    assert (done.rows, done.pictures) == (2, 5)
+    assert ("pictures that are links out of the recording", left.name) in list(done.skipped)
 
 
 def test_an_existing_log_is_refused_before_anything_is_watched(tmp_path: Path) -> None:

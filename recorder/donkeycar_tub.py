@@ -1,0 +1,208 @@
+"""A DonkeyCar tub, of version 1 or 2: where its records, its pictures and its list of deleted records are.
+
+Version 2 (donkeycar/parts/tub_v2.py and datastore_v2.py): `manifest.json` of five JSON lines, of which the fourth
+tells when the tub was created and the fifth names the catalogues and the deleted records; catalogues of one JSON
+record a line; pictures in `images/`. Version 1 (donkeycar/parts/datastore.py, up to release 3): `meta.json`, one
+`record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of deleted records.
+
+A tub is somebody else's data: of every path only the file's name counts, and no link out of it is followed but
+`images` itself: who puts a link in its place keeps the pictures elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from common import Skipped
+from common.untrusted import read_bounded
+from recorder.errors import RecordingError
+
+MANIFEST, META, EXCLUDED, IMAGES = "manifest.json", "meta.json", "exclude.json", "images"
+TIME_END_NS: Final = 2**63
+
+_CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
+_RECORD = re.compile(r"record_([0-9]+)\.json")
+_MOST_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thousand records has 0.3 MB
+
+
+@dataclass(frozen=True)
+class Record:
+    name: str  # for a person: where it is
+    index: int
+    values: dict[str, object]
+
+
+@dataclass(frozen=True)
+class Tub:
+    """What importing needs to know of a tub, whatever its version."""
+
+    version: str
+    pictures: dict[str, Path]
+    deleted: frozenset[int]
+    start_ns: int | None
+    time_field: str  # milliseconds
+    is_time_from_start: bool  # else from 1970
+    count: int  # of lines or files that may be records
+    records: Callable[[Skipped], Iterator[Record]]  # in the tub's order; what is no record is skipped
+
+
+def is_tub(folder: Path) -> bool:
+    """Whether `folder` looks like a DonkeyCar tub, whole or damaged."""
+    try:
+        names = {path.name for path in folder.iterdir()}
+    except OSError:
+        return False
+    return bool(names & {MANIFEST, META}) or any(_RECORD.fullmatch(n) or _CATALOG.fullmatch(n) for n in names)
+
+
+def open_tub(folder: Path, all_catalogs: bool, skipped: Skipped) -> Tub:
+    """The tub in `folder`, with `all_catalogs` also those catalogues of it that its manifest does not name.
+
+    Raises RecordingError if it is none, or cannot be read.
+    """
+    if not folder.is_dir():
+        raise RecordingError(f"{folder}: no such folder; give a DonkeyCar tub, such as ~/mycar/data")
+    root = Path(os.path.realpath(folder))
+    files = _files(root, root, skipped)
+    if MANIFEST in files:
+        return _open_version_2(root, files, all_catalogs, skipped)
+    if META in files or any(map(_RECORD.fullmatch, files)):
+        return _open_version_1(files, skipped)
+    if any(map(_CATALOG.fullmatch, files)):
+        return _open_version_2(root, files, all_catalogs, skipped)
+    raise RecordingError(f"{folder}: not a DonkeyCar tub: neither {MANIFEST} nor {META} is in it")
+
+
+def _open_version_1(files: dict[str, Path], skipped: Skipped) -> Tub:
+    start_ns = _start_ns(_load(files[META]), "start") if META in files else None
+    deleted = _indexes(_load(files[EXCLUDED])) if EXCLUDED in files else frozenset[int]()
+    if deleted is None:
+        skipped.add("lists of deleted records that cannot be read", EXCLUDED)
+    matches = [match for match in map(_RECORD.fullmatch, files) if match]
+    numbered = sorted((int(match[1]), match[0]) for match in matches)
+
+    def records(skipped: Skipped) -> Iterator[Record]:
+        for index, name in numbered:
+            values = _load(files[name])
+            if isinstance(values, dict):
+                yield Record(name, index, values)
+            else:
+                skipped.add("records that cannot be read as a JSON object", name)
+
+    return Tub("1", files, deleted or frozenset(), start_ns, "milliseconds", True, len(numbered), records)
+
+
+def _open_version_2(root: Path, files: dict[str, Path], all_catalogs: bool, skipped: Skipped) -> Tub:
+    lines = [_parse(line) for _, line in _lines(files[MANIFEST])] if MANIFEST in files else []
+    created, last = (lines[at] if len(lines) > at else None for at in (3, 4))
+    numbers = {name: int(match[1]) for name in files if (match := _CATALOG.fullmatch(name))}
+    catalogs = sorted(numbers, key=lambda name: (numbers[name], name))
+    paths = last.get("paths") if isinstance(last, dict) else None
+    deleted = _indexes(last.get("deleted_indexes")) if isinstance(last, dict) else None
+    if deleted is None or not isinstance(paths, list):
+        # The line is rewritten with every record: it is what a car that loses its power leaves half written.
+        skipped.add("lists of deleted records that cannot be read", MANIFEST)
+    else:
+        listed = list(dict.fromkeys(re.split(r"[/\\]", path)[-1] for path in paths if isinstance(path, str)))
+        for name in listed:
+            if name not in files:
+                skipped.add("catalogues that are not there", ascii(name))
+        unlisted = [name for name in catalogs if name not in listed]
+        catalogs = [name for name in listed if name in files]
+        if all_catalogs:
+            catalogs += unlisted
+        else:
+            for name in unlisted:
+                skipped.add("catalogues that the manifest does not name (--all-catalogs takes them)", name)
+
+    def records(skipped: Skipped) -> Iterator[Record]:
+        position = 0
+        for name in catalogs:
+            for number, line in _lines(files[name]):
+                values = _parse(line)
+                if isinstance(values, dict):
+                    told = values.get("_index")
+                    index = told if isinstance(told, int) and not isinstance(told, bool) else position
+                    yield Record(f"{name} line {number}", index, values)
+                else:
+                    skipped.add("records that cannot be read as a JSON object", f"{name} line {number}")
+                position += 1
+
+    images = root / IMAGES
+    if images.is_symlink() and not images.is_dir():
+        raise RecordingError(f"{images}: a link to {images.readlink()}, which is not there")
+    pictures = _files(images, Path(os.path.realpath(images)), skipped) if images.is_dir() else {}
+    count = sum(1 for name in catalogs for _ in _lines(files[name]))
+    start_ns = _start_ns(created, "created_at")
+    return Tub("2", pictures, deleted or frozenset(), start_ns, "_timestamp_ms", False, count, records)
+
+
+def finite(value: object) -> int | float | None:
+    """A finite JSON number that a float can hold, else None; true and false are none."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    try:
+        return value if math.isfinite(value) else None
+    except OverflowError:  # a whole number of over 308 digits
+        return None
+
+
+def _start_ns(values: object, field: str) -> int | None:
+    """The time that stands in seconds under `field`, if it is one that a log can hold."""
+    start_s = finite(values.get(field)) if isinstance(values, dict) else None
+    if start_s is None or not 0 <= start_s < TIME_END_NS // 10**9:
+        return None
+    return round(start_s * 1e6) * 1000  # a float of today's date is no finer
+
+
+def _indexes(values: object) -> frozenset[int] | None:
+    return frozenset(value for value in values if isinstance(value, int)) if isinstance(values, list) else None
+
+
+def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
+    """The files in `place` by name; a link is taken only if what it names lies in `root`, a path without links."""
+    found: dict[str, Path] = {}
+    try:
+        with os.scandir(place) as entries:
+            for entry in entries:
+                if entry.name == IMAGES:
+                    continue
+                if entry.is_symlink() and not Path(os.path.realpath(entry.path)).is_relative_to(root):
+                    skipped.add("links out of the tub", entry.name)
+                elif Path(entry.path).is_file():
+                    found[entry.name] = Path(entry.path)
+    except OSError as error:
+        raise RecordingError(f"{place}: cannot be read ({error.strerror})") from None
+    return found
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines that are not empty, numbered from 1 (DonkeyCar ends them with CR LF, on Windows with CR CR LF)."""
+    try:
+        lines = read_bounded(path, _MOST_JSON_BYTES).split(b"\n")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    yield from ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
+
+
+def _load(path: Path) -> object:
+    try:
+        return _parse(read_bounded(path, _MOST_JSON_BYTES))
+    except OSError:
+        return None
+
+
+def _parse(text: bytes) -> object:
+    """What a piece of JSON says; None where it is not JSON, or deeper or longer than Python reads."""
+    try:
+        parsed: object = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return parsed
