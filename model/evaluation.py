@@ -22,7 +22,8 @@ from dataset.samples_file import Split
 from model.learnt import by_session, count_learnt
 from model.measures import Measures, measure
 from model.predict import BATCH, predict_crops
-from model.run import load_config, run_name, without_nan
+from model.run import load_config, run_name
+from model.run_files import without_nan
 
 _FROM_INDEX: Final = pa.schema(
     [

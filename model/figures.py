@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common import whole_file
 from dataset import MAX_STEERING_DEG
 from dataset.figure_style import (
     BLUE,
@@ -31,6 +30,7 @@ from model.errors import RunError
 from model.history import History, read_history
 from model.measures import BinErrors, Measures, measure
 from model.progress import Epoch
+from model.run_files import replaced_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def write_run_figures(run: Path, predicted: Floats, recorded: Floats) -> list[Pa
     }
     with figure_style():
         for name, figure in draw.items():
-            with whole_file(run / name, overwrite=True) as part:
+            with replaced_file(run / name) as part:
                 figure().savefig(part, format="png", dpi=DPI)
     return [run / name for name in draw]
 

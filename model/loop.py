@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from common import UserError
+from common.errors import counted
 from common.versions import TOOLKIT
 from dataset import Loader, Samples
 from dataset.crops import CROP_BYTES
@@ -27,12 +28,14 @@ from model.checkpoint import Position, checkpoint_path, load_checkpoint, save_ch
 from model.config import TrainConfig
 from model.distributed import Group
 from model.errors import RunError
+from model.hints import run_argument
 from model.machine import Machine
 from model.measures import measure
 from model.network import SteeringNetwork
 from model.predict import predict
 from model.progress import METRICS, STEPS, Epoch, Listener, Step
-from model.run import WEIGHTS, add_line, keep_lines, load_config, load_network, save_weights
+from model.run import WEIGHTS, load_config, load_network, save_weights
+from model.run_files import add_line, keep_lines
 from model.step import learn, make_optimizer
 from model.worst_pictures import COLUMNS as WORST_COLUMNS
 from model.worst_pictures import MOST_WORST_BYTES, WORST, find_worst
@@ -120,21 +123,21 @@ class TrainingLoop:
         self.position = load_checkpoint(self.run, self.network, self.optimizer)
         begun = self.position.epoch if self.position.batch else self.position.epoch - 1
         if self.config.epochs < begun:
-            raise RunError(
-                f"{self.run}: has learnt from {begun} epochs, not {self.config.epochs}; give more --epochs"
-            )
+            learnt = counted(begun, "epoch")
+            raise RunError(f"{self.run}: has learnt from {learnt}, not {self.config.epochs:,}; give more --epochs")
         if self.position.batch > self.batches.batches:
             raise RunError(
-                f"{path}: stands at batch {self.position.batch}, but an epoch has {self.batches.batches}; train"
-                " anew, or with `--init`"
+                f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.batches.batches:,};"
+                " train another run, perhaps from its weights: --init"
             )
-        self.group.first(self._keep_history)
+        self.group.first(self.keep_history)
         if not self.group.is_first:  # the first one has the sums of all
             self.position = replace(
                 self.position, squared_error=0.0, samples=0, told_squared_error=0.0, told_samples=0
             )
 
-    def _keep_history(self) -> None:
+    def keep_history(self) -> None:
+        """Leave of the run's files what was before its position."""
         seen = self._samples_seen()
         for name in (WORST, METRICS):
             keep_lines(self.run / name, lambda line: line["epoch"] < self.position.epoch)
@@ -332,7 +335,11 @@ class TrainingLoop:
 
     def _diverged(self) -> RunError:
         has_good = self._unsaved is not None or (self.run / WEIGHTS).exists()
-        kept = f"the best epoch before it is kept: `bc-train --init {self.run.name}`" if has_good else "train anew"
+        kept = (
+            f"the best epoch before it is kept: `bc-train --init {run_argument(self.run)}`"
+            if has_good
+            else "train anew"
+        )
         epoch, rate = self.position.epoch, self.config.rate
         return RunError(
             f"{self.run}: the loss is no longer finite in epoch {epoch}; {kept}"
