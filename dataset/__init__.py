@@ -32,6 +32,6 @@ __all__ = [
 ]
 
 # training reads an index where what builds one is not installed
-__getattr__ = lazy_names(
+__getattr__, __dir__ = lazy_names(
     __name__, dict.fromkeys(("Indexed", "build_index", "find_logs", "sessions_not_indexed"), "dataset.index")
 )

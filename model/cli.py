@@ -60,10 +60,12 @@ def train(config: Train) -> int:
     from model.distributed import FirstRankError, local_rank_of_process, rank_of_process
     from model.errors import RunWriteError
     from model.hints import run_argument
+    from model.history import read_history
     from model.machine import choose_machine
     from model.network import PARAMETERS
     from model.run import WEIGHTS, find_run, load_config
     from model.training import train as train_network
+    from model.verdict import verdict
 
     is_first = rank_of_process() == 0
     settings = config.config
@@ -104,6 +106,8 @@ def train(config: Train) -> int:
     elif not trained.epochs:
         print(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
+    for line in verdict(read_history(run)[0].epochs, best) if best else ():
+        print(line)
     print(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
     return code
 

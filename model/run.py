@@ -95,8 +95,9 @@ def newest_run(runs: Path) -> Path:
     return weights[-1].parent
 
 
-def find_run(name: str | None, runs: Path) -> Path:
+def find_run(name: str | None, runs: Path | str) -> Path:
     """A run by name (in `runs`) or by path; the newest one without a name. NAME/last has a run's last weights."""
+    runs = Path(runs)
     if name is None:
         return newest_run(runs)
     for folder in (runs / name, Path(name)):
