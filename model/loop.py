@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from common import UserError
-from common.errors import counted
+from common.errors import counted, shown
 from common.versions import TOOLKIT
 from dataset import Loader, Samples
 from dataset.crops import CROP_BYTES
 from dataset.samples_file import LOADED
 from model.bar import Bar
 from model.batches import make_batches
+from model.busy import busy_notice
 from model.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.config import TrainConfig
 from model.distributed import Group
@@ -105,6 +107,7 @@ class TrainingLoop:
         self._saved_s = time.monotonic()
         self.has_learnt = False
         """Whether anything that was learnt is saved."""
+        self._is_busy_told = machine.device.type != "cpu"
         self.notices: list[str] = []
         self.remarks: list[str] = []
 
@@ -188,11 +191,13 @@ class TrainingLoop:
         samples = start.samples
         begun_s = told_s = time.perf_counter()
         told_error, told_samples = start.told_squared_error, start.told_samples
-        name, note = f"epoch {start.epoch}/{self.config.epochs}", ""
+        wall_s = cpu_s = 0.0  # of the steps since the last line
+        name, note = f"epoch {start.epoch:,}/{self.config.epochs:,}", ""
         with self.bar.task(name, len(loader) * self.config.epochs, self._samples_seen()) as task:
             batches = loader.epoch(start.epoch, start.batch)
             for batch, (pictures, steering) in enumerate(batches, start.batch + 1):
                 torch.manual_seed(_dropout_seed(self.config.seed, start.epoch, batch, group.rank))
+                wall_s, cpu_s = wall_s - time.perf_counter(), cpu_s - time.thread_time()
                 error += learn(
                     network,
                     self.optimizer,
@@ -203,6 +208,7 @@ class TrainingLoop:
                     batch=min(self.config.batch, len(loader) - (batch - 1) * self.config.batch),
                     ranks=group.ranks,
                 )
+                wall_s, cpu_s = wall_s + time.perf_counter(), cpu_s + time.thread_time()
                 samples += len(steering)
                 self.position = replace(start, batch=batch)
                 if batch % STEP_BATCHES == 0 or batch == loader.batches:
@@ -212,6 +218,8 @@ class TrainingLoop:
                     if count:
                         note = self._tell(loss, int(count), now_s - told_s)
                     told_error, told_samples, told_s = now_error, samples, now_s
+                    self._notice_if_busy(wall_s, cpu_s)
+                    wall_s = cpu_s = 0.0
                 task.advance(len(steering) * group.ranks, note)
                 if group.ranks > 1 and batch % STEP_BATCHES and batch != loader.batches:
                     continue  # asking the other ranks makes a GPU wait
@@ -223,6 +231,14 @@ class TrainingLoop:
                 if is_stopped:
                     raise KeyboardInterrupt
         self._sum(float(error), samples, told_error, told_samples, begun_s)
+
+    def _notice_if_busy(self, wall_s: float, cpu_s: float) -> None:
+        """Say so once, and at once: there may be hours to go."""
+        if self._is_busy_told or not self.group.is_first:
+            return
+        if notice := busy_notice(self.run, torch.get_num_threads(), wall_s, cpu_s):
+            logging.getLogger(__name__).warning("%s", shown(notice))
+            self._is_busy_told = True
 
     def _end_epoch(self) -> None:
         if not self.position.samples:
