@@ -9,6 +9,7 @@ import shlex
 import sys
 from dataclasses import dataclass, field
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -147,7 +148,7 @@ class Printer:
         measures = epoch.measures
         if measures.frames and not self._has_begun:
             print(
-                f"errors of {measures.frames:,} frames held out, in degrees; always the mean: RMSE"
+                f"errors of {counted(measures.frames, 'frame')} held out, in degrees; always the mean: RMSE"
                 f" {measures.mean.rmse_deg:.2f}, always zero: {measures.zero.rmse_deg:.2f}"
             )
         self._has_begun = True
@@ -168,6 +169,9 @@ class Printer:
 
 
 def _listeners(config: Train, run: Path) -> list[Listener]:
+    """Raises UserError where what one of them needs is not installed."""
+    if config.viewer and find_spec("rerun") is None:
+        raise UserError("--viewer: the viewer is not installed here: `pip install rerun-sdk` brings it")
     if not config.tensorboard:
         return [Printer()]
     from model.tensorboard import TensorBoard
@@ -221,7 +225,7 @@ def _index_of(config: Train, *, is_first: bool) -> Path:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         stderr().print(f"{config.index}: no index yet; building it from {config.sessions}")
         build_index(find_logs((), config.sessions), config.index)
-    elif is_first and (absent := sessions_not_indexed(config.index, config.sessions)):
+    elif is_first and config.resume is None and (absent := sessions_not_indexed(config.index, config.sessions)):
         stderr().print(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import counted
 from dataset import MAX_STEERING_DEG
 from dataset.figure_style import (
     BLUE,
@@ -170,7 +171,7 @@ def _draw_scatter(axes: Axes, predicted: Floats, recorded: Floats, measures: Mea
     axes.plot((-_FARTHEST, _FARTHEST), (-_FARTHEST, _FARTHEST), color=GREY, linewidth=0.8)
     shown = np.clip(predicted, -_FARTHEST, _FARTHEST)
     axes.scatter(recorded, shown, s=6, color=BLUE, alpha=alpha, linewidth=0, clip_on=False)
-    told = f"{len(recorded):,} frames held out: RMSE {measures.network.rmse_deg:.2f}°"
+    told = f"{counted(len(recorded), 'frame')} held out: RMSE {measures.network.rmse_deg:.2f}°"
     if math.isfinite(measures.network.correlation):
         told += f", correlation {measures.network.correlation:.2f}"
     if beyond := int((np.abs(predicted) > _FARTHEST).sum()):

@@ -15,6 +15,7 @@ from typing import Any, Final
 import torch
 
 from common import Skipped
+from common.errors import counted
 from common.interrupts import stop_signals
 from common.locks import try_lock
 from dataset import Samples
@@ -206,7 +207,8 @@ def _of_validation(samples: Samples, held_out: int, init: Path | None) -> list[s
     if count == 0:
         return []
     known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
-    return [f"{samples.path}: {held_out:,} frames are held out, but {init} {known}: their errors say too little"]
+    held = counted(held_out, "frame")
+    return [f"{samples.path}: {held} held out, but {init} {known}: their errors say too little"]
 
 
 def _started_from(init: Path | None, run: Path) -> dict[str, Any]:
