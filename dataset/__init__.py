@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 # training reads an index where what builds one is not installed
-__getattr__ = lazy_names(
+__getattr__, __dir__ = lazy_names(
     __name__,
     {
         "Indexed": "dataset.index",

@@ -191,7 +191,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     try:
         training = TrainConfig(epochs=config.epochs)
     except ValueError as error:
-        raise UserError(f"--epochs {config.epochs}: {error}") from None
+        raise UserError(str(error)) from None
     run = find_run(config.run, config.runs)
     aggregation = Aggregation(run, course, settings, config.aggregate, places, training)
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,8 +12,8 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, flags_given, run_command, stderr, stdout, warn, warn_skipped
-from common.errors import shown
+from common.command import BAD_USAGE, DONE, complain, flags_given, run_command, stderr, stdout, warn, warn_skipped
+from common.errors import counted, shown
 
 if TYPE_CHECKING:
     from drive.closed_loop import Result
@@ -35,7 +36,7 @@ class Eval:
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """The run, by name or folder; the newest one by default."""
-    index: Annotated[Path | None, _default("PATH", "index")] = None
+    index: Annotated[Path | None, _default("PATH", "the one that the run was trained on")] = None
     """The index whose frames are measured."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
     """Which of its frames: those that were held out, or those for training."""
@@ -70,7 +71,11 @@ DRIVEN = ("laps", "speed", "precision", "logs", "force")
 
 
 def evaluate(config: Eval) -> int:
-    _refuse_contradictions(config)
+    try:
+        _refuse_contradictions(config)
+    except UserError as error:
+        complain("bc-eval", error)
+        return BAD_USAGE
     return _measure(config) if config.simulator is None else _drive(config, config.simulator)
 
 
@@ -92,7 +97,7 @@ def _refuse_contradictions(config: Eval) -> None:
     if config.session is not None and (config.index is not None or config.split is not None):
         raise UserError("--session measures whole sessions, of no index: leave out --index and --split")
     if config.worst is not None and config.worst < 0:
-        raise UserError(f"--worst {config.worst}: a number of frames was expected, 0 for none")
+        raise UserError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
 
 
 def _measure(config: Eval) -> int:
@@ -105,8 +110,8 @@ def _measure(config: Eval) -> int:
 
     run = find_run(config.run, config.runs)
     split = config.split or "validation"
-    index = config.index or Path("index")
     if config.session is None:
+        index = config.index or _index_of(run)
         found = evaluate_run(run, index, split)
         what: dict[str, Any] = {"index": str(index), "split": split}
     else:
@@ -119,7 +124,24 @@ def _measure(config: Eval) -> int:
         from drive.eval_report import print_evaluation
 
         print_evaluation(found, worst)
+        if config.session is None:
+            print(f"measured on what {shown(str(index))} {'holds out' if split == 'validation' else 'trains on'}")
     return _told(found, is_training=config.session is None and split == "train")
+
+
+def _index_of(run: Path) -> Path:
+    """The index that the run was trained on; that in the current folder for a run that does not say."""
+    from model.places import index_of
+
+    index = index_of(run)
+    if index is None:
+        return Path("index")
+    if not index.is_dir():
+        raise UserError(
+            f"{index}: the index that {run} was trained on is not there any more; give --index INDEX, or measure"
+            " whole sessions: --session NAME"
+        )
+    return index
 
 
 def _told(found: Evaluation, *, is_training: bool) -> int:
@@ -133,7 +155,7 @@ def _told(found: Evaluation, *, is_training: bool) -> int:
     if found.learnt is None:
         code = warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
     elif found.learnt:
-        line = f"{run} has learnt from {found.learnt:,} of these {count:,} frames"
+        line = f"{run} has learnt from {found.learnt:,} of these {counted(count, 'frame')}"
         if is_training:
             stderr().print(shown(f"bc-eval: {line}"), markup=False)
         else:
@@ -148,14 +170,14 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
     from drive.config import DriveConfig
     from model import find_run, load_pilot
 
-    pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
-    pilot.get_ready()
     laps = 1.0 if config.laps is None else config.laps
     drives = [
         (Course(track, laps), DriveConfig(set_speed_mph=speed))
         for speed in config.speed or (10.0,)
         for track in tracks
     ]
+    pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
+    pilot.get_ready()
     console = stderr()
     results = []
     try:
@@ -172,7 +194,7 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
             stdout().print(_table(results))
-            print(f"look at a drive with `bc-play {results[-1].log}`", flush=True)
+            print(f"look at a drive with `bc-play {shlex.quote(shown(str(results[-1].log)))}`", flush=True)
     return DONE
 
 
@@ -189,7 +211,7 @@ def _table(results: list[Result]) -> Table:
             f"{result.config.set_speed_mph:g}",
             f"{book['mean_speed_mph']:.1f}",
             f"{book['laps']:.2f}",
-            str(book["interventions"]),
+            f"{book['interventions']:,}",
             f"{book['autonomy_percent']:.1f} %",
             f"{book['mean_offset']:.2f}",
             f"{book['max_offset']:.2f}",

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.bar import Bar
 from rich.markup import escape
 from rich.table import Table
 
 from common.command import stdout
-from common.errors import shown
+from common.errors import counted, shown
 from model.evaluation import Evaluation
+from model.hints import run_argument, short_path
 from model.measures import Measures
 from model.run import run_name
 from model.worst import WorstFrame
@@ -22,7 +22,7 @@ BAR_CELLS = 16  # so that a line fits 80 columns
 
 
 def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> None:
-    """Print the tables; then, with `worst` frames, how to look at the worst one."""
+    """Print the tables; then the commands that show the `worst` frames."""
     tables = [_measures_table(evaluation), _bins_table(evaluation.measures)]
     if len(evaluation.sessions) > 1:
         tables.append(_sessions_table(evaluation.sessions))
@@ -31,14 +31,24 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> Non
     for table in tables:
         stdout().print(table, "")
     if worst:
-        log = shlex.quote(shown(str(_short(evaluation.logs[worst[0].session]))))
-        print(f"look at the worst with `bc-play {log}`, at {_clock(worst[0])} UTC")
+        print("look at them, the worst one first:")
+        for frame in worst:
+            print(f"    {_play(evaluation, frame)}")
+        print()
+
+
+def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
+    """The command that shows a frame, and what the network says of it."""
+    log = shlex.quote(shown(str(short_path(evaluation.logs[frame.session]))))
+    since_begin_ns = frame.log_time_ns - evaluation.begins_ns[frame.session]
+    at_ms = -(-since_begin_ns // 1_000_000)  # not before the frame
+    return f"bc-play {log} --at {at_ms / 1000:.3f} --run {shown(run_argument(evaluation.run))}"
 
 
 def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
     of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
-    title = f"{shown(run_name(evaluation.run))}: {measures.frames:,} frames; errors in degrees"
+    title = f"{shown(run_name(evaluation.run))}: {counted(measures.frames, 'frame')}; errors in degrees"
     table = _table(title, "", "network", "always zero", "always the mean")
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
         table.add_row(heading, *(_number(getattr(errors, name)) for errors in of.values()))
@@ -87,7 +97,7 @@ def _worst_table(worst: Sequence[WorstFrame]) -> Table:
     for frame in worst:
         table.add_row(
             escape(shown(frame.session)),
-            str(frame.row),
+            f"{frame.row:,}",
             _clock(frame),
             f"{frame.predicted_deg:+.2f}",
             f"{frame.recorded_deg:+.2f}",
@@ -111,9 +121,3 @@ def _number(value: float) -> str:
 def _clock(frame: WorstFrame) -> str:
     """Its time as people write it: to the millisecond, UTC."""
     return frame.log_time_utc.removesuffix("+00:00").replace("T", " ")
-
-
-def _short(log: Path) -> Path:
-    """A log's path as a person would type it."""
-    resolved = log.resolve()
-    return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved

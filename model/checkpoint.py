@@ -1,30 +1,32 @@
 """Where a training stands: `last/checkpoint.safetensors`, from which it goes on as if it had never stopped.
 
-One file, so that weights, moments of Adam and position are always of the same moment. No random state is in it:
-order, dropout and alterations are functions of (seed, epoch, batch), drawn anew in every step.
+One file with its own checksum (sealed.py), so that weights, moments of Adam and position are always of the same
+moment. No random state is in it: order, dropout and alterations are functions of (seed, epoch, batch), drawn anew
+in every step.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
-from common import whole_file
-from common.files import make_folder
 from model.errors import RunError
+from model.hints import run_argument
+from model.sealed import read_sealed, write_sealed
 
 FORMAT: Final = "1"
 LAST: Final = "last"
 CHECKPOINT: Final = "checkpoint.safetensors"
 
+_WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
 _MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what torch.optim.Adam keeps of each parameter
 
 
@@ -62,33 +64,38 @@ def save_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam, 
     for name, parameter in network.named_parameters():
         moments = optimizer.state.get(parameter, {})  # empty before the first step
         tensors |= {f"{moment}.{name}": tensor for moment, tensor in moments.items()}
-    contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     stored = {"format": FORMAT, "position": json.dumps(asdict(position))}
-    path = checkpoint_path(run)
-    make_folder(path.parent)
-    with whole_file(path, overwrite=True) as part:
-        part.write_bytes(save(contiguous, stored))
+    write_sealed(checkpoint_path(run), tensors, stored)
 
 
 def read_position(run: Path) -> Position:
-    """Where the run's checkpoint stands. Raises RunError if there is none, or if it is damaged."""
-    path = checkpoint_path(run)
-    if not path.is_file():
-        raise RunError(f"{path}: gone; train another run from its weights: --init {run.name}")
+    """Where the run's checkpoint stands, as it says itself. Raises RunError if there is none, or if that cannot be
+    read."""
+    path = _required(run)
     try:
         with safe_open(path, framework="pt") as file:
             stored = file.metadata() or {}
+    except (OSError, SafetensorError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
+    return _position(stored, path)
+
+
+def _required(run: Path) -> Path:
+    path = checkpoint_path(run)
+    if not path.is_file():
+        raise RunError(f"{path}: gone; train another run from its weights: --init {run_argument(run)}")
+    return path
+
+
+def _position(stored: Mapping[str, str], path: Path) -> Position:
+    try:
         if stored.get("format") != FORMAT:
             raise RunError(
                 f"{path}: of format {stored.get('format')}, this toolkit reads {FORMAT}; update the toolkit"
             )
         return Position(**json.loads(stored["position"]))
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: Exception) -> RunError:
-    return RunError(f"{path}: cannot be read ({error}); train anew, or with `--init`")
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
 
 
 def load_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam) -> Position:
@@ -96,12 +103,9 @@ def load_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam) 
 
     Raises RunError if the checkpoint is damaged, of another version, or of another network.
     """
-    path = checkpoint_path(run)
-    position = read_position(run)
-    try:
-        tensors = load_file(path)
-    except (OSError, SafetensorError) as error:
-        raise _unreadable(path, error) from None
+    path = _required(run)
+    tensors, stored = read_sealed(path, run, _WAY_OUT)
+    position = _position(stored, path)
     named = dict(network.named_parameters())
     has_moments = any(name.startswith("exp_avg.") for name in tensors)
     kinds = ("network", *_MOMENTS) if has_moments else ("network",)
@@ -120,7 +124,7 @@ def _moments(
 ) -> dict[str, Any]:
     step = tensors[f"step.{name}"]
     if step.shape != () or step.dtype != torch.float32 or not 1 <= step.item() < 2**53:
-        raise RunError(f"{path}: a step count that is none; train anew, or with `--init`")
+        raise RunError(f"{path}: a step count that is none; {_WAY_OUT}")
     is_fused = optimizer.defaults["fused"]
     return {
         "step": step.to(parameter.device) if is_fused else step,

@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import shlex
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tyro
 
 from common import UserError
-from common.command import DONE, FAILED, run_command, stderr, warn, warn_skipped
+from common.command import BAD_USAGE, DONE, FAILED, complain, run_command, stderr, warn, warn_skipped
 from common.errors import counted
 from model.config import TrainConfig
 
@@ -53,35 +54,45 @@ class Train:
 
 
 def train(config: Train) -> int:
-    from model.checkpoint import read_position
+    if wrong := _contradiction(config):
+        complain("bc-train", UserError(wrong))
+        return BAD_USAGE
+
     from model.distributed import FirstRankError, local_rank_of_process, rank_of_process
+    from model.errors import RunWriteError
+    from model.hints import run_argument
+    from model.history import read_history
     from model.machine import choose_machine
     from model.network import PARAMETERS
-    from model.run import WEIGHTS, find_run
+    from model.run import WEIGHTS, find_run, load_config
     from model.training import train as train_network
+    from model.verdict import verdict
 
     is_first = rank_of_process() == 0
-    run, index = _run_of(config), _index_of(config, is_first=is_first)
-    init = find_run(config.init, config.runs) if config.init is not None else None
     settings = config.config
+    # all that can fail at once, before the minutes that an index may take
+    run = _run_of(config)
+    init = find_run(config.init, config.runs) if config.init is not None else None
+    if init is not None:
+        load_config(init)
     machine = choose_machine(settings, local_rank_of_process())
+    listeners = _listeners(config, run) if is_first else []
+    index = _index_of(config, is_first=is_first)
     if is_first:
         where = "GPU" if machine.device.type == "cuda" else "processor"
-        begin = read_position(run) if config.resume is not None else None
-        going_on = f", going on in epoch {begin.epoch} after batch {begin.batch}" if begin is not None else ""
         epochs = counted(settings.epochs, "epoch")
         print(
-            f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}{going_on}",
+            f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}"
+            f"{_going_on(run) if config.resume is not None else ''}",
             flush=True,
         )
     try:
-        with _listeners(config, run, is_first=is_first) as listeners:
+        with _viewer(config, run) if is_first else contextlib.nullcontext():
             is_resumed = config.resume is not None
             trained = train_network(index, run, settings, listeners, init=init, resume=is_resumed)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RunWriteError):
         if is_first and run.exists():
-            command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... -m model.train"
-            stderr().print(f"bc-train: what is learnt is kept; go on with `{command} --resume {run.name}`")
+            stderr().print(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}`", markup=False)
         raise
     except FirstRankError:
         return FAILED  # the first one says why
@@ -92,12 +103,36 @@ def train(config: Train) -> int:
     for remark in trained.remarks:
         stderr().print(remark, markup=False)
     if trained.is_stopped_early:
-        print(f"{run}: stopped early: {settings.patience} epochs were no better than the best (--patience)")
+        print(f"{run}: stopped early: {counted(settings.patience, 'epoch')} no better than the best (--patience)")
     elif not trained.epochs:
         print(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    print(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run.name}`")
+    for line in verdict(read_history(run)[0].epochs, best) if best else ():
+        print(line)
+    print(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
     return code
+
+
+def _going_on(run: Path) -> str:
+    """Where a run that was stopped is gone on with."""
+    from model.checkpoint import read_position
+    from model.run import is_unbegun
+
+    if is_unbegun(run):
+        return ", begun again from its seed: it was stopped before anything was saved"
+    begin = read_position(run)
+    return f", going on in epoch {begin.epoch:,} after batch {begin.batch:,}"
+
+
+def _resume(run: Path, index: Path) -> str:
+    """The command that goes on with a run."""
+    from model.hints import run_argument
+    from model.places import index_of
+
+    command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... -m model.train"
+    told = index_of(run)
+    is_told = told is not None and told.resolve() == index.resolve()
+    return f"{command} --resume {run_argument(run)}{'' if is_told else f' --index {shlex.quote(str(index))}'}"
 
 
 class Printer:
@@ -113,7 +148,7 @@ class Printer:
         measures = epoch.measures
         if measures.frames and not self._has_begun:
             print(
-                f"errors of {measures.frames:,} frames held out, in degrees; always the mean: RMSE"
+                f"errors of {counted(measures.frames, 'frame')} held out, in degrees; always the mean: RMSE"
                 f" {measures.mean.rmse_deg:.2f}, always zero: {measures.zero.rmse_deg:.2f}"
             )
         self._has_begun = True
@@ -133,39 +168,43 @@ class Printer:
         """Nothing to close."""
 
 
-@contextlib.contextmanager
-def _listeners(config: Train, run: Path, *, is_first: bool) -> Iterator[list[Listener]]:
-    listeners: list[Listener] = []
-    with contextlib.ExitStack() as stack:
-        if is_first:
-            listeners.append(Printer())
-            if config.tensorboard:
-                from model.tensorboard import TensorBoard
+def _listeners(config: Train, run: Path) -> list[Listener]:
+    """Raises UserError where what one of them needs is not installed."""
+    if config.viewer and find_spec("rerun") is None:
+        raise UserError("--viewer: the viewer is not installed here: `pip install rerun-sdk` brings it")
+    if not config.tensorboard:
+        return [Printer()]
+    from model.tensorboard import TensorBoard
 
-                listeners.append(TensorBoard(run))
-            if config.viewer:
-                from common.preview import preview
+    return [Printer(), TensorBoard(run)]
 
-                stack.enter_context(preview(run))
-        yield listeners
+
+def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]:
+    if not config.viewer:
+        return contextlib.nullcontext()
+    from common.preview import preview
+
+    return preview(run)
+
+
+def _contradiction(config: Train) -> str:
+    """What is wrong with the flags; empty if they go together."""
+    others = {"--name": config.name, "--init": config.init, "--like": config.like}
+    if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
+        return f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them"
+    if Path(config.name).name != config.name or config.name.startswith("."):
+        return f"--name {config.name!r}: a plain name was expected; give the folder with --runs"
+    return ""
 
 
 def _run_of(config: Train) -> Path:
-    if config.resume is not None:
-        others = {"--name": config.name, "--init": config.init, "--like": config.like}
-        if unfit := [flag for flag, value in others.items() if value]:
-            raise UserError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
-        from model.run import find_started
+    from model.run import find_started, refuse_existing_run
 
+    if config.resume is not None:
         return find_started(config.resume, config.runs)
-    name = config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
-    if Path(name).name != name or name.startswith("."):
-        raise UserError(f"--name {name!r}: a plain name was expected; give the folder with --runs")
-    if (config.runs / name).exists():
-        raise UserError(
-            f"{config.runs / name}: exists already; give another --name, or go on with it: --resume {name}"
-        )
-    return config.runs / name
+    run = config.runs / (config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S"))
+    refuse_existing_run(run)
+    return run
 
 
 def _index_of(config: Train, *, is_first: bool) -> Path:
@@ -173,17 +212,20 @@ def _index_of(config: Train, *, is_first: bool) -> Path:
     from dataset import build_index, find_logs, sessions_not_indexed
     from dataset.samples_format import SAMPLES_NAME
 
-    if config.like is not None:
+    is_there = (config.index / SAMPLES_NAME).exists()
+    if config.like is not None or (config.resume is not None and not is_there):
         from model.like import index_of_run
         from model.run import find_started
 
-        return index_of_run(find_started(config.like, config.runs), config.index, config.sessions)
-    if not (config.index / SAMPLES_NAME).exists():
+        name = config.like if config.like is not None else config.resume
+        assert name is not None  # noqa: S101
+        return index_of_run(find_started(name, config.runs), config.index, config.sessions)
+    if not is_there:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         stderr().print(f"{config.index}: no index yet; building it from {config.sessions}")
         build_index(find_logs((), config.sessions), config.index)
-    elif is_first and (absent := sessions_not_indexed(config.index, config.sessions)):
+    elif is_first and config.resume is None and (absent := sessions_not_indexed(config.index, config.sessions)):
         stderr().print(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )
@@ -191,7 +233,7 @@ def _index_of(config: Train, *, is_first: bool) -> Path:
 
 
 def _defaults() -> Train:
-    """What holds where no flag is given: the settings of the run that is named with --resume or --like."""
+    """What holds where no flag is given: settings and places of the run that is named with --resume or --like."""
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     given.add_argument("--resume")
     given.add_argument("--like")
@@ -199,14 +241,18 @@ def _defaults() -> Train:
     with contextlib.suppress(argparse.ArgumentError):  # tyro says what is wrong
         flags, _ = given.parse_known_args()
         if name := flags.resume if flags.resume is not None else flags.like:
-            from model.like import init_of_run
+            from model.places import index_of, init_of, sessions_of
             from model.provenance import training_of
             from model.run import CONFIG, find_started, load_config
 
             run = find_started(name, flags.runs)
-            settings = training_of(load_config(run), str(run / CONFIG))
-            init = init_of_run(run, flags.runs) if flags.resume is None else None
-            return Train(config=settings, init=str(init) if init is not None else None)
+            init = init_of(run, flags.runs) if flags.resume is None else None
+            return Train(
+                init=str(init) if init is not None else None,
+                index=index_of(run) or Train.index,
+                sessions=sessions_of(run) or Train.sessions,
+                config=training_of(load_config(run), str(run / CONFIG)),
+            )
     return Train()
 
 

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
+
+_RANGES: Final = {
+    "epochs": (1, 10**6),
+    "batch": (1, 10**6),
+    "seed": (0, 2**63 - 1),
+    "patience": (0, 10**9),
+    "micro_batch": (0, 10**9),
+    "threads": (0, 4096),
+    "picture_memory_mb": (0, 10**9),
+}
 
 
 @dataclass(frozen=True)
@@ -38,16 +48,16 @@ class TrainConfig:
     """Memory for decoded pictures; those beyond it are decoded anew in each epoch."""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value that makes no sense."""
-        if not (1 <= self.epochs <= 10**6 and 1 <= self.batch <= 10**6):
-            raise ValueError("epochs and batch must be in 1..1,000,000")
-        if not 0 < self.rate < math.inf or not 0 <= self.dropout < 1:
-            raise ValueError("rate must be positive, dropout in 0..1 (1 excluded)")
-        if not (0 <= self.seed < 2**63 and 0 <= self.threads <= 4096):
-            raise ValueError("seed must be in 0..2^63 (excluded), threads in 0..4,096")
-        numbers = (self.patience, self.micro_batch, self.picture_memory_mb)
-        if not all(0 <= number <= 10**9 for number in numbers):
-            raise ValueError("patience, micro_batch and picture_memory_mb must be in 0..10^9")
+        """Raises ValueError, naming the flag, for a value that makes no sense."""
+        for name, (least, most) in _RANGES.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                flag = name.replace("_", "-")
+                raise ValueError(f"--{flag} {value}: a whole number from {least:,} to {most:,} was expected")
+        if not 0 < self.rate < math.inf:
+            raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"--dropout {self.dropout:g}: a number from 0 to 1 (excluded) was expected")
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)

@@ -16,13 +16,15 @@ import numpy as np
 import pyarrow as pa
 
 from common import Skipped
+from common.errors import counted
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames import session_name
 from dataset.samples_file import Split
 from model.learnt import by_session, count_learnt
 from model.measures import Measures, measure
 from model.predict import BATCH, predict_crops
-from model.run import load_config, run_name, without_nan
+from model.run import load_config, run_name
+from model.run_files import without_nan
 
 _FROM_INDEX: Final = pa.schema(
     [
@@ -42,6 +44,7 @@ class Evaluation:
     run: Path
     frames: pa.Table  # session, row, camera, log_time_ns; recorded and predicted: steering, -1..1
     logs: dict[str, Path]  # of the sessions
+    begins_ns: dict[str, int]  # log time of the first message of each of these logs
     learnt: int | None  # how many of the frames the run has learnt from; None where its config does not say
     skipped: Skipped  # pictures that do not decode
     notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
@@ -83,13 +86,13 @@ class Evaluation:
         }
 
 
-def evaluate(run: Path, index: Path, split: Split = "validation") -> Evaluation:
+def evaluate(run: Path | str, index: Path | str, split: Split = "validation") -> Evaluation:
     """Measure a run on a split of `index`: what the car itself saw, unaltered, against how it was driven.
 
     Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
     LogError for a damaged log.
     """
-    samples = Samples(index)
+    samples = Samples(Path(index))
     try:
         seen = samples.driving_view(split)
         if not len(seen):
@@ -97,21 +100,21 @@ def evaluate(run: Path, index: Path, split: Split = "validation") -> Evaluation:
                 f"{samples.path}: no frame of the split {split} in it; give another --split, or whole sessions:"
                 " --session NAME"
             )
-        return _evaluate(run, samples, seen)
+        return _evaluate(Path(run), samples, seen)
     finally:
         samples.close()
 
 
-def evaluate_sessions(run: Path, logs: Sequence[Path]) -> Evaluation:
+def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation:
     """Measure a run on all frames of some logs that can be used, whether or not they are in an index.
 
     Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
     """
-    paths = {session_name(log): log for log in logs}
+    paths = {session_name(log): log for log in map(Path, logs)}
     config = IndexConfig(validation=tuple(paths), balance=False, flip=False)
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
-        notices = build_index(logs, Path(folder), config).notices
-        found = evaluate(run, Path(folder))
+        notices = build_index(list(paths.values()), Path(folder), config).notices
+        found = evaluate(run, folder)
     notices += [
         f"{path}: not measured: no picture of the centre camera that can be used"
         for session, path in paths.items()
@@ -128,13 +131,14 @@ def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
     if not is_decoded.any():
         _, name = next(iter(loader.skipped))
         raise DatasetError(
-            f"none of {len(seen):,} pictures decodes, such as that of {name}; look with `bc-log check`"
+            f"none of {counted(len(seen), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
         )
     frames = _from_index(seen, samples).append_column("predicted", pa.array(steering)).filter(pa.array(is_decoded))
     return Evaluation(
         run,
         frames,
         {session: log.path.resolve() for session, log in samples.logs.items()},
+        {session: log.time_range_ns[0] for session, log in samples.logs.items()},
         count_learnt(by_session(frames), samples, config),
         loader.skipped,
     )

@@ -27,6 +27,7 @@ from model.errors import RunError
 from model.network import SteeringNetwork
 from model.predict import as_input
 from model.run import checksum, load_config, load_network, run_name
+from model.run_files import named
 
 if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto
@@ -35,15 +36,15 @@ OPSET, IR_VERSION = 13, 7  # of ONNX 1.8 (2020), which whatever reads ONNX today
 MOST_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
 
 
-def export_onnx(run: Path, path: Path, *, overwrite: bool = False) -> float:
+def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -> float:
     """Write the network of a run folder to `path`; the largest difference of its steering between ONNX Runtime and
     PyTorch on a few pictures.
 
     In: "pictures", uint8 (N, 128, 128, 3), BGR, as `Pilot.crop` gives them. Out: "steering", float32 (N,), not
     clamped, -1 (left) .. 1 (right). The file's metadata tell how to use it. Same run: the same bytes.
 
-    Raises RunError if the run is incomplete, damaged or of another version, if its steering differs, or if ONNX or
-    ONNX Runtime is not installed; UserError if `path` exists already.
+    Raises RunError if the run is incomplete, damaged or of another version, if its steering differs, if ONNX or
+    ONNX Runtime is not installed, or if the disk is full; UserError if `path` exists already.
     """
     try:
         import onnx  # noqa: F401
@@ -52,11 +53,12 @@ def export_onnx(run: Path, path: Path, *, overwrite: bool = False) -> float:
         raise RunError(
             f'exporting needs ONNX and ONNX Runtime ({error}): install them with `pip install "{TOOLKIT}[onnx]"`'
         ) from None
+    run, path = Path(run), Path(path)
     refuse_existing(path, overwrite)
     load_config(run)
     network = load_network(run)
     model = _model(network, description(run))
-    with whole_file(path, overwrite=overwrite) as part:
+    with named(path), whole_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
         difference = _largest_difference(part, network)
         if not difference < MOST_DIFFERENCE:  # not a number, too

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common import whole_file
+from common.errors import counted
 from dataset import MAX_STEERING_DEG
 from dataset.figure_style import (
     BLUE,
@@ -31,6 +31,7 @@ from model.errors import RunError
 from model.history import History, read_history
 from model.measures import BinErrors, Measures, measure
 from model.progress import Epoch
+from model.run_files import replaced_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +64,7 @@ def write_run_figures(run: Path, predicted: Floats, recorded: Floats) -> list[Pa
     }
     with figure_style():
         for name, figure in draw.items():
-            with whole_file(run / name, overwrite=True) as part:
+            with replaced_file(run / name) as part:
                 figure().savefig(part, format="png", dpi=DPI)
     return [run / name for name in draw]
 
@@ -170,7 +171,7 @@ def _draw_scatter(axes: Axes, predicted: Floats, recorded: Floats, measures: Mea
     axes.plot((-_FARTHEST, _FARTHEST), (-_FARTHEST, _FARTHEST), color=GREY, linewidth=0.8)
     shown = np.clip(predicted, -_FARTHEST, _FARTHEST)
     axes.scatter(recorded, shown, s=6, color=BLUE, alpha=alpha, linewidth=0, clip_on=False)
-    told = f"{len(recorded):,} frames held out: RMSE {measures.network.rmse_deg:.2f}°"
+    told = f"{counted(len(recorded), 'frame')} held out: RMSE {measures.network.rmse_deg:.2f}°"
     if math.isfinite(measures.network.correlation):
         told += f", correlation {measures.network.correlation:.2f}"
     if beyond := int((np.abs(predicted) > _FARTHEST).sum()):

@@ -199,7 +199,14 @@ def _epoch_of(values: Any) -> Epoch:
         _count(values["epoch"]),
         _number(values["training_loss"]),
         _number(values["validation_loss"]),
-        Measures(sum(part.frames for part in bins), network, zero, mean, bins),
+        Measures(
+            sum(part.frames for part in bins),
+            network,
+            zero,
+            mean,
+            bins,
+            _number(values["mean"].get("balanced_rmse_deg")),  # earlier versions did not tell it
+        ),
         values["is_best"] is True,
         _number(values["seconds"]),
         _number(values["samples_per_s"]),

@@ -9,13 +9,14 @@ from typing import Any
 from common.stored import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from model.errors import RunError
+from model.places import logs_of
 from model.provenance import data_fingerprint_of
-from model.run import CONFIG, checksum, find_run, load_config, run_name
+from model.run import CONFIG, load_config, run_name
 
 
 def index_of_run(run: Path, index: Path, sessions: Path) -> Path:
     """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
-    from the run's settings and the logs of its sessions in `sessions`.
+    from the run's settings and the logs of its sessions, in `sessions` or where they were.
 
     Raises RunError if these logs, or their tags, have changed since; DatasetError if one is gone.
     """
@@ -28,7 +29,12 @@ def index_of_run(run: Path, index: Path, sessions: Path) -> Path:
         if _fingerprint(place) == wanted:
             return place
     settings, fingerprints = _data_of(stored, where)
-    build_index(find_logs(list(fingerprints), sessions), own, settings)
+    before = logs_of(run)
+    logs = [
+        str(before[name]) if name in before and not (sessions / f"{name}.mcap").exists() else name
+        for name in fingerprints
+    ]
+    build_index(find_logs(logs, sessions), own, settings)
     with contextlib.closing(Samples(own)) as samples:
         changed = [name for name, (_, now) in samples.sources.items() if now != fingerprints[name]]
         if changed:
@@ -39,26 +45,6 @@ def index_of_run(run: Path, index: Path, sessions: Path) -> Path:
                 " or it was made by another version of the toolkit"
             )
     return own
-
-
-def init_of_run(run: Path, runs: Path) -> Path | None:
-    """The run whose weights `run` was started from, in `runs`; None if it began with random ones.
-
-    Raises RunError if that run is gone, or has other weights by now.
-    """
-    stored = load_config(run).get("init")
-    if stored is None:
-        return None
-    try:
-        name, weights_sha256 = str(stored["run"]), str(stored["weights_sha256"])
-        if Path(name).name != name:
-            raise ValueError("a run's name is a path")
-    except (KeyError, TypeError, ValueError) as error:
-        raise RunError(f"{run / CONFIG}: does not say which run it was started from ({error})") from None
-    init = find_run(name, runs)
-    if checksum(init) != weights_sha256:
-        raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
-    return init
 
 
 def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -17,22 +18,26 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from common import UserError
+from common.errors import counted, shown
 from common.versions import TOOLKIT
 from dataset import Loader, Samples
 from dataset.crops import CROP_BYTES
 from dataset.samples_file import LOADED
 from model.bar import Bar
 from model.batches import make_batches
+from model.busy import busy_notice
 from model.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.config import TrainConfig
 from model.distributed import Group
 from model.errors import RunError
+from model.hints import run_argument
 from model.machine import Machine
 from model.measures import measure
 from model.network import SteeringNetwork
 from model.predict import predict
 from model.progress import METRICS, STEPS, Epoch, Listener, Step
-from model.run import WEIGHTS, add_line, keep_lines, load_config, load_network, save_weights
+from model.run import WEIGHTS, load_config, load_network, save_weights
+from model.run_files import add_line, keep_lines
 from model.step import learn, make_optimizer
 from model.worst_pictures import COLUMNS as WORST_COLUMNS
 from model.worst_pictures import MOST_WORST_BYTES, WORST, find_worst
@@ -102,6 +107,7 @@ class TrainingLoop:
         self._saved_s = time.monotonic()
         self.has_learnt = False
         """Whether anything that was learnt is saved."""
+        self._is_busy_told = machine.device.type != "cpu"
         self.notices: list[str] = []
         self.remarks: list[str] = []
 
@@ -120,21 +126,21 @@ class TrainingLoop:
         self.position = load_checkpoint(self.run, self.network, self.optimizer)
         begun = self.position.epoch if self.position.batch else self.position.epoch - 1
         if self.config.epochs < begun:
-            raise RunError(
-                f"{self.run}: has learnt from {begun} epochs, not {self.config.epochs}; give more --epochs"
-            )
+            learnt = counted(begun, "epoch")
+            raise RunError(f"{self.run}: has learnt from {learnt}, not {self.config.epochs:,}; give more --epochs")
         if self.position.batch > self.batches.batches:
             raise RunError(
-                f"{path}: stands at batch {self.position.batch}, but an epoch has {self.batches.batches}; train"
-                " anew, or with `--init`"
+                f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.batches.batches:,};"
+                " train another run, perhaps from its weights: --init"
             )
-        self.group.first(self._keep_history)
+        self.group.first(self.keep_history)
         if not self.group.is_first:  # the first one has the sums of all
             self.position = replace(
                 self.position, squared_error=0.0, samples=0, told_squared_error=0.0, told_samples=0
             )
 
-    def _keep_history(self) -> None:
+    def keep_history(self) -> None:
+        """Leave of the run's files what was before its position."""
         seen = self._samples_seen()
         for name in (WORST, METRICS):
             keep_lines(self.run / name, lambda line: line["epoch"] < self.position.epoch)
@@ -185,11 +191,13 @@ class TrainingLoop:
         samples = start.samples
         begun_s = told_s = time.perf_counter()
         told_error, told_samples = start.told_squared_error, start.told_samples
-        name, note = f"epoch {start.epoch}/{self.config.epochs}", ""
+        wall_s = cpu_s = 0.0  # of the steps since the last line
+        name, note = f"epoch {start.epoch:,}/{self.config.epochs:,}", ""
         with self.bar.task(name, len(loader) * self.config.epochs, self._samples_seen()) as task:
             batches = loader.epoch(start.epoch, start.batch)
             for batch, (pictures, steering) in enumerate(batches, start.batch + 1):
                 torch.manual_seed(_dropout_seed(self.config.seed, start.epoch, batch, group.rank))
+                wall_s, cpu_s = wall_s - time.perf_counter(), cpu_s - time.thread_time()
                 error += learn(
                     network,
                     self.optimizer,
@@ -200,6 +208,7 @@ class TrainingLoop:
                     batch=min(self.config.batch, len(loader) - (batch - 1) * self.config.batch),
                     ranks=group.ranks,
                 )
+                wall_s, cpu_s = wall_s + time.perf_counter(), cpu_s + time.thread_time()
                 samples += len(steering)
                 self.position = replace(start, batch=batch)
                 if batch % STEP_BATCHES == 0 or batch == loader.batches:
@@ -209,6 +218,8 @@ class TrainingLoop:
                     if count:
                         note = self._tell(loss, int(count), now_s - told_s)
                     told_error, told_samples, told_s = now_error, samples, now_s
+                    self._notice_if_busy(wall_s, cpu_s)
+                    wall_s = cpu_s = 0.0
                 task.advance(len(steering) * group.ranks, note)
                 if group.ranks > 1 and batch % STEP_BATCHES and batch != loader.batches:
                     continue  # asking the other ranks makes a GPU wait
@@ -220,6 +231,14 @@ class TrainingLoop:
                 if is_stopped:
                     raise KeyboardInterrupt
         self._sum(float(error), samples, told_error, told_samples, begun_s)
+
+    def _notice_if_busy(self, wall_s: float, cpu_s: float) -> None:
+        """Say so once, and at once: there may be hours to go."""
+        if self._is_busy_told or not self.group.is_first:
+            return
+        if notice := busy_notice(self.run, torch.get_num_threads(), wall_s, cpu_s):
+            logging.getLogger(__name__).warning("%s", shown(notice))
+            self._is_busy_told = True
 
     def _end_epoch(self) -> None:
         if not self.position.samples:
@@ -332,7 +351,11 @@ class TrainingLoop:
 
     def _diverged(self) -> RunError:
         has_good = self._unsaved is not None or (self.run / WEIGHTS).exists()
-        kept = f"the best epoch before it is kept: `bc-train --init {self.run.name}`" if has_good else "train anew"
+        kept = (
+            f"the best epoch before it is kept: `bc-train --init {run_argument(self.run)}`"
+            if has_good
+            else "train anew"
+        )
         epoch, rate = self.position.epoch, self.config.rate
         return RunError(
             f"{self.run}: the loss is no longer finite in epoch {epoch}; {kept}"

@@ -7,6 +7,7 @@ measure stands beside those of always predicting zero, and the mean.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +54,7 @@ class Measures:
     zero: Errors  # of always predicting 0 on the same frames
     mean: Errors  # of always predicting those frames' own mean: no constant does better
     bins: tuple[BinErrors, ...]
+    mean_balanced_rmse_deg: float = math.nan  # of always predicting that mean; NaN where it is not known
 
     @property
     def balanced_rmse_deg(self) -> float:
@@ -60,9 +62,7 @@ class Measures:
 
         A network that always goes straight has a small RMSE where the road is mostly straight, but not this one.
         """
-        if not self.bins:
-            return float("nan")
-        return math.sqrt(sum(part.rmse_deg**2 for part in self.bins) / len(self.bins))
+        return _balanced_rmse_deg(self.bins)
 
 
 def measure(predicted: Floats, recorded: Floats, bins: int = BINS) -> Measures:
@@ -74,6 +74,7 @@ def measure(predicted: Floats, recorded: Floats, bins: int = BINS) -> Measures:
         constant_errors(0.0, recorded),
         constant_errors(mean, recorded),
         tuple(_bin_errors(predicted, recorded, bins)),
+        _balanced_rmse_deg(_bin_errors(np.full(len(recorded), mean), recorded, bins)),
     )
 
 
@@ -96,6 +97,10 @@ def errors(predicted: Floats, recorded: Floats) -> Errors:
 def constant_errors(value: float, recorded: Floats) -> Errors:
     """The errors of always predicting `value`."""
     return errors(np.full(len(recorded), value), recorded)
+
+
+def _balanced_rmse_deg(bins: Sequence[BinErrors]) -> float:
+    return math.sqrt(sum(part.rmse_deg**2 for part in bins) / len(bins)) if bins else math.nan
 
 
 def _off_deg(predicted: Floats, recorded: Floats) -> NDArray[np.float64]:

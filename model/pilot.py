@@ -68,7 +68,7 @@ class Pilot:
             self.predict(np.zeros((128, 128, 3), np.uint8))
 
 
-def load_pilot(run: Path, precision: Precision = "auto") -> Pilot:
+def load_pilot(run: Path | str, precision: Precision = "auto") -> Pilot:
     """The pilot of a run folder.
 
     `precision` is what it calculates in; "auto" takes bfloat16 where the processor has it, as training does. One
@@ -77,5 +77,6 @@ def load_pilot(run: Path, precision: Precision = "auto") -> Pilot:
 
     Raises RunError if the run is incomplete, damaged or of another version.
     """
+    run = Path(run)
     load_config(run)
     return Pilot(load_network(run), run_name(run), checksum(run), training_dtype(precision, torch.device("cpu")))

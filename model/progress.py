@@ -48,7 +48,7 @@ class Epoch:
             "validation_loss": self.validation_loss,
             "validation": asdict(measures.network),
             "zero": asdict(measures.zero),
-            "mean": asdict(measures.mean),
+            "mean": {**asdict(measures.mean), "balanced_rmse_deg": measures.mean_balanced_rmse_deg},
             "balanced_rmse_deg": measures.balanced_rmse_deg,
             "bins": [asdict(part) for part in measures.bins],
             "is_best": self.is_best,

@@ -43,8 +43,8 @@ def run_names(runs: Sequence[Path]) -> list[str]:
 
 
 def predict_log(
-    log: Path,
-    runs: Sequence[Path],
+    log: Path | str,
+    runs: Sequence[Path | str],
     on_look: Look | None = None,
     on_batch: Callable[[], object] = lambda: None,
 ) -> LogPredictions:
@@ -54,14 +54,17 @@ def predict_log(
     Raises RunError if a run is incomplete or damaged, or given twice, LogError for a damaged log, DatasetError for
     one without a picture that the network could see.
     """
-    names = run_names(runs)
+    log, folders = Path(log), [Path(run) for run in runs]
+    names = run_names(folders)
     with LogCrops(log) as crops:
 
         def look(run: int, numbers: NDArray[np.int64], pictures: Image, maps: NDArray[np.float32]) -> None:
             if on_look is not None:
                 on_look(names[run], crops.log_time_ns[numbers], pictures, maps)
 
-        predicted, is_decoded = predict_crops(runs, crops.batches(BATCH), len(crops), on_look and look, on_batch)
+        predicted, is_decoded = predict_crops(
+            folders, crops.batches(BATCH), len(crops), on_look and look, on_batch
+        )
         if not is_decoded.any():
             raise DatasetError(f"{log}: none of its {len(crops):,} pictures decodes; look with `bc-log check`")
         return LogPredictions(
@@ -73,7 +76,7 @@ def predict_log(
             {
                 "log": log.name,
                 "log_fingerprint": crops.fingerprint,
-                **{f"weights_sha256.{name}": checksum(run) for name, run in zip(names, runs, strict=True)},
+                **{f"weights_sha256.{name}": checksum(run) for name, run in zip(names, folders, strict=True)},
             },
             crops.skipped,
             crops.notice,

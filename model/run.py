@@ -1,6 +1,6 @@
 """The run folder: weights, what made them, and how training went. Nothing in it is ever unpickled.
 
-runs/NAME/model.safetensors   the weights of the best epoch: these drive
+runs/NAME/model.safetensors   the weights of the best epoch: these drive; with their checksum, see sealed.py
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
 runs/NAME/metrics.jsonl       one line an epoch
 runs/NAME/steps.jsonl         one line every few batches
@@ -13,23 +13,23 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import math
+import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save
 from torch import Tensor
 
-from common import whole_file
 from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.preprocess import DESCRIPTION
 from model.checkpoint import CHECKPOINT, LAST, checkpoint_path
 from model.errors import RunError
+from model.hints import known_runs, run_argument
 from model.network import SteeringNetwork
+from model.run_files import named, replaced_file
+from model.sealed import read_sealed, write_sealed
 
 FORMAT: Final = 2
 DRIVABLE: Final = (1, 2)  # format 1 says less of its training
@@ -39,12 +39,9 @@ WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
 def create_run(folder: Path, config: dict[str, Any]) -> None:
     """Make a run folder with its config. Raises RunError if there is one already."""
-    try:
+    refuse_existing_run(folder)
+    with named(folder):
         folder.mkdir(parents=True)
-    except FileExistsError:
-        raise RunError(
-            f"{folder}: this run exists already; give another --name, or go on with it: --resume {folder.name}"
-        ) from None
     try:
         write_config(folder, {"format": FORMAT, "preprocessing": DESCRIPTION, **config})
     except BaseException:
@@ -52,8 +49,19 @@ def create_run(folder: Path, config: dict[str, Any]) -> None:
         raise
 
 
+def refuse_existing_run(folder: Path) -> None:
+    """Raise RunError if the name of a run that is to be made is taken; it says how to go on."""
+    if (folder / CONFIG).is_file():
+        raise RunError(
+            f"{folder}: exists already; give another --name, or go on with it:"
+            f" `bc-train --resume {run_argument(folder)}`"
+        )
+    if os.path.lexists(folder):
+        raise RunError(f"{folder}: exists already, and is no run; give another --name, or remove it")
+
+
 def write_config(folder: Path, config: dict[str, Any]) -> None:
-    with whole_file(folder / CONFIG, overwrite=True) as part:
+    with replaced_file(folder / CONFIG) as part:
         part.write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
 
 
@@ -65,9 +73,7 @@ def run_name(folder: Path) -> str:
 
 def save_weights(folder: Path, weights: Mapping[str, Tensor], epoch: int) -> None:
     """Replace the run's weights in one step: a full disk or a crash leaves the old ones."""
-    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in weights.items()}
-    with whole_file(folder / WEIGHTS, overwrite=True) as part:
-        part.write_bytes(save(weights, {"epoch": str(epoch)}))  # `save_file` would let nobody else read them
+    write_sealed(folder / WEIGHTS, weights, {"epoch": str(epoch)})
 
 
 @contextlib.contextmanager
@@ -81,38 +87,6 @@ def kept_if_learnt(folder: Path, has_learnt: Callable[[], bool]) -> Iterator[Non
             shutil.rmtree(folder)
 
 
-def add_line(path: Path, values: dict[str, Any]) -> None:
-    """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null."""
-    try:
-        with path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(without_nan(values), allow_nan=False) + "\n")
-    except OSError as error:
-        raise RunError(
-            f"{path}: cannot be written ({error.strerror}); `bc-train --resume` goes on later"
-        ) from None
-
-
-def keep_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
-    """Leave only the wanted lines; broken ones, which a killed training leaves, go."""
-    kept = []
-    with contextlib.suppress(FileNotFoundError):
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-            with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-                if wanted(json.loads(line)):
-                    kept.append(line)
-    with whole_file(path, overwrite=True) as part:
-        part.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
-
-
-def without_nan(value: Any) -> Any:
-    """What JSON can hold: numbers that do not exist (NaN, infinite) become None."""
-    if isinstance(value, dict):
-        return {key: without_nan(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def newest_run(runs: Path) -> Path:
     """The run whose weights were written last. Raises RunError if there is none."""
     weights = sorted(runs.glob(f"*/{WEIGHTS}"), key=lambda path: path.stat().st_mtime_ns)
@@ -121,16 +95,23 @@ def newest_run(runs: Path) -> Path:
     return weights[-1].parent
 
 
-def find_run(name: str | None, runs: Path) -> Path:
+def find_run(name: str | None, runs: Path | str) -> Path:
     """A run by name (in `runs`) or by path; the newest one without a name. NAME/last has a run's last weights."""
+    runs = Path(runs)
     if name is None:
         return newest_run(runs)
     for folder in (runs / name, Path(name)):
         if (folder / WEIGHTS).is_file() or _is_last(folder):
             return folder
     if checkpoint_path(runs / name).is_file():
-        raise RunError(f"{runs / name}: its first epoch is not finished; `bc-train --resume {name}`")
-    raise RunError(f"{runs / name}: no trained run there ({WEIGHTS} is missing); {_known(runs, WEIGHTS)}")
+        resume = f"`bc-train --resume {run_argument(runs / name)}`"
+        raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
+    raise RunError(f"{runs / name}: no trained run there ({WEIGHTS} is missing); {_known(name, runs, WEIGHTS)}")
+
+
+def is_unbegun(run: Path) -> bool:
+    """Whether nothing of a run's training was ever saved: it was killed before its first checkpoint."""
+    return not checkpoint_path(run).exists() and not (run / WEIGHTS).exists()
 
 
 def find_started(name: str, runs: Path) -> Path:
@@ -139,19 +120,16 @@ def find_started(name: str, runs: Path) -> Path:
     for folder in (runs / name, Path(name)):
         if (folder / CONFIG).is_file():
             return folder
-    raise RunError(f"{runs / name}: no run there ({CONFIG} is missing); {_known(runs, CONFIG)}")
+    raise RunError(f"{runs / name}: no run there ({CONFIG} is missing); {_known(name, runs, CONFIG)}")
 
 
-def _known(runs: Path, file: str) -> str:
-    """Which runs there are, for who has mistyped a name."""
-    names = sorted(path.parent.name for path in runs.glob(f"*/{file}"))
-    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
-    return f"in {runs} are {', '.join(names[:8])}{more}" if names else f"none is in {runs}: `bc-train` makes one"
+def _known(name: str, runs: Path, file: str) -> str:
+    return known_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
 
 
 def load_config(folder: Path) -> dict[str, Any]:
     """The run's config.json. Raises RunError if it is damaged, or newer than this toolkit."""
-    path = (folder.parent if _is_last(folder) else folder) / CONFIG
+    path = config_folder(folder) / CONFIG
     try:
         config = json.loads(read_bounded(path, MOST_CONFIG_BYTES))
         version = config["format"]
@@ -164,6 +142,11 @@ def load_config(folder: Path) -> dict[str, Any]:
     if config.get("preprocessing") != DESCRIPTION:
         raise RunError(f"{path}: trained with another preprocessing than this toolkit's; train it again")
     return dict(config)
+
+
+def config_folder(folder: Path) -> Path:
+    """The folder of the run: NAME also of NAME/last."""
+    return folder.parent if _is_last(folder) else folder
 
 
 def weights_path(folder: Path) -> Path:
@@ -179,15 +162,12 @@ def load_network(folder: Path) -> SteeringNetwork:
     """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape."""
     path = weights_path(folder)
     network = SteeringNetwork()
+    weights, _ = read_sealed(path, config_folder(folder), "copy it again, or train the run again")
+    if _is_last(folder):
+        prefix = "network."
+        weights = {name.removeprefix(prefix): weights[name] for name in weights if name.startswith(prefix)}
     try:
-        weights = load_file(path)
-        if _is_last(folder):
-            weights = {
-                name.removeprefix("network."): weights[name] for name in weights if name.startswith("network.")
-            }
         network.load_state_dict(weights)
-    except (OSError, SafetensorError) as error:
-        raise RunError(f"{path}: cannot be read ({error}); train the run again") from None
     except RuntimeError:
         raise RunError(f"{path}: weights of another network than this toolkit's") from None
     return network.eval()

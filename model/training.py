@@ -15,6 +15,7 @@ from typing import Any, Final
 import torch
 
 from common import Skipped
+from common.errors import counted
 from common.interrupts import stop_signals
 from common.locks import try_lock
 from dataset import Samples
@@ -23,11 +24,23 @@ from model.checkpoint import LAST
 from model.config import TrainConfig
 from model.distributed import group_of_processes, local_rank_of_process
 from model.errors import RunError
+from model.hints import run_argument
 from model.loop import TrainingLoop
-from model.machine import Machine, choose_machine
+from model.machine import choose_machine
+from model.places import init_of, seen_from
 from model.progress import Epoch, Listener
-from model.provenance import data_fingerprint_of, machine_settings, provenance, training_of, versions
-from model.run import CONFIG, checksum, create_run, kept_if_learnt, load_config, run_name, write_config
+from model.provenance import data_fingerprint_of, provenance, training_of
+from model.run import (
+    CONFIG,
+    checksum,
+    create_run,
+    is_unbegun,
+    kept_if_learnt,
+    load_config,
+    refuse_existing_run,
+    run_name,
+    write_config,
+)
 
 MAY_CHANGE: Final = ("epochs", "patience", "device", "threads", "picture_memory_mb")
 """Settings that a resumed run may be given anew."""
@@ -47,12 +60,12 @@ class Trained:
 
 
 def train(
-    index: Path,
-    run: Path,
+    index: Path | str,
+    run: Path | str,
     config: TrainConfig | None = None,
     listeners: Sequence[Listener] = (),
     *,
-    init: Path | None = None,
+    init: Path | str | None = None,
     resume: bool = False,
     show_progress: bool = True,
     figures: bool = True,
@@ -60,15 +73,20 @@ def train(
     """Train a network on `index` and keep it in the new folder `run`.
 
     `init` is a run whose weights it starts from. `resume` goes on with the run where it was stopped, or killed;
-    the weights are then those of a run that never was, on the same processor with as many threads.
+    the weights are then those of a run that never was, on the same processor with as many threads. One that was
+    killed before anything of it was saved begins again from its seed.
     `figures` draws its curves, for which matplotlib is needed.
     Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
     Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
-    Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges.
+    Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges,
+    if what it goes on with is damaged, or if the disk is full.
     """
+    index, run, init = Path(index), Path(run), None if init is None else Path(init)
     stored = load_config(run) if resume else {}
     if resume:
         config = _resumed(run, stored, config)
+    else:
+        refuse_existing_run(run)
     config = config or TrainConfig()
     machine = choose_machine(config, local_rank_of_process())
     with (
@@ -82,24 +100,31 @@ def train(
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
         stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
         loops: list[TrainingLoop] = []
+        said = {"index": seen_from(run, index), **provenance(samples, config, machine, group.ranks)}
         if resume:
             _refuse_other_samples(run, stored, samples)
             group.first(lambda: stack.enter_context(_alone(run)))
+            [begins] = group.any(is_unbegun(run))
+            init = init_of(run, run.parent) if begins else None
         else:
-            said = {**provenance(samples, config, machine, group.ranks), **_init_of(init)}
+            begins = True
+            said |= _started_from(init, run)
             group.first(lambda: stack.enter_context(_created(run, said, lambda: any(x.has_learnt for x in loops))))
         loop = TrainingLoop(samples, run, config, machine, group, listeners, bar)
         loops.append(loop)
         loop.notices += _of_validation(samples, len(loop.validation), init)
-        if resume:
-            loop.go_back()
-            if not loop.is_over:
-                loop.notices += _differences(run, stored, machine_settings(machine, group.ranks))
-                group.first(lambda: write_config(run, _gone_on(stored, config, machine, group.ranks)))
-        else:
+        if begins:
             if init is not None:
                 loop.start_from(init)
+            if resume:
+                group.first(loop.keep_history)
+                group.first(lambda: write_config(run, {**stored, **said}))
             loop.begin()
+        else:
+            loop.go_back()
+            if not loop.is_over:
+                loop.notices += _differences(run, stored, said["machine"])
+                group.first(lambda: write_config(run, _gone_on(stored, said)))
         with stop_signals() as stopped:
             loop.train(stopped)
         if group.is_first and figures:
@@ -126,7 +151,7 @@ def _resumed(run: Path, stored: dict[str, Any], config: TrainConfig | None) -> T
             flag = f"--{name.replace('_', '-')}"
             raise RunError(
                 f"{run}: was begun with {flag} {value} and can only go on so; for {flag} {wanted[name]} train"
-                f" another run from its weights: --init {run.name}"
+                f" another run from its weights: --init {run_argument(run)}"
             )
     return config
 
@@ -135,7 +160,7 @@ def _refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -
     if data_fingerprint_of(stored, str(run / CONFIG)) != samples.fingerprint:
         raise RunError(
             f"{samples.path}: not the samples that {run} was trained on; build that index again, or train another"
-            f" run from its weights: --init {run.name}"
+            f" run from its weights: --init {run_argument(run)}"
         )
 
 
@@ -151,13 +176,13 @@ def _differences(run: Path, stored: dict[str, Any], now: dict[str, Any]) -> list
     )
 
 
-def _gone_on(stored: dict[str, Any], config: TrainConfig, machine: Machine, ranks: int) -> dict[str, Any]:
+def _gone_on(stored: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
     """The config of a resumed run: what it was begun with, and what it went on with."""
     before = stored.get("resumed")
-    now = {"machine": machine_settings(machine, ranks), "versions": versions()}
+    now = {name: said[name] for name in ("machine", "versions")}
     return {
         **stored,
-        "training": config.as_dict(),
+        **{name: said[name] for name in ("index", "training")},
         "resumed": [*(before if isinstance(before, list) else []), now],
     }
 
@@ -182,10 +207,11 @@ def _of_validation(samples: Samples, held_out: int, init: Path | None) -> list[s
     if count == 0:
         return []
     known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
-    return [f"{samples.path}: {held_out:,} frames are held out, but {init} {known}: their errors say too little"]
+    held = counted(held_out, "frame")
+    return [f"{samples.path}: {held} held out, but {init} {known}: their errors say too little"]
 
 
-def _init_of(init: Path | None) -> dict[str, Any]:
+def _started_from(init: Path | None, run: Path) -> dict[str, Any]:
     """Which weights a run starts from, and all that these have learnt from before."""
     if init is None:
         return {}
@@ -193,7 +219,8 @@ def _init_of(init: Path | None) -> dict[str, Any]:
     earlier = before.get("init")
     data = earlier.get("data") if isinstance(earlier, dict) else None
     learnt = [before.get("data"), *(data if isinstance(data, list) else [])]
-    return {"init": {"run": run_name(init), "weights_sha256": checksum(init), "data": learnt}}
+    told = {"run": run_name(init), "place": seen_from(run, init), "weights_sha256": checksum(init), "data": learnt}
+    return {"init": told}
 
 
 @contextlib.contextmanager

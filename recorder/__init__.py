@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingError", "import_udacity"]
 
 # training reads logs where what writes them is not installed
-__getattr__ = lazy_names(
+__getattr__, __dir__ = lazy_names(
     __name__,
     {"Imported": "recorder.record", "LogWriter": "recorder.writer", "import_udacity": "recorder.record"},
 )

@@ -207,7 +207,7 @@ def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_r
 
 def test_an_evaluation_of_nothing_is_one_line(pilot_run: Path, tmp_path: Path) -> None:
     done = run("bc-eval", pilot_run, "--simulator", "--logs", tmp_path / "logs")
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "--simulator" in one_line_of(done)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shlex
 import shutil
 import statistics
 from dataclasses import replace
@@ -22,7 +23,7 @@ from safetensors.numpy import load_file, save_file
 
 from dataset import DatasetError, IndexConfig, build_index, decode
 from drive.eval_cli import main
-from logs import not_a_picture, plain_read, write_log
+from logs import not_a_picture, plain_read, read_messages, write_log
 from model import load_pilot, train
 from model.evaluation import evaluate, evaluate_sessions
 from recorder.topics import Camera
@@ -235,8 +236,73 @@ def test_the_tables_show_the_numbers_of_the_json(here: Path, capsys: pytest.Capt
         assert [value.lstrip("+") for value in row[:4]] == expected
     for session in ("a", "b"):
         assert f"{found['sessions'][session]['network']['rmse_deg']:.2f}" in " ".join(lines)
-    assert "look at the worst with `bc-play sessions/" in lines[-1]
-    assert re.search(r"at 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3} UTC$", lines[-1])
+    assert lines[-1] == "measured on what index holds out"
+
+
+def test_the_worst_frames_come_with_the_commands_that_show_them(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--at is in seconds since the log's first message, and never before the frame."""
+    assert call(main, "toy", "--json", "--worst", 3) == 0
+    worst = json.loads(capsys.readouterr().out)["worst"]
+    assert call(main, "toy", "--worst", 3) == 0
+    lines = capsys.readouterr().out.splitlines()
+    first = lines.index("look at them, the worst one first:") + 1
+    for line, frame in zip(lines[first : first + 3], worst, strict=True):
+        log = f"sessions/{frame['session']}.mcap"
+        command = re.fullmatch(rf"    bc-play {log} --at (\d+\.\d{{3}}) --run toy", line)
+        assert command, line
+        begin_ns = min(
+            message.log_time for messages in read_messages(here / log).values() for message, _ in messages
+        )
+        at_ns = begin_ns + float(command[1]) * 1e9
+        assert 0 <= at_ns - frame["log_time_ns"] < 1_500_000
+
+
+def test_the_command_that_shows_a_frame_is_quoted_for_a_shell(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = Path(shutil.copy(here / "sessions" / "new.mcap", tmp_path / "it's new.mcap"))
+    run = Path(shutil.copytree(here / "runs" / "toy", tmp_path / "my runs" / "toy"))
+    assert call(main, "toy", "--runs", run.parent, "--session", log, "--worst", 1) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "bc-play" in line)
+    assert [*shlex.split(line)[:2], *shlex.split(line)[-2:]] == ["bc-play", str(log), "--run", str(run)]
+
+
+# Which index
+
+
+def test_a_run_is_measured_on_the_index_that_it_was_trained_on(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(here, tmp_path / "moved")
+    monkeypatch.chdir(tmp_path / "moved")
+    Path("index").rename("my index")
+    Path("runs").rename("my runs")
+    config = Path("my runs/toy/config.json")
+    config.write_text(json.dumps(json.loads(config.read_text()) | {"index": "../../my index"}))
+    build_index([Path("sessions/new.mcap")], Path("index"), SPLIT)  # there as well
+    assert call(main, "toy", "--runs", "my runs", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["index"], list(found["sessions"])) == ("my index", ["a", "b"])
+    assert call(main, "my runs/toy") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "measured on what my index holds out"
+    assert call(main, "my runs/toy", "--index", "index", "--json") == 0
+    assert list(json.loads(capsys.readouterr().out)["sessions"]) == ["new"]
+    shutil.rmtree("my index")
+    assert call(main, "my runs/toy") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "my index: the index that my runs/toy was trained on is not there any more; give --index" in line
+
+
+def test_a_run_that_does_not_know_its_index_is_measured_on_that_of_the_folder(
+    here: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As those of earlier versions, and those of somebody else who writes nonsense there."""
+    for told in (None, "", "\0", 7, ["index"]):
+        change(run, index=told)
+        assert call(main, run) == 0
+        assert capsys.readouterr().out.splitlines()[-1] == "measured on what index holds out"
 
 
 def test_without_worst_frames_none_is_shown(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,7 +316,9 @@ def test_without_worst_frames_none_is_shown(here: Path, capsys: pytest.CaptureFi
 @pytest.fixture
 def run(here: Path, tmp_path: Path) -> Path:
     """A copy of the run that a test may change."""
-    return shutil.copytree(here / "runs" / "toy", tmp_path / "changed")
+    run = Path(shutil.copytree(here / "runs" / "toy", tmp_path / "changed"))
+    change(run, index=str(here / "index"))
+    return run
 
 
 def change(run: Path, **values: Any) -> None:
@@ -514,7 +582,8 @@ def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: 
 def test_flags_that_do_not_go_together_are_one_line(
     here: Path, capsys: pytest.CaptureFixture[str], flags: list[object], says: str
 ) -> None:
-    assert call(main, "toy", *flags) == 1
+    missing = {"nobody", "nowhere"}.intersection(map(str, flags))  # what could be there is no bad usage
+    assert call(main, "toy", *flags) == (1 if missing else 2)
     shown = capsys.readouterr()
     (line,) = shown.err.splitlines()
     assert says in line

@@ -5,7 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,10 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from dataset import decode
-from model import RunError, find_run, load_pilot, train
+from driving import PATIENCE_S, environment
+from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
+from model.evaluation import evaluate_sessions
+from model.run import create_run, find_started
 from toy import TINY, road, toy_index
 
 
@@ -116,3 +122,40 @@ def test_a_pilot_says_the_same_of_the_same_picture_and_which_weights_it_has(
     assert said[0][0] != said[0][1]
     assert pilots[0].weights_sha256 == hashlib.sha256((run / "model.safetensors").read_bytes()).hexdigest()
     assert pilots[0].run == "toy"
+
+
+def test_places_may_be_given_as_text(trained: Path, tmp_path: Path) -> None:
+    index = toy_index(tmp_path)
+    one = replace(TINY, epochs=1, batch=8)
+    run = str(train(str(index), str(tmp_path / "run"), one, init=str(trained), figures=False).run)
+    train(str(index), run, replace(one, epochs=2), resume=True, figures=False)
+    assert evaluate(run, str(index)).measures.frames == evaluate(Path(run), index).measures.frames
+    log = str(tmp_path / "toy.mcap")
+    assert evaluate_sessions(run, [log]).measures.frames == len(predict_log(log, [run]).row) == 40
+    assert export_onnx(run, str(tmp_path / "run.onnx")) < 1e-4
+    assert load_pilot(str(find_run("run", str(tmp_path)))).run == "run"
+
+
+def test_a_name_that_is_nearly_that_of_a_run_is_recognised(tmp_path: Path) -> None:
+    for name in ("first", "second", "2026-01-01_10-00-00"):
+        create_run(tmp_path / name, {})
+        (tmp_path / name / "model.safetensors").touch()
+    for find in (find_run, find_started):
+        with pytest.raises(RunError, match=r"frist: no .*; did you mean first\?$"):
+            find("frist", tmp_path)
+        with pytest.raises(RunError, match=r"; in \S+ are 2026-01-01_10-00-00, first, second$"):
+            find("something else", tmp_path)
+
+
+@pytest.mark.parametrize("package", ["dataset", "drive", "model", "recorder", "viz"])
+def test_dir_of_a_package_shows_its_public_names_before_they_are_loaded(package: str) -> None:
+    code = f"import {package}; print(set({package}.__all__) <= set(dir({package})), '__doc__' in dir({package}))"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=True,
+    )
+    assert done.stdout.split() == ["True", "True"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from dataset import DatasetError, IndexConfig, build_index
+from disk import files_of_at_most
 from logs import write_log
 from model import RunError, TrainConfig, load_pilot, train
 from model.cli import main
@@ -51,14 +53,14 @@ def test_what_was_good_before_is_kept(index: Path, trained: Path, tmp_path: Path
     run = Path(shutil.copytree(trained, tmp_path / "run"))
     checkpoint = run / "last" / "checkpoint.safetensors"
     with safe_open(checkpoint, framework="np") as file:
-        stored = dict(file.metadata())
+        stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
     tensors = load_file(checkpoint)
     for name in tensors:
         if name.startswith("exp_avg."):
             tensors[name].fill(1e38)  # the next step throws the weights beyond all numbers
     save_file(tensors, checkpoint, stored)
     before = {path: path.read_bytes() for path in run.rglob("*.safetensors")}
-    with pytest.raises(RunError, match=r"is kept: `bc-train --init run` with a --rate smaller than 0\.0002"):
+    with pytest.raises(RunError, match=r"is kept: `bc-train --init \S*/run` with a --rate smaller than 0\.0002"):
         train(index, run, replace(ONE, epochs=2), resume=True, figures=False)
     assert {path: path.read_bytes() for path in run.rglob("*.safetensors")} == before
 
@@ -179,3 +181,80 @@ def test_a_log_that_changed_since_is_named(index: Path, tmp_path: Path) -> None:
     write_log(folder / "other.mcap", STEERING[:30], road, cameras=["center"]).replace(folder / "toy.mcap")
     with pytest.raises(DatasetError, match=r"toy\.mcap: has changed since"):
         train(folder / "index", tmp_path / "run", ONE)
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--name", "good"], "good: exists already; give another --name, or go on with it: `bc-train --resume"),
+        (["--init", "nobody"], "nobody: no trained run there"),
+        (["--init", "damaged"], "config.json: cannot be read"),
+        (["--tensorboard"], "--tensorboard needs TensorBoard: install it with"),
+        (["--viewer"], "--viewer: the viewer is not installed here"),
+    ],
+)
+def test_what_can_fail_at_once_fails_before_an_index_is_built(
+    index: Path,
+    trained: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[str],
+    says: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for package in ("torch.utils.tensorboard", "rerun"):
+        monkeypatch.setitem(sys.modules, package, None)
+    shutil.copytree(trained, Path("runs") / "good")
+    shutil.copytree(trained, Path("runs") / "damaged")
+    (Path("runs") / "damaged" / "config.json").write_text("{")
+    before = sorted(tmp_path.rglob("*"))
+    assert call(main, *flags, "--sessions", index.parent) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert says in line
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--epochs", 0], "--epochs 0: a whole number from 1 to 1,000,000 was expected"),
+        (["--micro-batch", -1], "--micro-batch -1: a whole number from 0"),
+        (["--picture-memory-mb", -1], "--picture-memory-mb -1: a whole number from 0"),
+        (["--rate", 0], "--rate 0: a number above 0"),
+        (["--dropout", 1], "--dropout 1: a number from 0 to 1"),
+        (["--name", "a/b"], "--name 'a/b': a plain name was expected"),
+        (["--resume", "a", "--name", "b"], "a: no run there"),
+    ],
+)
+def test_bad_usage_names_the_flag(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[object],
+    says: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    assert call(main, *flags) == (1 if "--resume" in flags else 2)
+    assert says in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_is_full_names_the_file_and_the_way_on(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    flags = ["--batch", 8, "--threads", 1, "--precision", "float32"]
+    assert call(main, "--name", "first", "--epochs", 1, *flags, *places) == 0
+    capsys.readouterr()
+    with files_of_at_most(30_000_000):
+        assert call(main, "--resume", "first", "--epochs", 2, "--runs", tmp_path) == 1
+    hint, error = capsys.readouterr().err.splitlines()
+    path = tmp_path / "first" / "last" / "checkpoint.safetensors"
+    assert error == f"bc-train: {path}: cannot be written (File too large); make room"
+    assert hint.endswith(f"go on with `bc-train --resume {tmp_path / 'first'}`")
+    with files_of_at_most(10):
+        assert call(main, "--name", "second", *flags, *places) == 1
+    assert "second/config.json: cannot be written (File too large); make room" in capsys.readouterr().err
+    assert not (tmp_path / "second").exists()

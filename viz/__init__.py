@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["curves", "log_layout", "save_growing", "save_rrd"]
 
-__getattr__ = lazy_names(
+__getattr__, __dir__ = lazy_names(
     __name__,
     {
         "curves": "viz.playback",

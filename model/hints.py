@@ -1,0 +1,35 @@
+"""How runs and paths are named in what a person is told to type."""
+
+from __future__ import annotations
+
+import difflib
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+RUNS: Final = Path("runs")
+"""Where runs are kept, unless --runs says otherwise."""
+
+_MOST_NAMES: Final = 8
+
+
+def run_argument(run: Path) -> str:
+    """A run as an argument of a command, ready for a shell: its name if it lies in `RUNS`, else its path."""
+    return shlex.quote(run.name if run.parent == RUNS else str(run))
+
+
+def short_path(path: Path) -> Path:
+    """A path as a person would type it: from the current folder, if it is in it."""
+    resolved = path.resolve()
+    return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved
+
+
+def known_runs(name: str, names: Sequence[str], runs: Path) -> str:
+    """Which runs there are in `runs`, for who has mistyped `name`."""
+    if not names:
+        return f"none is in {runs}: `bc-train` makes one"
+    if near := difflib.get_close_matches(name, names, 1):
+        return f"did you mean {near[0]}?"
+    more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""
+    return f"in {runs} are {', '.join(names[:_MOST_NAMES])}{more}"

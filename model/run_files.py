@@ -1,0 +1,57 @@
+"""Writing the files of a run: whole or not at all, and a full disk names the file."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from common import whole_file
+from model.errors import RunWriteError
+
+
+@contextlib.contextmanager
+def replaced_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary path to write to; it takes the place of `path` at the end. Raises RunWriteError, and
+    leaves what was there, where the disk is full or does not let it."""
+    with named(path), whole_file(path, overwrite=True) as part:
+        yield part
+
+
+@contextlib.contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Raises RunWriteError where the system refuses what is written to `path` in the block."""
+    try:
+        yield
+    except OSError as error:
+        raise RunWriteError(f"{path}: cannot be written ({error.strerror or error}); make room") from None
+
+
+def add_line(path: Path, values: dict[str, Any]) -> None:
+    """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null."""
+    with named(path), path.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(without_nan(values), allow_nan=False) + "\n")
+
+
+def keep_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
+    """Leave only the wanted lines; broken ones, which a killed training leaves, go."""
+    kept = []
+    with contextlib.suppress(FileNotFoundError):
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
+                if wanted(json.loads(line)):
+                    kept.append(line)
+    with replaced_file(path) as part:
+        part.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
+
+
+def without_nan(value: Any) -> Any:
+    """What JSON can hold: numbers that do not exist (NaN, infinite) become None."""
+    if isinstance(value, dict):
+        return {key: without_nan(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
