@@ -19,8 +19,8 @@ import torch
 
 from model.network import SteeringNetwork
 from model.run import create_run, save_weights
+from waiting import PATIENCE_S as PATIENCE_S
 
-PATIENCE_S = 60.0  # for a process on a busy machine: nothing waits that long unless it is broken
 COMMANDS = {
     "bc-record": "recorder.cli",
     "bc-log": "recorder.log_cli",

@@ -35,11 +35,12 @@ BEHIND_S: Final = 2.0
 HISTORY_S: Final = 60.0
 """Pictures from before the viewer was opened are skipped if they are older than that."""
 VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
+WHOLE_S: Final = 2.0
+"""Between two times that a viewer gets what is drawn of the whole log: histogram and path."""
 
 _GRACE_S: Final = 0.5
 _FLUSH_S: Final = 0.5  # how long a viewer may take until it is asked whether anybody still waits for it
 _LAST_S: Final = 1.5  # for another's viewer to take what is on its way
-_WHOLE_S: Final = 2.0  # between two histograms and paths
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
 )
@@ -224,7 +225,8 @@ def _send(
             sender.send(shown)
         is_last = is_last or log.is_finished or bool(log.notice)
         now_s = time.monotonic()
-        if is_last or now_s - whole_s >= _WHOLE_S:
+        # A file is looked at when it is whole, and would keep each of them.
+        if is_last or (keep_up and now_s - whole_s >= WHOLE_S):
             sender.finish()
             whole_s = now_s
         try:
