@@ -155,11 +155,12 @@ class Process:
 
 
 class DriveProcess(Process):
-    """`bc-drive` on a free port, with the run and the log given."""
+    """`bc-drive` on a free port, with the run and the log given, and no window."""
 
     def __init__(self, run_folder: Path, log: Path, *flags: object) -> None:
         self.log = log
-        super().__init__(command("bc-drive", run_folder, "--log", log, "--port", 0, *flags))
+        hidden = () if "--viewer" in flags else ("--viewer", "off")
+        super().__init__(command("bc-drive", run_folder, "--log", log, "--port", 0, *hidden, *flags))
 
     def wait_until_it_listens(self) -> int:
         """Its port."""

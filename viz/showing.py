@@ -14,12 +14,13 @@ from urllib.parse import urlsplit
 from common import UserError
 from common.command import DONE, warn, warn_skipped
 from common.interrupts import stop_signals
+from common.preview import has_display
 from viz.connection import check_viewer, viewer_url
 from viz.follow import VIEWER_MEMORY, Follower, GoneError, feed, follow, save_growing
 from viz.playback import Prepared, save_prepared
 from viz.saying import complain, say
 from viz.training import follow_training, prepared_training, wait_until_trained
-from viz.viewer import Ports, free_port, has_display, open_viewer
+from viz.viewer import Ports, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
 WINDOW_MEMORY: Final = "1MB"

@@ -43,13 +43,6 @@ class Ports:
         return f"http://{LOCAL}:{self.web}/?url=rerun%2Bhttp://{LOCAL}:{self.data}/proxy"
 
 
-def has_display() -> bool:
-    """Whether a window can open here."""
-    if sys.platform in ("win32", "darwin"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
 def viewer_program() -> Path:
     """The viewer itself. `rerun` is a Python wrapper, and killing that would leave the viewer alone."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
