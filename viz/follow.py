@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -27,7 +26,7 @@ from viz.messages import MessageSender
 from viz.rate import THINNED, PictureRate
 from viz.rrd_file import APPLICATION, rrd_file
 from viz.saying import complain, say, say_skipped
-from viz.viewer import end_viewer, wait_until_closed, wait_until_it_listens
+from viz.viewer import Viewer, end_viewer, wait_until_closed, wait_until_it_listens
 
 POLL_S: Final = 0.1
 BEHIND_S: Final = 2.0
@@ -72,7 +71,7 @@ def save_growing(
     return Followed(log.notice, log.skipped)
 
 
-def follow(path: Path, url: str, viewer: subprocess.Popen[bytes] | None) -> int:
+def follow(path: Path, url: str, viewer: Viewer | None) -> int:
     """Show the log at `path` as it grows in the viewer at `url`; the exit code.
 
     `viewer` is its process if it was opened for this, and shows it until it is closed; with None, it is another's,
@@ -128,7 +127,7 @@ class GoneError(Exception):
     """The viewer takes nothing any more: it is closed, or shall be."""
 
 
-def feed(follower: Follower, viewer: subprocess.Popen[bytes] | None) -> int:
+def feed(follower: Follower, viewer: Viewer | None) -> int:
     """Let `follower` feed an open, empty viewer until that is closed, or all has been sent to another's; the exit
     code. Raises as `follow` does."""
     if viewer is None:
