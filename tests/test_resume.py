@@ -27,6 +27,7 @@ from model.cli import main
 from model.progress import Step
 from toy import STEERING, TINY, road, toy_index
 from udacity import call
+from waiting import PATIENCE_S
 
 CONFIG = replace(TINY, epochs=3, batch=2, dropout=0.5)  # 13 batches an epoch: dropout must go on as well
 
@@ -103,7 +104,7 @@ def train_until_killed(
     line = [sys.executable, "-c", KILLED, *map(str, (index, run, epoch, batch, checkpoint_s, init or ""))]
     root = Path(__file__).parent
     found = environment() | {"PYTHONPATH": os.pathsep.join(map(str, (root, root.parent)))}
-    done = subprocess.run(line, env=found, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(line, env=found, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == -signal.SIGKILL, done.stderr
 
 
