@@ -140,7 +140,8 @@ def _flags(where: str) -> list[str]:
         return ["--save", where]
     if not _ADDRESS.search(where):
         raise UserError(
-            f"{where}: neither window nor web, nor a FILE.rrd, nor the address of a viewer, such as 127.0.0.1:9876"
+            f"--viewer {where}: neither window nor web, nor a FILE.rrd, nor the address of a viewer, such as"
+            " 127.0.0.1:9876"
         )
     return ["--connect", where]
 

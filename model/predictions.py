@@ -10,6 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from common import Skipped
+from common.errors import counted
 from dataset import MAX_STEERING_DEG
 from model.measures import measure
 from model.worst import WorstFrame, worst_frames
@@ -52,11 +53,11 @@ class LogPredictions:
         """How far a run is off, in a line."""
         known = np.isfinite(self.recorded)
         if not known.any():
-            return f"{run}: {len(self.row):,} frames, nothing recorded with them to compare with"
+            return f"{run}: {counted(len(self.row), 'frame')}, nothing recorded with them to compare with"
         found = measure(self.predicted[run][known], self.recorded[known])
         return (
-            f"{run}: {found.frames:,} frames, RMSE {found.network.rmse_deg:.2f} degrees from what was recorded"
-            f" (always the mean: {found.mean.rmse_deg:.2f}), MAE {found.network.mae_deg:.2f}"
+            f"{run}: {counted(found.frames, 'frame')}, RMSE {found.network.rmse_deg:.2f} degrees from what was"
+            f" recorded (always the mean: {found.mean.rmse_deg:.2f}), MAE {found.network.mae_deg:.2f}"
         )
 
     def worst_moments(self, run: str) -> list[tuple[int, str]]:

@@ -352,6 +352,25 @@ def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path) -> None:
     assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == 1
 
 
+def test_one_picture_that_was_not_shown_is_one_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("viz.rate.PICTURES_PER_S", 0.0)
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+
+    class Taking(LogFollower):
+        def _connected(self, name: str) -> rr.RecordingStream:
+            return rr.RecordingStream(name)
+
+        def _flush(self, recording: rr.RecordingStream) -> None:
+            if not (tmp_path / "a.mcap").exists():
+                writer.picture("center", START_NS, 0, picture(0, 0))
+                writer.close()
+
+    Taking(writer.part, "").run()
+    assert "skipped 1 picture not shown, of more than 30 a second" in capsys.readouterr().err
+
+
 def test_pictures_too_many_to_be_shown_are_told_once_for_each_camera(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -155,7 +155,7 @@ def test_an_address_can_be_short() -> None:
     assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
     assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
     for wrong in ("other", "http://other:1234", "a b:1", "rerun+http://other:x/proxy", "other:123456", "-x:1 2"):
-        with pytest.raises(UserError, match="no address of a viewer"):
+        with pytest.raises(UserError, match=r"^--connect .*: no address of a viewer"):
             viewer_url(wrong)
 
 
@@ -216,7 +216,7 @@ def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
 def test_what_is_no_place_for_a_viewer_is_refused_before_anything_begins(tmp_path: Path) -> None:
     (tmp_path / "x.rrd").write_bytes(b"precious")
     for where, says in (
-        ("windwo", "neither window nor web"),
+        ("windwo", "^--viewer windwo: neither window nor web"),
         ("", "neither window nor web"),
         ("--web", "neither window nor web"),
         (str(tmp_path / "x.rrd"), "exists already"),

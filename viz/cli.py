@@ -80,10 +80,10 @@ def play(config: Play) -> int:
     _refuse_swallowed(config)
     if config.video is not None:
         return make_video(config, config.video)
-    if not config.run and (config.attention or config.write is not None):
-        raise UserError("--attention and --write are of networks: give --run NAME as well")
-    if config.overlay or config.speed != 1.0:
-        raise UserError("--speed and --overlay are for a video: give --video FILE.mp4 as well")
+    if not config.run and (flags := flags_given(config, "attention", "write")):
+        raise UserError(f"{flags}: only of networks: give --run NAME as well")
+    if flags := flags_given(config, "speed", "overlay"):
+        raise UserError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     _refuse_nonsense(config)
     _prepare_rerun()
     if config.run:
@@ -103,8 +103,8 @@ def _refuse_nonsense(config: Play) -> None:
     """Raise UserError for flags that do not go together."""
     if not config.logs:
         raise UserError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
-    if len(config.logs) > 1 and (config.follow or config.run):
-        raise UserError("several logs are compared as they are: give one log with --follow, --run")
+    if len(config.logs) > 1 and (flags := flags_given(config, "follow", "run")):
+        raise UserError(f"{flags}: only with one log; several are compared as they are")
     if len(config.logs) == 1 and config.by != "time":
         raise UserError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
@@ -141,12 +141,13 @@ def _refuse_swallowed(config: Play) -> None:
 
 def _refuse_loss(config: Play) -> None:
     """Raise UserError for a file that would be written over a log that is read, or over another one."""
-    written = [path for path in (config.save, config.video, config.write) if path is not None]
-    for at, path in enumerate(written):
+    flags = (("--save", config.save), ("--video", config.video), ("--write", config.write))
+    written = [(flag, path) for flag, path in flags if path is not None]
+    for at, (flag, path) in enumerate(written):
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
-            raise UserError(f"{path}: the log itself, which stays as it is; give another name")
-        if any(path.resolve() == other.resolve() for other in written[:at]):
-            raise UserError(f"{path}: two files of one name; give another one")
+            raise UserError(f"{flag} {path}: the log itself, which stays as it is; give another name")
+        if any(path.resolve() == other.resolve() for _, other in written[:at]):
+            raise UserError(f"{flag} {path}: two files of one name; give another one")
 
 
 def _refuse_other_endings(config: Play) -> None:
@@ -157,7 +158,7 @@ def _refuse_other_endings(config: Play) -> None:
         ("--write", config.write, ".mcap"),
     ):
         if path is not None and path.suffix.lower() != ending:
-            raise UserError(f"{path}: {flag} writes an {ending} file; give it such a name")
+            raise UserError(f"{flag} {path}: it writes an {ending} file; give it such a name")
 
 
 def _show_or_save(config: Play, shown: Shown) -> int:
@@ -222,7 +223,7 @@ def make_video(config: Play, video: Path) -> int:
         raise UserError(f"--video writes a file and opens nothing: give it without {unfit}")
     made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
     size = f"{made.width} x {made.height}"
-    print(f"{video}: written; {made.pictures:,} pictures, {size}, {clock(made.duration_s)} long")
+    print(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {clock(made.duration_s)} long")
     if made.gaps:
         gaps = f"{counted(made.gaps, 'gap')} of more than a second"
         stderr().print(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")

@@ -41,7 +41,7 @@ def viewer_url(address: str) -> str:
         if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
             return address
     raise UserError(
-        f"{address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
+        f"--connect {address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
         f" {LOCAL}:{DEFAULT_PORT}"
     )
 

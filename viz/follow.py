@@ -19,6 +19,7 @@ from rich.segment import ControlType
 
 from common import Skipped, UserError
 from common.command import DONE, DONE_BUT_SKIPPED, INTERRUPTED, stderr, warn
+from common.errors import counted
 from common.files import final_path
 from common.interrupts import stop_signals
 from viz.growing import GrowingLog
@@ -191,7 +192,7 @@ class LogFollower(Follower):
             self.code = self.code or skipped
             if thinned:
                 topics = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(thinned.items()))
-                say(f"skipped {thinned.total():,} {THINNED}: {topics}")
+                say(f"skipped {counted(thinned.total(), 'picture')} {THINNED}: {topics}")
                 self.code = self.code or DONE_BUT_SKIPPED
         self._disconnect(recording)
 
