@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -112,10 +113,10 @@ def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
     index: Path, whole: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    train_until_killed(index, run, 1, 10, checkpoint_s=60)  # from the beginning
+    train_until_killed(index, run, 1, 10, checkpoint_s=math.inf)  # from the beginning
     train_until_killed(index, run, 1, 13, checkpoint_s=0)  # in the middle of an epoch
     assert [step[:3] for step in steps(run)] == [(1, 10, 20), (1, 13, 26)]
-    train_until_killed(index, run, 3, 10, checkpoint_s=60)  # what came after that is lost
+    train_until_killed(index, run, 3, 10, checkpoint_s=math.inf)  # what came after that is lost
     train(index, run, resume=True, figures=False)
     assert_same(run, whole)
 
@@ -170,7 +171,7 @@ def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
 ) -> None:
     config = replace(CONFIG, epochs=1)
     train(index, tmp_path / "straight", config, init=whole, figures=False)
-    train_until_killed(index, tmp_path / "killed", 1, 10, checkpoint_s=60, init=whole)
+    train_until_killed(index, tmp_path / "killed", 1, 10, checkpoint_s=math.inf, init=whole)
     train(index, tmp_path / "killed", config, resume=True, figures=False)
     assert_same(tmp_path / "killed", tmp_path / "straight")
 
