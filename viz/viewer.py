@@ -87,8 +87,9 @@ class Viewer(subprocess.Popen[bytes]):
                 elif _NO_WINDOW.search(line):
                     self._trouble = self._trouble or "cannot open a window on this display"
                 else:
-                    sys.stderr.buffer.write(line)
-                    sys.stderr.buffer.flush()
+                    with contextlib.suppress(OSError, ValueError):  # our own stderr has gone
+                        sys.stderr.buffer.write(line)
+                        sys.stderr.buffer.flush()
 
 
 @contextlib.contextmanager
