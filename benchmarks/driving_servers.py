@@ -117,7 +117,8 @@ def start_ours(name: str, run: Path, log: Path, stack: ExitStack, *flags: str) -
     """`bc-drive`, which drives with `run` and writes `log`."""
     port = free_port()
     code = "from drive.cli import main; main()"
-    line = [sys.executable, "-c", code, str(run), "--log", str(log), "--port", str(port), *flags]
+    hidden = () if "--viewer" in flags else ("--viewer", "off")
+    line = [sys.executable, "-c", code, str(run), "--log", str(log), "--port", str(port), *hidden, *flags]
     server = start(name, line, port, stack)
     server.log = log
     return server

@@ -30,7 +30,7 @@ from rerun.experimental import ViewerClient
 
 from recorder import Log, LogWriter
 from recorder.topics import CAMERAS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
-from viz.drawing import TIMELINE
+from viz.clock import LOG_TIME
 from viz.showing import WINDOW_MEMORY
 from viz.viewer import free_port, viewer_program
 
@@ -167,7 +167,7 @@ def wait_for_last(client: ViewerClient, log: Path) -> None:
             sys.exit("the viewer does not show the last picture")
         with contextlib.suppress(TimeoutError):
             if not is_told:
-                client.set_time(TIMELINE, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
+                client.set_time(LOG_TIME, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
                 is_told = True
         time.sleep(0.05)
 

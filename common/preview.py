@@ -17,11 +17,18 @@ from common.errors import UserError
 from common.files import final_path, refuse_existing
 
 _GRACE_S: Final = 2.0  # for it to end by itself
-_FILE_GRACE_S: Final = 30.0  # for a file to be written to its end
+_FILE_GRACE_S: Final = 300.0  # for a file to be written to its end, also on a slow and busy machine
 _OTHERS_GRACE_S: Final = 5.0  # for a viewer that stays to get the end
 _SAID_S: Final = 2.0  # what takes longer is said
 _ADDRESS: Final = re.compile(r"[^-]:\d|^\d+$")
 _NICENESS: Final = 10  # of the viewer
+
+
+def has_display() -> bool:
+    """Whether a window can open here."""
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 @contextlib.contextmanager
@@ -45,8 +52,8 @@ def preview(
     with this process: then it ends. `said` is told when the end takes long.
 
     Raises UserError if the file is there already and may not be overwritten, or for another `where`. A viewer that
-    does not start, or fails later, says why on stderr; of one that had to be killed before its file was whole, it
-    is said here.
+    cannot be started is told to `said`; one that fails later says why on stderr; of one that had to be killed
+    before its file was whole, it is said here.
     """
     flags = _flags(where)
     file = Path(where) if where.endswith(".rrd") else None
@@ -56,13 +63,10 @@ def preview(
     others = _parts_of(file)
     # -P: not the modules that happen to lie in the working folder
     line = [sys.executable, "-P", "-m", "viz.preview", str(growing), "--follow", *flags]
-    viewer = subprocess.Popen(
-        line,
-        stdin=subprocess.PIPE,
-        stdout=sys.stderr,
-        start_new_session=True,
-        creationflags=_low_priority_on_windows(),
-    )
+    viewer = _started(line, said)
+    if viewer is None:
+        yield
+        return
     _lower_priority(viewer.pid, never_in_the_way)
     try:
         yield
@@ -89,11 +93,25 @@ def preview(
             warn(f"{file}: not written: {why}; {again}")
 
 
+def _started(line: list[str], said: Callable[[str], object]) -> subprocess.Popen[bytes] | None:
+    try:
+        return subprocess.Popen(
+            line,
+            stdin=subprocess.PIPE,
+            stdout=sys.stderr,
+            start_new_session=True,
+            creationflags=_low_priority_on_windows(),
+        )
+    except OSError as error:  # no memory, too many processes
+        said(f"viewer: cannot be started ({error.strerror}); all else goes on without it")
+        return None
+
+
 def _wait_for_end(
     viewer: subprocess.Popen[bytes], doing: str, grace_s: float, said: Callable[[str], object]
 ) -> None:
     """The log is finished: it ends by itself, even if it has just begun."""
-    _set_group_niceness(viewer.pid, 0)  # it is waited for
+    _restore_priority(viewer.pid)  # it is waited for
     with contextlib.suppress(subprocess.TimeoutExpired):
         viewer.wait(_SAID_S)
         return
@@ -122,7 +140,8 @@ def _flags(where: str) -> list[str]:
         return ["--save", where]
     if not _ADDRESS.search(where):
         raise UserError(
-            f"{where}: neither window nor web, nor a FILE.rrd, nor the address of a viewer, such as 127.0.0.1:9876"
+            f"--viewer {where}: neither window nor web, nor a FILE.rrd, nor the address of a viewer, such as"
+            " 127.0.0.1:9876"
         )
     return ["--connect", where]
 
@@ -140,6 +159,18 @@ def _lower_priority(process: int, never_in_the_way: bool) -> None:
         with contextlib.suppress(OSError):
             os.sched_setscheduler(process, os.SCHED_IDLE, os.sched_param(0))
         _set_group_niceness(process, 19)
+
+
+def _restore_priority(process: int) -> None:
+    """As far as the system lets whoever it is: beside programs that compute, it would hardly run at all."""
+    _set_group_niceness(process, 0)
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            threads = [int(path.name) for path in Path(f"/proc/{process}/task").iterdir()]
+            for thread in threads:
+                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+            for thread in threads:
+                os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, 0))
 
 
 def _set_group_niceness(process: int, niceness: int) -> None:

@@ -30,8 +30,8 @@ from drive.demo import Demo, demo
 from model.figures import draw_curves
 from model.history import read_history
 from recorder import Log
+from viz.clock import LOG_TIME
 from viz.comparison import PLACE
-from viz.drawing import TIMELINE
 
 DEMO: Final = Path("demo/pictures")
 TRACK: Final = "mountain"
@@ -101,10 +101,10 @@ def viewer_pictures(made: Made, folder: Path) -> dict[str, Picture]:
     predicted = ["--run", str(made.run), "--attention"]
     turn_s, turn_m = hardest_turn(made.slow)
     return {
-        "session": played([made.session], [], folder, TIMELINE, hardest_turn(made.session)[0]),
-        "viewer": played([made.slow], [], folder, TIMELINE, turn_s),
+        "session": played([made.session], [], folder, LOG_TIME, hardest_turn(made.session)[0]),
+        "viewer": played([made.slow], [], folder, LOG_TIME, turn_s),
         "comparison": played([made.slow, made.fast], ["--by", "place"], folder, PLACE, 100 * turn_m),
-        "attention": played([made.session], predicted, folder, TIMELINE, hardest_turn(made.session)[0]),
+        "attention": played([made.session], predicted, folder, LOG_TIME, hardest_turn(made.session)[0]),
     }
 
 

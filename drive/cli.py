@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
+import sys
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,7 +17,7 @@ from common import UserError
 from common.command import DONE, flags_given, run_command, stderr, stdout, warn
 from common.files import refuse_existing
 from common.interrupts import stop_signals
-from common.preview import preview
+from common.preview import has_display, preview
 from common.progress import StatusLine
 from drive.config import DriveConfig
 
@@ -29,7 +31,7 @@ class Drive:
 
     Start the simulator in autonomous mode before or after; Ctrl-C brakes the car and finishes the log.
 
-    bc-drive first --log run.mcap --viewer window
+    bc-drive first --log run.mcap
     bc-drive first --simulator mountain
     """
 
@@ -62,8 +64,9 @@ class Drive:
     """The most that the steering (-1..1) may change in a second; 0: as fast as the network wants."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """The network's arithmetic; auto takes what is fastest on this processor."""
-    viewer: Annotated[str, tyro.conf.arg(metavar="window|web|ADDRESS|FILE.rrd|off")] = "off"
-    """Show the drive while it goes on: in a window, in a browser, in a viewer that runs already, or in a file."""
+    viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
+    """Show the drive while it goes on: in a window, in a browser, in a viewer that runs already, or in a file.
+    auto: in a window where there is a display."""
     server: Literal["eventlet", "threading"] = "eventlet"
     """What serves the simulator."""
     host: str = "127.0.0.1"
@@ -119,11 +122,11 @@ def drive(config: Drive) -> int:
         )
 
         with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
-            if config.viewer != "off":
+            if (viewer := _viewer(config, path, status)) is not None:
                 # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
                 part, force = server.session.writer.part, config.force
                 after.enter_context(
-                    preview(part, config.viewer, overwrite=force, never_in_the_way=True, said=status.note)
+                    preview(part, viewer, overwrite=force, never_in_the_way=True, said=status.note)
                 )
             if course is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
@@ -154,6 +157,16 @@ def _refuse_contradictions(config: Drive) -> None:
             f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"
             " fastest arithmetic; leave it out"
         )
+
+
+def _viewer(config: Drive, log: Path, status: StatusLine) -> str | None:
+    """Where the drive is shown; where it could be only by another command, that is said."""
+    if config.viewer == "auto" and not has_display():
+        status.note(f"bc-drive: watch it with `bc-play {shlex.quote(str(log))} --follow`")
+        return None
+    if config.viewer == "auto":
+        return "window" if sys.platform != "win32" else None  # where no log is shown that grows
+    return None if config.viewer == "off" else config.viewer
 
 
 def _told(server: DriveServer) -> int:

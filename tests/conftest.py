@@ -16,6 +16,8 @@ settings.load_profile("tests")
 
 def pytest_configure(config: pytest.Config) -> None:
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
+        os.environ.pop(name, None)
 
 
 @pytest.fixture(scope="session")

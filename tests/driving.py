@@ -19,8 +19,8 @@ import torch
 
 from model.network import SteeringNetwork
 from model.run import create_run, save_weights
+from waiting import PATIENCE_S as PATIENCE_S
 
-PATIENCE_S = 60.0  # for a process on a busy machine: nothing waits that long unless it is broken
 COMMANDS = {
     "bc-record": "recorder.cli",
     "bc-log": "recorder.log_cli",
@@ -155,11 +155,12 @@ class Process:
 
 
 class DriveProcess(Process):
-    """`bc-drive` on a free port, with the run and the log given."""
+    """`bc-drive` on a free port, with the run and the log given, and no window."""
 
     def __init__(self, run_folder: Path, log: Path, *flags: object) -> None:
         self.log = log
-        super().__init__(command("bc-drive", run_folder, "--log", log, "--port", 0, *flags))
+        hidden = () if "--viewer" in flags else ("--viewer", "off")
+        super().__init__(command("bc-drive", run_folder, "--log", log, "--port", 0, *hidden, *flags))
 
     def wait_until_it_listens(self) -> int:
         """Its port."""

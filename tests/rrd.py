@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,14 @@ def contents(rrd: Path) -> dict[str, dict[str, list[Any]]]:
                 columns[name] = [values[i] for i in np.argsort(np.array(times), kind="stable")]
         times.sort()
     return result
+
+
+def arrived(rrd: Path, entity: str, column: str) -> int:
+    """How many values of a column are in a file that is still being written."""
+    with contextlib.suppress(OSError, RuntimeError, ValueError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it has no end yet
+        return len([value for value in contents(rrd).get(entity, {}).get(column, []) if value is not None])
+    return 0
 
 
 def view_names(rrd: Path) -> set[str]:

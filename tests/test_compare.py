@@ -59,7 +59,7 @@ def test_logs_of_different_days_stand_beside_each_other_from_their_starts(tmp_pa
     found = shown(tmp_path / "x.rrd", *logs)
     since_start = [row * STEP_NS for row in range(ROWS)]
     for name, speed in (("a", 10.0), ("b", 20.0)):
-        times = found[f"/{name}/steering/recorded"]["since_start"]
+        times = found[f"/{name}/steering/recorded"]["since start"]
         assert [round(time.total_seconds() * 1e9) for time in times] == since_start
         assert values(found, f"/{name}/steering/recorded") == pytest.approx([row / 100 for row in range(ROWS)])
         assert values(found, f"/{name}/steering/sent") == pytest.approx([-row / 100 for row in range(ROWS)])
@@ -125,7 +125,7 @@ def test_what_networks_said_stands_beside_what_was_driven(tmp_path: Path) -> Non
     found = shown(tmp_path / "x.rrd", drive, said)
     predicted = values(found, "/said/steering/predicted_by/first")
     assert predicted == pytest.approx([-row / 100 for row in range(ROWS)])
-    times = found["/said/steering/predicted_by/first"]["since_start"]
+    times = found["/said/steering/predicted_by/first"]["since start"]
     assert [round(time.total_seconds() * 1e9) for time in times if time] == [
         row * STEP_NS for row in range(1, ROWS)
     ]

@@ -17,9 +17,9 @@ from driving import environment
 from model import train
 from model.config import TrainConfig
 from toy import toy_index
+from waiting import PATIENCE_S
 
 FLAGS = ["--epochs", "1", "--batch", "10", "--dropout", "0", "--precision", "float32", "--threads", "1"]
-PATIENCE_S = 120.0
 
 
 def torchrun(*arguments: object, processes: int = 2) -> subprocess.CompletedProcess[str]:

@@ -25,6 +25,7 @@ from recorder.edit import ROW_TOPICS, check_rows, merge, recover, rows_between, 
 from recorder.tags import Tag, add_tag, read_tags, tags_path
 from recorder.topics import CAMERAS
 from udacity import jpeg
+from waiting import PATIENCE_S
 
 SECOND_NS = 1_000_000_000
 VERSION = version("behavioural-cloning-toolkit")
@@ -494,7 +495,7 @@ def test_rerun_finds_nothing_wrong_with_any_of_them(tmp_path: Path) -> None:
             [sys.executable, "-m", "rerun", "mcap", "check", "--full", str(path)],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=PATIENCE_S,
             check=False,
         )
         if done.returncode or done.stderr or "PROBLEM" in done.stdout or "/camera/left" not in done.stdout:

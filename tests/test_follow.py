@@ -13,7 +13,7 @@ import re
 import signal
 import subprocess
 import sys
-import time
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -24,12 +24,12 @@ import pytest
 import rerun as rr
 
 from common import UserError
-from driving import PATIENCE_S, Process, command, environment
+from driving import Process, command, environment
 from logs import START_NS, STEP_NS, read_messages
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import CAMERAS
-from rrd import contents, free_ports, listening, lives, view_names
+from rrd import arrived, contents, free_ports, listening, lives, view_names
 from udacity import call
 from viz import save_growing, save_rrd
 from viz.cli import main
@@ -37,6 +37,7 @@ from viz.follow import LogFollower
 from viz.growing import GrowingLog, find_log
 from viz.messages import Shown
 from viz.viewer import viewer_program
+from waiting import PATIENCE_S, wait_until
 
 ROWS = 8
 
@@ -276,13 +277,38 @@ def test_the_viewer_gets_what_it_would_get_of_the_finished_log(tmp_path: Path) -
     assert view_names(rrd) == view_names(tmp_path / "finished.rrd")
 
 
+class RowByRow(threading.Event):
+    """Whoever waits for it gets a row of the log instead of a while later, and in the end the end."""
+
+    def __init__(self, writer: LogWriter) -> None:
+        super().__init__()
+        self.rows = 0
+        self._writer = writer
+
+    def wait(self, timeout: float | None = None) -> bool:
+        if self.rows < ROWS:
+            write_row(self._writer, self.rows)
+            self.rows += 1
+        else:
+            self._writer.close()
+        return False
+
+
+def test_however_long_a_log_grows_its_file_has_one_histogram(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viz.follow.WHOLE_S", 0.0)  # a viewer would get one with every row
+    growing = RowByRow(LogWriter(tmp_path / "a.mcap", {}, live=True))
+    save_growing(tmp_path / "a.mcap", tmp_path / "growing.rrd", stop=growing)
+    assert growing.rows == ROWS
+    save_rrd(tmp_path / "a.mcap", tmp_path / "finished.rrd")
+    found, expected = contents(tmp_path / "growing.rrd"), contents(tmp_path / "finished.rrd")
+    assert found["/histogram/recorded"]["BarChart:values"] == expected["/histogram/recorded"]["BarChart:values"]
+    assert len(found["/histogram/recorded"]["BarChart:values"]) == 1
+
+
 def wait_for_bytes(folder: Path, pattern: str, size: int) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline_s:
-        if any(path.stat().st_size >= size for path in folder.glob(pattern)):
-            return
-        time.sleep(0.02)
-    raise AssertionError(f"{pattern} did not grow to {size} bytes")
+    wait_until(lambda: any(path.stat().st_size >= size for path in folder.glob(pattern)))
 
 
 def test_a_finished_log_is_shown_as_ever(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -326,6 +352,25 @@ def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path) -> None:
     assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == 1
 
 
+def test_one_picture_that_was_not_shown_is_one_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("viz.rate.PICTURES_PER_S", 0.0)
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+
+    class Taking(LogFollower):
+        def _connected(self, name: str) -> rr.RecordingStream:
+            return rr.RecordingStream(name)
+
+        def _flush(self, recording: rr.RecordingStream) -> None:
+            if not (tmp_path / "a.mcap").exists():
+                writer.picture("center", START_NS, 0, picture(0, 0))
+                writer.close()
+
+    Taking(writer.part, "").run()
+    assert "skipped 1 picture not shown, of more than 30 a second" in capsys.readouterr().err
+
+
 def test_pictures_too_many_to_be_shown_are_told_once_for_each_camera(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -365,13 +410,11 @@ class Following(Process):
 
     def wait_for_viewer(self) -> psutil.Process:
         self.wait_for("open that address in a browser")
-        deadline_s = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline_s:
-            for child in psutil.Process(self.popen.pid).children(recursive=True):
-                if set(listening(child)) == {self.web_port, self.port}:
-                    return child
-            time.sleep(0.05)
-        raise AssertionError(f"no viewer listens: {self.stderr}")
+        return wait_until(self._viewer)
+
+    def _viewer(self) -> psutil.Process | None:
+        children = psutil.Process(self.popen.pid).children(recursive=True)
+        return next((child for child in children if set(listening(child)) == {self.web_port, self.port}), None)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -449,7 +492,8 @@ def test_the_viewer_is_served_to_this_machine_only_and_has_all_when_the_log_is_f
         play.wait_for(r"live\.mcap is finished")
         assert viewer.is_running()
         with received(play.port, tmp_path / "got.rrd") as client:
-            wait_for_bytes(tmp_path, "got.rrd", ROWS * 4 * PICTURE_BYTES)
+            wait_until(lambda: arrived(tmp_path / "got.rrd", "/camera/left", "EncodedImage:blob") == ROWS)
+            wait_until(lambda: arrived(tmp_path / "got.rrd", "/steering/sent", "Scalars:scalars") == ROWS)
             assert play.end(signal.SIGINT) == 130
             client.wait(PATIENCE_S)
     assert not viewer.is_running()
@@ -502,15 +546,9 @@ def test_a_preview_that_does_not_end_is_ended_with_all_its_processes(
     flags = ("--listen", "--port", 0, "--viewer")
     with Process(command("bc-record", "live", *flags), cwd=tmp_path) as record:
         record.wait_for("^stand-in")
-        deadline_s = time.monotonic() + PATIENCE_S
-        previews: list[psutil.Process] = []
-        while len(previews) < 2 and time.monotonic() < deadline_s:
-            previews = psutil.Process(record.popen.pid).children(recursive=True)
-            time.sleep(0.05)
-        assert len(previews) == 2
+        record_process = psutil.Process(record.popen.pid)
+        wait_until(lambda: len(record_process.children(recursive=True)) == 2)
+        previews = record_process.children(recursive=True)
         assert record.end(signal.SIGINT) == 1
     assert "nothing was recorded" in record.stderr[-1]
-    deadline_s = time.monotonic() + 10
-    while any(map(lives, previews)) and time.monotonic() < deadline_s:
-        time.sleep(0.05)
-    assert not any(map(lives, previews))
+    wait_until(lambda: not any(map(lives, previews)))

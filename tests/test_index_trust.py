@@ -28,6 +28,7 @@ from recorder.quality import States
 from recorder.tags import Tag, add_tag
 from recorder.topics import CAMERAS, Camera
 from udacity import call, jpeg
+from waiting import PATIENCE_S
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
 KEY = b"bc.index"
@@ -125,7 +126,7 @@ def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> N
         )
         for log in logs * 2
     ]
-    errors = [process.communicate(timeout=60)[1] for process in running]
+    errors = [process.communicate(timeout=PATIENCE_S)[1] for process in running]
     assert [process.returncode for process in running] == [0] * 4, errors
     Samples(tmp_path / "index").close()
 
@@ -331,7 +332,7 @@ def test_more_sessions_than_files_may_be_open_at_first(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     with load(tmp_path / "index") as loader:
         assert done.stdout.strip() == str(len(loader)), done.stderr

@@ -21,12 +21,12 @@ import rerun as rr
 
 from common import UserError
 from common.preview import preview
-from driving import PATIENCE_S, Process, command, environment
+from driving import Process, command, environment
 from logs import START_NS, STEP_NS, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.topics import CAMERAS, Camera
-from rrd import contents, free_ports, lives
+from rrd import arrived, contents, free_ports, lives
 from udacity import call
 from viz.cli import main
 from viz.connection import viewer_url
@@ -36,6 +36,7 @@ from viz.playback import Prepared
 from viz.rate import PictureRate
 from viz.showing import Where, Whole
 from viz.viewer import Ports, open_viewer, viewer_program, wait_until_it_listens
+from waiting import PATIENCE_S, wait_until
 
 ROWS = 30
 
@@ -64,13 +65,12 @@ def running_viewer() -> Iterator[Ports]:
 
 @contextlib.contextmanager
 def received(ports: Ports, rrd: Path) -> Iterator[None]:
-    """Another client of the viewer writes all pictures that it has to a file, until the viewer is ended within."""
+    """Another client of the viewer writes all that it has to a file, until the viewer is ended within."""
     line = [str(viewer_program()), ports.data_address, "--save", str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
-    size = sum(len(picture(camera, row)) for camera in CAMERAS for row in range(ROWS))
-    deadline_s = time.monotonic() + PATIENCE_S
     with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment()) as client:
-        while not (rrd.exists() and rrd.stat().st_size >= size) and time.monotonic() < deadline_s:
-            time.sleep(0.05)
+        for camera in CAMERAS:
+            wait_until(lambda: arrived(rrd, f"/camera/{camera}", "EncodedImage:blob") >= ROWS)  # noqa: B023
+        wait_until(lambda: arrived(rrd, "/steering/recorded", "Scalars:scalars") >= ROWS)
         yield
         client.wait(PATIENCE_S)
 
@@ -137,18 +137,16 @@ def test_a_page_gets_all_of_the_log(log: Path, tmp_path: Path) -> None:
     flags = ("--web", "--web-port", ports.web, "--port", ports.data)
     with Process(command("bc-play", log, *flags)) as play:
         play.wait_for("open that address in a browser")
-        wait_until_open(ports.data)
+        wait_until(lambda: is_open(ports.data))
         with received(ports, tmp_path / "got.rrd"):
             assert play.end(signal.SIGINT) == 130
     assert holds_all(tmp_path / "got.rrd")
 
 
-def wait_until_open(port: int) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline_s:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), PATIENCE_S):
-            return
-        time.sleep(0.05)
+def is_open(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), PATIENCE_S):
+        return True
+    return False
 
 
 def test_an_address_can_be_short() -> None:
@@ -157,7 +155,7 @@ def test_an_address_can_be_short() -> None:
     assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
     assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
     for wrong in ("other", "http://other:1234", "a b:1", "rerun+http://other:x/proxy", "other:123456", "-x:1 2"):
-        with pytest.raises(UserError, match="no address of a viewer"):
+        with pytest.raises(UserError, match=r"^--connect .*: no address of a viewer"):
             viewer_url(wrong)
 
 
@@ -184,8 +182,6 @@ def answering(answer: bytes) -> Iterator[int]:
 def test_what_is_no_viewer_is_one_line(
     log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("viz.connection._PATIENCE_S", 0.2)
-
     def said(port: object) -> str:
         assert call(main, log, "--connect", port) == 1
         (line,) = capsys.readouterr().err.splitlines()
@@ -197,7 +193,8 @@ def test_what_is_no_viewer_is_one_line(
         assert "is no Rerun viewer" in said(port)
     with answering(b"") as port:
         assert "is no Rerun viewer" in said(port)
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # a frozen one
+    with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
+        patched.setattr("viz.connection._PATIENCE_S", 0.2)
         assert "does not answer" in said(silent.getsockname()[1])
     assert "no address of a viewer" in said("somewhere")
     assert "no viewer listens there" in said("99999")
@@ -219,7 +216,7 @@ def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
 def test_what_is_no_place_for_a_viewer_is_refused_before_anything_begins(tmp_path: Path) -> None:
     (tmp_path / "x.rrd").write_bytes(b"precious")
     for where, says in (
-        ("windwo", "neither window nor web"),
+        ("windwo", "^--viewer windwo: neither window nor web"),
         ("", "neither window nor web"),
         ("--web", "neither window nor web"),
         (str(tmp_path / "x.rrd"), "exists already"),
@@ -229,18 +226,26 @@ def test_what_is_no_place_for_a_viewer_is_refused_before_anything_begins(tmp_pat
     assert (tmp_path / "x.rrd").read_bytes() == b"precious"
 
 
+def line_from(capfd: pytest.CaptureFixture[str]) -> str:
+    """What other processes have said on stderr, as soon as that is a line."""
+    said: list[str] = []
+
+    def has_said() -> bool:
+        said.append(capfd.readouterr().err)
+        return said[-1].endswith("\n")
+
+    wait_until(has_said)
+    return "".join(said)
+
+
 def test_a_viewer_that_cannot_start_says_why_and_what_goes_on_is_not_disturbed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (nobody,) = free_ports(1)
     with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer:
         with preview(writer.part, f"127.0.0.1:{nobody}"):
-            said = ""
-            deadline_s = time.monotonic() + PATIENCE_S
-            while "\n" not in said and time.monotonic() < deadline_s:
-                writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
-                time.sleep(0.05)
-                said += capfd.readouterr().err
+            writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+            said = line_from(capfd)
             assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens there")
             assert said.endswith(
                 f"; all else goes on without it; `bc-play {tmp_path / 'a.mcap'} --follow` opens another one\n"
@@ -275,12 +280,8 @@ def test_a_viewer_that_is_stopped_by_who_started_it_says_nothing_of_it(
     monkeypatch.setattr("common.preview._SAID_S", 0.1)
     with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, running_viewer() as ports:
         writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
-        said = ""
         with preview(writer.part, f"127.0.0.1:{ports.data}", said=lambda text: None):
-            deadline_s = time.monotonic() + PATIENCE_S
-            while "\n" not in said and time.monotonic() < deadline_s:
-                time.sleep(0.05)
-                said += capfd.readouterr().err
+            said = line_from(capfd)
             assert said.startswith(f"viewer: 127.0.0.1:{ports.data}: it does not tell its version")
         assert capfd.readouterr().err == ""
 
@@ -326,13 +327,6 @@ def children_of(process: int) -> list[psutil.Process]:
     return list(psutil.Process(process).children(recursive=True))
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
-
-
 @not_on_windows
 def test_a_preview_ends_when_who_started_it_is_killed(tmp_path: Path) -> None:
     """As when a terminal is closed. What lies in the working folder is not taken for our own modules."""
@@ -342,12 +336,12 @@ def test_a_preview_ends_when_who_started_it_is_killed(tmp_path: Path) -> None:
         writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
         line = [sys.executable, "-P", "-c", PREVIEW, str(writer.part), "a.rrd"]
         with Process(line, cwd=tmp_path) as process:
-            wait_for(lambda: list(tmp_path.glob("a.rrd.*.part")))
+            wait_until(lambda: list(tmp_path.glob("a.rrd.*.part")))
             previews = children_of(process.popen.pid)
             try:
                 process.popen.kill()
                 process.popen.wait(PATIENCE_S)
-                wait_for(lambda: not any(map(lives, previews)))
+                wait_until(lambda: not any(map(lives, previews)))
             finally:
                 for each in previews:
                     with contextlib.suppress(psutil.NoSuchProcess):
@@ -368,7 +362,7 @@ def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
     writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
     with preview(writer.part, str(rrd)):
         writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
-        wait_for(lambda: len(list(tmp_path.glob("a.rrd.*.part"))) == 2)
+        wait_until(lambda: len(list(tmp_path.glob("a.rrd.*.part"))) == 2)
         for child in set(children_of(os.getpid())) - others:
             child.suspend()
         writer.close()

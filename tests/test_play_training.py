@@ -12,7 +12,6 @@ import random
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +21,7 @@ import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 
 from common.locks import lock
-from driving import PATIENCE_S, Process, command, environment
+from driving import Process, command, environment
 from histories import epoch_line, step_lines, write_lines, write_run
 from model import RunError
 from model.history import HistoryReader, read_history
@@ -31,6 +30,7 @@ from rrd import contents, free_ports, listening, view_names
 from udacity import call
 from viz.cli import main
 from viz.viewer import viewer_program
+from waiting import PATIENCE_S, wait_until
 
 
 def points(rrd: Path, entity: str) -> list[tuple[int, float]]:
@@ -342,13 +342,6 @@ def received(port: int, rrd: Path) -> subprocess.Popen[bytes]:
     return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment())
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
-
-
 class Following(Process):
     """`bc-play --follow --web` on free ports."""
 
@@ -361,7 +354,7 @@ class Following(Process):
         """Once it listens."""
         self.wait_for("open that address in a browser")
         children = psutil.Process(self.popen.pid).children
-        wait_for(lambda: any(set(listening(child)) == {self.web_port, self.port} for child in children()))
+        wait_until(lambda: any(set(listening(child)) == {self.web_port, self.port} for child in children()))
         (viewer,) = children()
         return viewer
 
@@ -384,10 +377,10 @@ def test_a_run_is_shown_before_it_is_there_and_as_it_grows(tmp_path: Path) -> No
         client = stack.enter_context(received(play.port, rrd))
         stack.callback(client.kill)
         write_run(run, 1)
-        wait_for(lambda: has_arrived(rrd, "/loss/training", 1))
+        wait_until(lambda: has_arrived(rrd, "/loss/training", 1))
         write_lines(run / "steps.jsonl", step_lines(2))
         write_lines(run / "metrics.jsonl", [{"epoch": "two"}, epoch_line(2)])
-        wait_for(lambda: has_arrived(rrd, "/turning_mae_deg/zero", 2))
+        wait_until(lambda: has_arrived(rrd, "/turning_mae_deg/zero", 2))
         assert play.end(signal.SIGINT) == 130
         client.wait(PATIENCE_S)
         assert not viewer.is_running()

@@ -227,7 +227,7 @@ def test_a_file_is_called_what_it_is(
 ) -> None:
     assert call(main, "session.mcap", flag, tmp_path / name) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"{tmp_path / name}: {flag} writes an {ending} file" in line
+    assert f"{flag} {tmp_path / name}: it writes an {ending} file" in line
     assert list(tmp_path.iterdir()) == []
 
 
@@ -253,11 +253,11 @@ def test_a_log_is_never_written_over(
     (tmp_path / "link").symlink_to(log)
     for name in ("session.mcap", "link"):
         assert call(main, log, *flags, tmp_path / name, "--force") == 1
-        assert "the log itself" in capsys.readouterr().err
+        assert f"{flags[-1]} {tmp_path / name}: the log itself" in capsys.readouterr().err
     assert log.read_bytes() == (here / "session.mcap").read_bytes()
     both = tmp_path / "both"
     assert call(main, log, "--run", "first", "--save", both, "--write", both) == 1
-    assert "two files of one name" in capsys.readouterr().err
+    assert f"--write {both}: two files of one name" in capsys.readouterr().err
 
 
 # Logs that are not as they should be

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shlex
 import shutil
@@ -28,6 +29,7 @@ from model.cli import main
 from model.progress import Step
 from toy import STEERING, TINY, road, toy_index
 from udacity import call
+from waiting import PATIENCE_S
 
 CONFIG = replace(TINY, epochs=3, batch=2, dropout=0.5)  # 13 batches an epoch: dropout must go on as well
 
@@ -122,10 +124,10 @@ def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
     index: Path, whole: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    train_until_killed(index, run, 1, 10, checkpoint_s=60)  # from the beginning
+    train_until_killed(index, run, 1, 10, checkpoint_s=math.inf)  # from the beginning
     train_until_killed(index, run, 1, 13, checkpoint_s=0)  # in the middle of an epoch
     assert [step[:3] for step in steps(run)] == [(1, 10, 20), (1, 13, 26)]
-    train_until_killed(index, run, 3, 10, checkpoint_s=60)  # what came after that is lost
+    train_until_killed(index, run, 3, 10, checkpoint_s=math.inf)  # what came after that is lost
     train(index, run, resume=True, figures=False)
     assert_same(run, whole)
 
@@ -183,7 +185,7 @@ def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
 ) -> None:
     config = replace(CONFIG, epochs=1)
     train(index, tmp_path / "straight", config, init=whole, figures=False)
-    train_until_killed(index, tmp_path / "killed", 1, 10, checkpoint_s=60, init=whole)
+    train_until_killed(index, tmp_path / "killed", 1, 10, checkpoint_s=math.inf, init=whole)
     train(index, tmp_path / "killed", config, resume=True, figures=False)
     assert_same(tmp_path / "killed", tmp_path / "straight")
 

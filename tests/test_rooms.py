@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from driving import environment
+from waiting import PATIENCE_S
 
 ROOT = Path(__file__).parent.parent
 
@@ -92,7 +93,12 @@ def test_every_module_begins_by_saying_what_it_is() -> None:
 def test_a_room_loads_only_what_it_needs(rooms: str, unloaded: list[str]) -> None:
     code = f"import sys, {rooms}; print(*(name for name in {unloaded} if name in sys.modules))"
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, "-c", code],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
     )
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
@@ -9,7 +10,6 @@ import sqlite3
 import struct
 import subprocess
 import sys
-import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ import zstandard
 from rosbags.rosbag2 import StoragePlugin
 
 from common.untrusted import open_regular, read_bounded
-from driving import PATIENCE_S, Process, command, environment
+from driving import Process, command, environment
 from logs import read_messages
 from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
@@ -29,6 +29,7 @@ from recorder.look import decodes
 from recorder.watch import watch_udacity
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import jpeg, make_recording, paths, picture_name
+from waiting import PATIENCE_S, wait_until
 
 MEMORY_BYTES = 1 << 30
 HOLE_BYTES = 1 << 42  # of a file without content: it takes no place on the disk
@@ -179,20 +180,28 @@ def test_a_bag_that_keeps_sqlite_busy_can_be_stopped(tmp_path: Path) -> None:
     database.close()
     flags = ["--from", bag, "--image", CAMERA, "--steering", "/cmd_vel.angular.z"]
     with Process(command("bc-record", "car", *flags), cwd=tmp_path) as process:
-        wait_until_busy(process.popen.pid, seconds=3)
+        wait_until_busy(process.popen.pid, bag / "bag.db3")
         assert process.end(signal.SIGINT) == 130
         assert process.stderr == ["bc-record: stopped"]
 
 
-def wait_until_busy(pid: int, seconds: int) -> None:
-    """Until the process has computed for so long."""
-    end_s = time.monotonic() + PATIENCE_S
-    stat = Path(f"/proc/{pid}/stat")
-    if not stat.exists():
+def wait_until_busy(pid: int, file: Path) -> None:
+    """Until the process has computed for a second with the file open."""
+    process = Path(f"/proc/{pid}")
+    if not process.exists():
         pytest.skip("stopping was not tried: this system does not tell how long a process has computed")
-    while int(stat.read_text().split()[13]) < seconds * os.sysconf("SC_CLK_TCK"):
-        assert time.monotonic() < end_s
-        time.sleep(0.05)
+
+    def has_opened() -> bool:
+        with contextlib.suppress(FileNotFoundError):  # closed meanwhile
+            return any(link.readlink() == file for link in (process / "fd").iterdir())
+        return False
+
+    def computed() -> int:
+        return int((process / "stat").read_text().split()[13])
+
+    wait_until(has_opened)
+    enough = computed() + os.sysconf("SC_CLK_TCK")
+    wait_until(lambda: computed() >= enough)
 
 
 # Logs that unpack to more than they are

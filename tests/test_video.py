@@ -331,7 +331,7 @@ def test_a_log_without_a_picture_of_the_centre_camera_makes_no_video(
     before = sorted(tmp_path.iterdir())
     for path, expected in (
         (tmp_path / "left.mcap", "no picture of the centre camera"),
-        (broken, "none of its 3 pictures of the centre camera can be shown"),
+        (broken, "none of 3 pictures of the centre camera can be shown"),
         (thin, "pictures of 1 x 9000 pixels"),
     ):
         done = play(path, "--video", tmp_path / "x.mp4")

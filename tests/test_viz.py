@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import struct
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,17 +13,19 @@ import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 
 from common import UserError
+from common.preview import has_display
 from disk import files_of_at_most
-from driving import PATIENCE_S, Process, command, one_line_of, road_jpeg, run
+from driving import Process, command, one_line_of, road_jpeg, run
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.topics import PILOT_COMMAND, VEHICLE
 from rrd import contents, free_ports, listening, view_names
 from udacity import call
-from viz import save_growing, save_rrd, viewer
+from viz import save_growing, save_rrd
 from viz.cli import main
 from viz.drawing import frame_size
+from waiting import PATIENCE_S, wait_until
 
 ROWS = 40
 START_NS = 1_767_225_600 * 10**9
@@ -212,7 +213,7 @@ def test_there_is_a_display_where_a_window_can_open(
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr("sys.platform", platform)
-    assert viewer.has_display() is expected
+    assert has_display() is expected
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one process alone")
@@ -221,14 +222,15 @@ def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_the_command(d
     flags = ("--web", "--web-port", web_port, "--port", port)
     with Process(command("bc-play", drive.with_suffix(".mcap"), *flags)) as play:
         play.wait_for("open that address in a browser")
-        deadline_s = time.monotonic() + PATIENCE_S
-        children: list[psutil.Process] = []
-        sockets: dict[int, str] = {}
-        while set(sockets) < {web_port, port} and time.monotonic() < deadline_s:
-            time.sleep(0.05)
-            children = psutil.Process(play.popen.pid).children(recursive=True)
-            sockets = {at: ip for child in children for at, ip in listening(child).items()}
-        assert sockets == {web_port: "127.0.0.1", port: "127.0.0.1"}
+        command_process = psutil.Process(play.popen.pid)
+
+        def sockets() -> dict[int, str]:
+            children = command_process.children(recursive=True)
+            return {at: ip for child in children for at, ip in listening(child).items()}
+
+        wait_until(lambda: set(sockets()) >= {web_port, port})
+        assert sockets() == {web_port: "127.0.0.1", port: "127.0.0.1"}
+        children = command_process.children(recursive=True)
         with socket.create_connection(("127.0.0.1", web_port), PATIENCE_S) as page:
             page.sendall(b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
             assert page.recv(12).startswith(b"HTTP/1.")

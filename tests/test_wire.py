@@ -12,6 +12,7 @@ import pytest
 from websocket import ABNF
 
 from recorder.wire import BROKEN_FRAME, PARSED_BYTES, TOO_LARGE, Wire, WireError
+from waiting import PATIENCE_S
 
 MOST_BYTES = 100_000
 HEADERS = {
@@ -43,8 +44,8 @@ def ends() -> Iterator[tuple[Wire, socket.socket]]:
     """The server's end, and the client's, which has shaken hands."""
     near, far = socket.socketpair()
     with near, far:
-        near.settimeout(5.0)
-        far.settimeout(5.0)
+        near.settimeout(PATIENCE_S)
+        far.settimeout(PATIENCE_S)
         wire = make_wire(near, HEADERS)
         assert ACCEPTED in far.recv(1000)
         yield wire, far

@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from dataset.preprocess import Image
-from viz.drawing import time_column
+from viz.clock import Clock, Times
 
 QUALITY: Final = 90  # of the JPEGs, some 7 KB each
 
@@ -28,10 +28,15 @@ def overlay(crops: Image, maps: NDArray[np.float32]) -> Image:
 
 
 def send_overlays(
-    recording: rr.RecordingStream, entity: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]
+    recording: rr.RecordingStream,
+    entity: str,
+    clock: Clock,
+    time_ns: Times,
+    crops: Image,
+    maps: NDArray[np.float32],
 ) -> None:
     """Send where a network looks, as JPEGs at their log times."""
     settings = (cv2.IMWRITE_JPEG_QUALITY, QUALITY)
     jpegs = [cv2.imencode(".jpg", picture, settings)[1].tobytes() for picture in overlay(crops, maps)]
     columns = rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * len(jpegs))
-    recording.send_columns(entity, [time_column(time_ns)], columns)
+    recording.send_columns(entity, clock(time_ns), columns)

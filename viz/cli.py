@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 from collections.abc import Sequence
@@ -32,6 +33,10 @@ class Play:
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The log to open, finished or not, or several to compare, or the folder of a run (runs/NAME)."""
+    at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
+        None
+    )
+    """Open it so many seconds after its start."""
     by: Literal["time", "place"] = "time"
     """Compare logs by time since each one's start, or by place along the way of the first one (needs poses)."""
     follow: bool = False
@@ -75,10 +80,10 @@ def play(config: Play) -> int:
     _refuse_swallowed(config)
     if config.video is not None:
         return make_video(config, config.video)
-    if not config.run and (config.attention or config.write is not None):
-        raise UserError("--attention and --write are of networks: give --run NAME as well")
-    if config.overlay or config.speed != 1.0:
-        raise UserError("--speed and --overlay are for a video: give --video FILE.mp4 as well")
+    if not config.run and (flags := flags_given(config, "attention", "write")):
+        raise UserError(f"{flags}: only of networks: give --run NAME as well")
+    if flags := flags_given(config, "speed", "overlay"):
+        raise UserError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     _refuse_nonsense(config)
     _prepare_rerun()
     if config.run:
@@ -98,16 +103,28 @@ def _refuse_nonsense(config: Play) -> None:
     """Raise UserError for flags that do not go together."""
     if not config.logs:
         raise UserError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
-    if len(config.logs) > 1 and (config.follow or config.run):
-        raise UserError("several logs are compared as they are: give one log with --follow, --run")
+    if len(config.logs) > 1 and (flags := flags_given(config, "follow", "run")):
+        raise UserError(f"{flags}: only with one log; several are compared as they are")
     if len(config.logs) == 1 and config.by != "time":
         raise UserError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
         raise UserError("--connect shows it in a viewer that runs: give it without --web, --save")
+    if config.at is not None:
+        _refuse_no_moment(config)
     if config.save is not None and config.web:
         raise UserError("--save writes a file and opens nothing: give it without --web")
     refuse_no_port("--port", config.port)
     refuse_no_port("--web-port", config.web_port)
+
+
+def _refuse_no_moment(config: Play) -> None:
+    """Raise UserError for an --at that cannot be."""
+    if not 0 <= (config.at or 0) < math.inf:
+        raise UserError(f"--at {config.at}: seconds since the log's start, from 0 on")
+    if config.follow or config.by != "time":
+        raise UserError("--at is a moment of logs that are shown by time: give it without --follow, --by place")
+    if _is_run(config):
+        raise UserError(f"--at is a moment of a log, and {config.log} is a folder: give a log, or leave it out")
 
 
 def _refuse_swallowed(config: Play) -> None:
@@ -124,12 +141,13 @@ def _refuse_swallowed(config: Play) -> None:
 
 def _refuse_loss(config: Play) -> None:
     """Raise UserError for a file that would be written over a log that is read, or over another one."""
-    written = [path for path in (config.save, config.video, config.write) if path is not None]
-    for at, path in enumerate(written):
+    flags = (("--save", config.save), ("--video", config.video), ("--write", config.write))
+    written = [(flag, path) for flag, path in flags if path is not None]
+    for at, (flag, path) in enumerate(written):
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
-            raise UserError(f"{path}: the log itself, which stays as it is; give another name")
-        if any(path.resolve() == other.resolve() for other in written[:at]):
-            raise UserError(f"{path}: two files of one name; give another one")
+            raise UserError(f"{flag} {path}: the log itself, which stays as it is; give another name")
+        if any(path.resolve() == other.resolve() for _, other in written[:at]):
+            raise UserError(f"{flag} {path}: two files of one name; give another one")
 
 
 def _refuse_other_endings(config: Play) -> None:
@@ -140,7 +158,7 @@ def _refuse_other_endings(config: Play) -> None:
         ("--write", config.write, ".mcap"),
     ):
         if path is not None and path.suffix.lower() != ending:
-            raise UserError(f"{path}: {flag} writes an {ending} file; give it such a name")
+            raise UserError(f"{flag} {path}: it writes an {ending} file; give it such a name")
 
 
 def _show_or_save(config: Play, shown: Shown) -> int:
@@ -165,7 +183,7 @@ def _what(config: Play) -> Shown:
             raise UserError(f"{folders[0]} is a folder: logs are compared; a run's training is shown alone")
         _refuse_no_logs(config.logs)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
-        return Whole(lambda: prepared_comparison(config.logs, config.by), size)
+        return Whole(lambda: prepared_comparison(config.logs, config.by, config.at), size)
     if _is_run(config):
         refuse_no_training(config.log, is_awaited=config.follow)
         return GrowingTraining(config.log) if config.follow else Whole(lambda: prepared_training(config.log))
@@ -175,7 +193,7 @@ def _what(config: Play) -> Shown:
     if config.follow and not is_finished(path):
         return GrowingLogShown(path)
     _refuse_no_logs([path])
-    return Whole(lambda: prepared_log(path), path.stat().st_size if path.is_file() else 0)
+    return Whole(lambda: prepared_log(path, at_s=config.at), path.stat().st_size if path.is_file() else 0)
 
 
 def _refuse_no_logs(paths: Sequence[Path]) -> None:
@@ -200,12 +218,12 @@ def make_video(config: Play, video: Path) -> int:
 
     if len(config.logs) != 1:
         raise UserError("--video is made of one log: give one")
-    unfit = flags_given(config, "save", "follow", "web", "connect", "run", "attention", "write", "by")
+    unfit = flags_given(config, "save", "follow", "web", "connect", "run", "attention", "write", "by", "at")
     if unfit:
         raise UserError(f"--video writes a file and opens nothing: give it without {unfit}")
     made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
     size = f"{made.width} x {made.height}"
-    print(f"{video}: written; {made.pictures:,} pictures, {size}, {clock(made.duration_s)} long")
+    print(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {clock(made.duration_s)} long")
     if made.gaps:
         gaps = f"{counted(made.gaps, 'gap')} of more than a second"
         stderr().print(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")
@@ -235,8 +253,8 @@ def _play_predicted(config: Play) -> int:
     if config.follow:
         raise UserError("--run: networks look at a log that does not grow: give it without --follow")
     is_only_written = config.write is not None and config.save is None
-    if is_only_written and (config.attention or config.web or config.connect is not None):
-        raise UserError("--write opens nothing: give it without --attention, --web, --connect")
+    if is_only_written and (flags := flags_given(config, "attention", "web", "connect", "at")):
+        raise UserError(f"--write opens nothing: give it without {flags}")
     for path in (config.save, config.write):
         if path is not None:
             refuse_existing(path, config.force)  # before minutes of work, not after them
@@ -248,7 +266,11 @@ def _play_predicted(config: Play) -> int:
     codes = [DONE]
     whole = Whole(
         lambda: prepared_predictions(
-            config.log, runs, lambda found: codes.append(_tell(config, found)), attention=config.attention
+            config.log,
+            runs,
+            lambda found: codes.append(_tell(config, found)),
+            attention=config.attention,
+            at_s=config.at,
         ),
         config.log.stat().st_size * (1 + config.attention * len(runs)) if config.log.is_file() else 0,
     )

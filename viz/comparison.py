@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk
@@ -17,7 +16,8 @@ from rerun.chunk import Chunk
 from common import UserError
 from recorder import Log
 from recorder.topics import POSE
-from viz.drawing import TIMELINE, Drawing, Times
+from viz.clock import SINCE_START, Clock, Times, on_clock, start_clock
+from viz.drawing import Drawing
 from viz.layout import LOG_COLORS, comparison_layout, log_entity
 from viz.places import along
 from viz.playback import (
@@ -27,6 +27,7 @@ from viz.playback import (
     draw,
     predicted_curves,
     read_drawn,
+    refuse_beyond,
     send_chunks,
     sound_log,
     topics_of,
@@ -34,7 +35,6 @@ from viz.playback import (
 
 By = Literal["time", "place"]
 
-SINCE_START: Final = "since_start"
 PLACE: Final = "place_cm"
 """Centimetres along the way of the first log: of Rerun's time lines, only whole numbers may be no times."""
 
@@ -49,12 +49,12 @@ class _Beside:
     name: str
     log: Log
     drawn: Drawn
-    times: Callable[[Times], rr.TimeColumn]
+    clock: Clock
 
 
 @contextlib.contextmanager
-def prepared_comparison(paths: Sequence[Path], by: By = "time") -> Iterator[Prepared]:
-    """The logs at `paths` beside each other.
+def prepared_comparison(paths: Sequence[Path], by: By = "time", at_s: float | None = None) -> Iterator[Prepared]:
+    """The logs at `paths` beside each other; by time, it opens `at_s` seconds after their starts.
 
     Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
     """
@@ -62,17 +62,19 @@ def prepared_comparison(paths: Sequence[Path], by: By = "time") -> Iterator[Prep
         raise UserError(f"{len(paths)} logs: at most {MOST_LOGS} can be shown beside each other")
     with contextlib.ExitStack() as stack:
         opened = [stack.enter_context(sound_log(path)) for path in paths]
+        refuse_beyond(at_s, zip(paths, (log for log, _ in opened), strict=True))
         drawn = [read_drawn(log) for log, _ in opened]
-        times = _by_place(paths, drawn) if by == "place" else [_by_time(log) for log, _ in opened]
+        by_time = [start_clock(log.time_range_ns[0]) for log, _ in opened]
+        clocks = _by_place(paths, drawn) if by == "place" else by_time
         logs = [
-            _Beside(name, log, found, time)
-            for name, (log, _), found, time in zip(names_of(paths), opened, drawn, times, strict=True)
+            _Beside(name, log, found, clock)
+            for name, (log, _), found, clock in zip(names_of(paths), opened, drawn, clocks, strict=True)
         ]
         topics = {each.name: topics_of(each.log) for each in logs}
-        layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START)
+        layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START, at_s=at_s)
         notices = [notice for _, notice in opened if notice]
         name = " | ".join(topics)
-        yield Prepared(name, layout, lambda recording, flush: _send(logs, recording, flush), notices)
+        yield Prepared(name, layout, lambda recording, flush: _send(logs, recording, flush), notices, at_s=at_s)
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
@@ -89,30 +91,25 @@ def names_of(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _by_time(log: Log) -> Callable[[Times], rr.TimeColumn]:
-    start_ns, _ = log.time_range_ns
-    return lambda time_ns: rr.TimeColumn(SINCE_START, duration=(time_ns - start_ns).astype("timedelta64[ns]"))
-
-
-def _by_place(paths: Sequence[Path], drawn: Sequence[Drawn]) -> list[Callable[[Times], rr.TimeColumn]]:
+def _by_place(paths: Sequence[Path], drawn: Sequence[Drawn]) -> list[Clock]:
     """Raises UserError if there is a log without poses, or one of another track."""
     ways = [_way(path, found) for path, found in zip(paths, drawn, strict=True)]
     first = ways[0][1]
-    columns = []
+    clocks = []
     for path, (time_ns, way) in zip(paths, ways, strict=True):
         placed_m = along(first, way)
         if placed_m is None:
             raise UserError(f"{path}: not on the road of {paths[0]}: compare them by time, without --by place")
-        columns.append(_place_column(time_ns, placed_m))
-    return columns
+        clocks.append(_place_clock(time_ns, placed_m))
+    return clocks
 
 
-def _place_column(pose_ns: Times, placed_m: NDArray[np.float64]) -> Callable[[Times], rr.TimeColumn]:
-    def column(time_ns: Times) -> rr.TimeColumn:
+def _place_clock(pose_ns: Times, placed_m: NDArray[np.float64]) -> Clock:
+    def columns(time_ns: Times) -> list[rr.TimeColumn]:
         place_m = np.interp((time_ns - pose_ns[0]) * 1e-9, (pose_ns - pose_ns[0]) * 1e-9, placed_m)
-        return rr.TimeColumn(PLACE, sequence=np.round(100 * place_m).astype(np.int64))
+        return [rr.TimeColumn(PLACE, sequence=np.round(100 * place_m).astype(np.int64))]
 
-    return column
+    return columns
 
 
 def _way(path: Path, drawn: Drawn) -> tuple[Times, NDArray[np.float64]]:
@@ -128,7 +125,7 @@ def _way(path: Path, drawn: Drawn) -> tuple[Times, NDArray[np.float64]]:
 def _send(logs: Sequence[_Beside], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
     for number, each in enumerate(logs):
         color = LOG_COLORS[number % len(LOG_COLORS)]
-        drawing = Drawing(recording, log_entity(each.name), each.times, each.name, color)
+        drawing = Drawing(recording, each.clock, log_entity(each.name), each.name, color)
         draw(each.drawn, drawing)
         for curve, time_ns, values in predicted_curves(each.log):
             drawing.curve(curve, time_ns, values)
@@ -138,23 +135,7 @@ def _send(logs: Sequence[_Beside], recording: rr.RecordingStream, flush: Callabl
 
 def _moved(one: _Beside) -> Generator[Chunk]:
     """What Rerun's reader makes of a log, under the log's own entity and on the time line of all of them."""
-    for chunk in chunks_of(one.log):
-        if TIMELINE not in chunk.timeline_names:
-            continue  # of the file, not of a moment
-        batch = chunk.to_record_batch()
-        fields = [field for field in batch.schema if _is_shown(field)]
-        if not fields:
-            continue
-        times = one.times(batch.column(TIMELINE).cast(pa.int64()).to_numpy(zero_copy_only=False))
-        time_ns = times.as_arrow_array()
-        moved = pa.RecordBatch.from_arrays(
-            [time_ns, *(batch.column(field.name) for field in fields)],
-            schema=pa.schema([pa.field(times.timeline_name(), time_ns.type), *fields]),
-        )
-        yield from Chunk.from_record_batch(
-            moved, index=times.timeline_name(), entity_path=log_entity(one.name) + chunk.entity_path
-        )
-
-
-def _is_shown(field: pa.Field) -> bool:
-    return (field.metadata or {}).get(b"rerun:kind") == b"data" and field.name != _LEFT_OUT
+    chunks = chunks_of(one.log)
+    with contextlib.closing(chunks):
+        for chunk in on_clock((chunk for chunk in chunks if not chunk.is_static), one.clock, left_out=_LEFT_OUT):
+            yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)

@@ -5,18 +5,21 @@ from __future__ import annotations
 import contextlib
 import re
 import socket
+import threading
 from typing import Final
 from urllib.parse import urlsplit
 
 import rerun as rr
 
 from common import UserError
+from viz.clock import SINCE_START
 from viz.viewer import LOCAL
 
 DEFAULT_PORT: Final = 9876
 """On which Rerun's viewer listens."""
 
-_PATIENCE_S: Final = 3.0
+_PATIENCE_S: Final = 10.0  # a machine may be slow, and busy
+_POLL_S: Final = 0.1
 _PORT: Final = re.compile(r"\d{1,5}")
 _PLACE: Final = re.compile(r"(?P<host>[\w.-]+|\[[\da-fA-F:]+\]):(?P<port>\d{1,5})")
 # How every gRPC connection begins: HTTP/2's preface and empty settings (RFC 9113, 3.4); so does its answer.
@@ -38,7 +41,7 @@ def viewer_url(address: str) -> str:
         if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
             return address
     raise UserError(
-        f"{address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
+        f"--connect {address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
         f" {LOCAL}:{DEFAULT_PORT}"
     )
 
@@ -62,6 +65,25 @@ def check_viewer(url: str) -> str:
     if version is not None and version.split(".")[:2] != rr.__version__.split(".")[:2]:
         raise UserError(f"{where}: a viewer of version {version}, but {needed}")
     return ""
+
+
+def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threading.Event) -> None:
+    """Put the time cursor of the viewer at `url` to `at_s` seconds after the start of what was sent and hold it
+    there, as soon as the viewer has got that; not if `stop` is set before. What serves browsers cannot be told: it
+    plays what the layout says."""
+    from rerun.experimental import ViewerClient
+
+    client = ViewerClient.connect(url)
+    name = recording.get_recording_id()
+    try:
+        while not stop.wait(_POLL_S):
+            for known in client.get_state().recordings:
+                times = [line.name for line in known.timelines]
+                if name is not None and known.store_id.endswith(name) and SINCE_START in times:
+                    client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=known.store_id)
+                    return
+    except (OSError, RuntimeError):  # it cannot be told, or is closed
+        return
 
 
 def _version(url: str) -> str | None:

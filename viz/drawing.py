@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,14 +14,13 @@ from dataset.balance import bin_of
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.picture_size import can_be_decoded, width_and_height
 from recorder.topics import PILOT_COMMAND, POSE, VEHICLE
+from viz.clock import Clock, Times
 from viz.layout import ARCS, CAR, CURVES, DRIVER, DRIVERS, HISTOGRAM, PATH, SPEED, Curve
 from viz.trail import Trail
 
-TIMELINE: Final = "message_log_time"  # as Rerun's MCAP reader calls a message's log time
 BINS: Final = 25  # as the index has by default
 
 Values = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 _FRAME: Final = (320, 160)  # width and height of the simulator's pictures
 _ALONG: Final = np.linspace(0, 1, 9)  # along an arc
@@ -30,11 +29,6 @@ _STRIPS: Final = pa.list_(
 )
 _CAR_M: Final = 8.0  # length of the arrow that is the car, seen from above
 _PATH_COLOR: Final = (110, 150, 110)
-
-
-def time_column(time_ns: Times) -> rr.TimeColumn:
-    """Log times as they are."""
-    return rr.TimeColumn(TIMELINE, timestamp=time_ns.astype("datetime64[ns]"))
 
 
 class Drawing:
@@ -46,17 +40,17 @@ class Drawing:
     def __init__(
         self,
         recording: rr.RecordingStream,
+        clock: Clock,
         prefix: str = "",
-        times: Callable[[Times], rr.TimeColumn] = time_column,
         name: str = "",
         color: tuple[int, int, int] | None = None,
     ) -> None:
-        """Entities get `prefix` before their paths, and `times` makes a time line of log times. Where several logs
-        are shown, their speeds share a view, and so do their paths: there, `name` and `color` tell them apart."""
+        """Entities get `prefix` before their paths. Where several logs are shown, their speeds share a view, and
+        so do their paths: there, `name` and `color` tell them apart."""
         self.picture_size = _FRAME
         self._recording = recording
         self._prefix = prefix
-        self._times = times
+        self.clock = clock
         self._name = name
         self._color = color
         self._styled: set[str] = set()
@@ -149,7 +143,7 @@ class Drawing:
 
     def _send(self, entity: str, time_ns: Times, columns: Any) -> None:
         if len(time_ns):
-            self._recording.send_columns(entity, [self._times(time_ns)], columns)
+            self._recording.send_columns(entity, self.clock(time_ns), columns)
 
 
 def curve_values(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -20,6 +19,7 @@ from rich.segment import ControlType
 
 from common import Skipped, UserError
 from common.command import DONE, DONE_BUT_SKIPPED, INTERRUPTED, stderr, warn
+from common.errors import counted
 from common.files import final_path
 from common.interrupts import stop_signals
 from viz.growing import GrowingLog
@@ -27,7 +27,7 @@ from viz.messages import MessageSender
 from viz.rate import THINNED, PictureRate
 from viz.rrd_file import APPLICATION, rrd_file
 from viz.saying import complain, say, say_skipped
-from viz.viewer import end_viewer, wait_until_closed, wait_until_it_listens
+from viz.viewer import Viewer, end_viewer, wait_until_closed, wait_until_it_listens
 
 POLL_S: Final = 0.1
 BEHIND_S: Final = 2.0
@@ -35,11 +35,12 @@ BEHIND_S: Final = 2.0
 HISTORY_S: Final = 60.0
 """Pictures from before the viewer was opened are skipped if they are older than that."""
 VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
+WHOLE_S: Final = 2.0
+"""Between two times that a viewer gets what is drawn of the whole log: histogram and path."""
 
 _GRACE_S: Final = 0.5
 _FLUSH_S: Final = 0.5  # how long a viewer may take until it is asked whether anybody still waits for it
 _LAST_S: Final = 1.5  # for another's viewer to take what is on its way
-_WHOLE_S: Final = 2.0  # between two histograms and paths
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
 )
@@ -71,7 +72,7 @@ def save_growing(
     return Followed(log.notice, log.skipped)
 
 
-def follow(path: Path, url: str, viewer: subprocess.Popen[bytes] | None) -> int:
+def follow(path: Path, url: str, viewer: Viewer | None) -> int:
     """Show the log at `path` as it grows in the viewer at `url`; the exit code.
 
     `viewer` is its process if it was opened for this, and shows it until it is closed; with None, it is another's,
@@ -127,7 +128,7 @@ class GoneError(Exception):
     """The viewer takes nothing any more: it is closed, or shall be."""
 
 
-def feed(follower: Follower, viewer: subprocess.Popen[bytes] | None) -> int:
+def feed(follower: Follower, viewer: Viewer | None) -> int:
     """Let `follower` feed an open, empty viewer until that is closed, or all has been sent to another's; the exit
     code. Raises as `follow` does."""
     if viewer is None:
@@ -191,7 +192,7 @@ class LogFollower(Follower):
             self.code = self.code or skipped
             if thinned:
                 topics = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(thinned.items()))
-                say(f"skipped {thinned.total():,} {THINNED}: {topics}")
+                say(f"skipped {counted(thinned.total(), 'picture')} {THINNED}: {topics}")
                 self.code = self.code or DONE_BUT_SKIPPED
         self._disconnect(recording)
 
@@ -224,7 +225,8 @@ def _send(
             sender.send(shown)
         is_last = is_last or log.is_finished or bool(log.notice)
         now_s = time.monotonic()
-        if is_last or now_s - whole_s >= _WHOLE_S:
+        # A file is looked at when it is whole, and would keep each of them.
+        if is_last or (keep_up and now_s - whole_s >= WHOLE_S):
             sender.finish()
             whole_s = now_s
         try:

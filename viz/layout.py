@@ -8,6 +8,7 @@ from typing import Final
 
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint.components import AbsoluteTimeRange
 
 from recorder.bc_pb2 import PilotCommand
 from recorder.topics import (
@@ -20,6 +21,10 @@ from recorder.topics import (
     VEHICLE,
     camera_topic,
 )
+from viz.clock import SINCE_START
+
+AROUND_S: Final = 1.0
+"""So long before and after the moment that is asked for is played, where the time cursor cannot be set."""
 
 ERRORS: Final = "/error_deg"
 DRIVER: Final = "/driver"
@@ -89,21 +94,32 @@ ARCS: Final[Mapping[str, float]] = {"/steering/recorded": 2.5, "/steering/predic
 """Steering that is also drawn over the frame, and half its width there."""
 
 
-def log_layout(topics: Collection[str], runs: Sequence[str] = (), attention: Sequence[str] = ()) -> rrb.Blueprint:
+def log_layout(
+    topics: Collection[str],
+    runs: Sequence[str] = (),
+    attention: Sequence[str] = (),
+    *,
+    grows: bool = False,
+    at_s: float | None = None,
+) -> rrb.Blueprint:
     """The layout for a log with these topics; it has no view for what the log does not have.
 
     `runs` are the names of those whose predictions are shown beside it, `attention` of those that show where they
-    look.
+    look. A log that grows is followed; another one opens at its start, or `at_s` seconds after it.
     """
     looks = [rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention]
     plots = _plots(topics, has_errors=bool(runs) or _has_predictions(topics))
     if runs or EVENTS in topics or not topics:
         plots.append((rrb.TextLogView(origin=EVENTS, name="events"), 1.0))
-    return _blueprint(_side_by_side([_pictures(topics, looks), _upright(plots)], shares=[2, 3]))
+    parts = _side_by_side([_pictures(topics, looks), _upright(plots)], shares=[2, 3])
+    return _blueprint(parts, _time_panel(SINCE_START, grows=grows, at_s=at_s))
 
 
-def comparison_layout(logs: Mapping[str, Collection[str]], timeline: str) -> rrb.Blueprint:
-    """The layout for several logs beside each other, on `timeline`: the topics of each, by its name."""
+def comparison_layout(
+    logs: Mapping[str, Collection[str]], timeline: str, *, at_s: float | None = None
+) -> rrb.Blueprint:
+    """The layout for several logs beside each other, on `timeline`: the topics of each, by its name. It opens at
+    their start, or `at_s` seconds after it."""
     columns = [_of_one(name, topics) for name, topics in logs.items()]
     together: list[Part] = []
     with_states = [name for name, topics in logs.items() if {VEHICLE, PILOT_COMMAND} & set(topics)]
@@ -115,7 +131,7 @@ def comparison_layout(logs: Mapping[str, Collection[str]], timeline: str) -> rrb
         ways = [f"{log_entity(name)}/path/**" for name in with_poses]
         together.append(rrb.Spatial2DView(origin="/", contents=ways, name="paths from above, m"))
     rows = [rrb.Horizontal(*columns), *([rrb.Horizontal(*together)] if together else [])]
-    return _blueprint(rrb.Vertical(*rows, row_shares=[3, 1][: len(rows)]), timeline)
+    return _blueprint(rrb.Vertical(*rows, row_shares=[3, 1][: len(rows)]), _time_panel(timeline, at_s=at_s))
 
 
 def attention_entity(run: str) -> str:
@@ -215,10 +231,20 @@ def _side_by_side(parts: Sequence[Part | None], shares: Sequence[float]) -> Part
     return rrb.Horizontal(*(part for part, _ in there), column_shares=[share for _, share in there])
 
 
-def _blueprint(parts: Part, timeline: str | None = None) -> rrb.Blueprint:
+def _time_panel(timeline: str, *, grows: bool = False, at_s: float | None = None) -> rrb.TimePanel:
+    """A layout cannot tell where the time cursor stands, only what is played over and over."""
+    if at_s is None:
+        return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following" if grows else "paused")
+    around = AbsoluteTimeRange(min=round(1e9 * max(0.0, at_s - AROUND_S)), max=round(1e9 * (at_s + AROUND_S)))
+    return rrb.TimePanel(
+        state="collapsed", timeline=timeline, play_state="playing", loop_mode="selection", time_selection=around
+    )
+
+
+def _blueprint(parts: Part, time_panel: rrb.TimePanel) -> rrb.Blueprint:
     return rrb.Blueprint(
         parts,
-        rrb.TimePanel(state="collapsed", timeline=timeline),
+        time_panel,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )

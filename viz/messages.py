@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,11 +12,11 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message as ProtobufMessage
-from numpy.typing import NDArray
 
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import CAMERAS, EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
-from viz.drawing import Drawing, frame_size, time_column
+from viz.clock import Times, log_clock
+from viz.drawing import Drawing, frame_size
 from viz.layout import log_layout
 
 CENTER: Final = camera_topic("center")
@@ -54,11 +54,14 @@ class MessageSender:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
-        self._drawing = Drawing(recording)
+        self._start_ns: int | None = None
+        self._drawing = Drawing(recording, self._clock)
         self._topics: set[str] = set()
         self._has_size = False
 
-    def send(self, messages: Iterable[Shown]) -> None:
+    def send(self, messages: Sequence[Shown]) -> None:
+        if self._start_ns is None:
+            self._start_ns = min((message.log_time_ns for message in messages), default=None)
         by_topic: dict[str, list[Shown]] = {}
         for message in messages:
             by_topic.setdefault(message.topic, []).append(message)
@@ -78,14 +81,17 @@ class MessageSender:
         """Send what is drawn of all messages until now: histogram and path. To be called now and then."""
         self._drawing.finish()
 
+    def _clock(self, time_ns: Times) -> list[rr.TimeColumn]:
+        return log_clock(self._start_ns or 0)(time_ns)
+
     def _prepare(self, topics: Iterable[str]) -> None:
         new = set(topics) - self._topics
         if new - {EVENTS} or (new and not self._topics):
             # The first event may come late, and must not change a layout that somebody has arranged meanwhile.
-            self._recording.send_blueprint(log_layout({*self._topics, *new, EVENTS}))
+            self._recording.send_blueprint(log_layout({*self._topics, *new, EVENTS}, grows=True))
         self._topics |= new
 
-    def _send_pictures(self, topic: str, time_ns: NDArray[np.int64], pictures: list[CompressedImage]) -> None:
+    def _send_pictures(self, topic: str, time_ns: Times, pictures: list[CompressedImage]) -> None:
         if topic == CENTER and not self._has_size:
             self._has_size = True
             self._drawing.picture_size = frame_size(pictures[0].data) or self._drawing.picture_size
@@ -93,11 +99,11 @@ class MessageSender:
             blob=[picture.data for picture in pictures],
             media_type=[f"image/{picture.format or 'jpeg'}" for picture in pictures],
         )
-        self._recording.send_columns(topic, [time_column(time_ns)], columns)
+        self._recording.send_columns(topic, self._clock(time_ns), columns)
 
-    def _send_events(self, topic: str, time_ns: NDArray[np.int64], events: list[LogMessage]) -> None:
+    def _send_events(self, topic: str, time_ns: Times, events: list[LogMessage]) -> None:
         columns = rr.TextLog.columns(
             text=[event.message for event in events],
             level=[_LEVELS.get(event.level, "INFO") for event in events],
         )
-        self._recording.send_columns(topic, [time_column(time_ns)], columns)
+        self._recording.send_columns(topic, self._clock(time_ns), columns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import tempfile
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,13 +19,15 @@ from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as ProtobufMessage
 from rerun.chunk import Chunk, McapReader
 
+from common import UserError
 from common.files import refuse_existing
 from common.progress import progress_bar, track
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover
 from recorder.topics import PILOT_COMMAND, POSE, VEHICLE, camera_topic
-from viz.drawing import Drawing, Times, Values, curve_values, frame_size
+from viz.clock import Times, log_clock, on_clock
+from viz.drawing import Drawing, Values, curve_values, frame_size
 from viz.layout import Curve, log_layout
 from viz.prediction_curves import prediction_curves
 from viz.prediction_log import prediction_topics, read_predictions
@@ -69,6 +71,7 @@ class Prepared:
     """To a recording. The second argument waits until what was sent is taken, and may raise what ends it."""
     notices: Sequence[str]  # of logs that were never finished
     recording_id: str | None = None  # in a file: the same log, the same recording
+    at_s: float | None = None  # where it opens, in seconds since the start; None: at the start
 
 
 def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
@@ -93,25 +96,29 @@ def save_prepared(prepared: Prepared, rrd: Path, *, overwrite: bool) -> None:
 
 
 @contextlib.contextmanager
-def prepared_log(path: Path, beside: Beside | None = None) -> Iterator[Prepared]:
-    """The log at `path`: first what is drawn of it is sent, then its pictures, then what stands beside it.
+def prepared_log(path: Path, beside: Beside | None = None, at_s: float | None = None) -> Iterator[Prepared]:
+    """The log at `path`: first what is drawn of it is sent, then its pictures, then what stands beside it. It
+    opens `at_s` seconds after its start.
 
-    Raises LogError for a bad log.
+    Raises LogError for a bad log, UserError if it is shorter than `at_s`.
     """
     with sound_log(path) as (log, notice):
+        refuse_beyond(at_s, [(path, log)])
         drawn = read_drawn(log)  # before Rerun starts: it must not be given damage
 
         def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
-            drawing = Drawing(recording)
+            clock = log_clock(log.time_range_ns[0])
+            drawing = Drawing(recording, clock)
             draw(drawn, drawing)
             for curve, time_ns, values in predicted_curves(log):
                 drawing.curve(curve, time_ns, values)
-            send_chunks(chunks_of(log), recording, flush)
+            with contextlib.closing(chunks_of(log)) as chunks:
+                send_chunks(on_clock(chunks, clock), recording, flush)
             if beside is not None:
                 beside.send(recording, drawing, flush)
 
         recording_id = f"{path.name}-{log.fingerprint[:12]}"
-        yield Prepared(path.name, _layout(log, beside), send, [notice] if notice else [], recording_id)
+        yield Prepared(path.name, _layout(log, beside, at_s), send, [notice] if notice else [], recording_id, at_s)
 
 
 @contextlib.contextmanager
@@ -187,9 +194,20 @@ def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: 
         flush()
 
 
-def _layout(log: Log, beside: Beside | None) -> rrb.Blueprint:
+def refuse_beyond(at_s: float | None, logs: Iterable[tuple[Path, Log]]) -> None:
+    """Raise UserError if none of these logs is so long."""
+    if at_s is None:
+        return
+    lengths = {path: 1e-9 * (log.time_range_ns[1] - log.time_range_ns[0]) for path, log in logs}
+    longest = max(lengths, key=lengths.__getitem__)
+    if at_s > lengths[longest]:
+        raise UserError(f"--at {at_s:g}: {longest} is {lengths[longest]:.1f} s long; give fewer seconds")
+
+
+def _layout(log: Log, beside: Beside | None, at_s: float | None) -> rrb.Blueprint:
     runs = beside.runs if beside is not None else ()
-    return log_layout(topics_of(log), runs, runs if beside is not None and beside.attention else ())
+    looks = runs if beside is not None and beside.attention else ()
+    return log_layout(topics_of(log), runs, looks, at_s=at_s)
 
 
 def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:

@@ -14,7 +14,7 @@ from dataset.preprocess import Image
 from model.predictions import LogPredictions
 from model.replay import predict_log, run_names
 from viz.attention import send_overlays
-from viz.drawing import Drawing, time_column
+from viz.drawing import Drawing
 from viz.layout import attention_entity, entity_part
 from viz.playback import Beside, Prepared, prepared_log
 from viz.prediction_curves import prediction_curves
@@ -22,25 +22,30 @@ from viz.prediction_curves import prediction_curves
 
 @contextlib.contextmanager
 def prepared_predictions(
-    path: Path, runs: Sequence[Path], on_found: Callable[[LogPredictions], object], *, attention: bool = False
+    path: Path,
+    runs: Sequence[Path],
+    on_found: Callable[[LogPredictions], object],
+    *,
+    attention: bool = False,
+    at_s: float | None = None,
 ) -> Iterator[Prepared]:
     """The log at `path` and, when that is sent, what the networks of `runs` say of it: steering, errors, the worst
     moments as events, and with `attention` where they look. `on_found` is told all that they say.
 
-    Raises LogError if the log cannot be read, RunError if a run is given twice; sending raises what `predict_log`
-    does.
+    `at_s` is as in `prepared_log`. Raises LogError if the log cannot be read, RunError if a run is given twice;
+    sending raises what `predict_log` does.
     """
 
     def send(recording: rr.RecordingStream, drawing: Drawing, flush: Callable[[], object]) -> None:
         def on_look(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
-            send_overlays(recording, attention_entity(run), time_ns, crops, maps)
+            send_overlays(recording, attention_entity(run), drawing.clock, time_ns, crops, maps)
 
         found = predict_log(path, runs, on_look if attention else None, flush)
         _draw(found, recording, drawing)
         flush()
         on_found(found)
 
-    with prepared_log(path, Beside(run_names(runs), attention, send)) as prepared:
+    with prepared_log(path, Beside(run_names(runs), attention, send), at_s) as prepared:
         yield prepared
 
 
@@ -54,5 +59,5 @@ def _draw(found: LogPredictions, recording: rr.RecordingStream, drawing: Drawing
             times, texts = zip(*moments, strict=True)
             columns = rr.TextLog.columns(text=texts, level=["WARN"] * len(texts))
             recording.send_columns(
-                f"/events/worst/{entity_part(run)}", [time_column(np.array(times, np.int64))], columns
+                f"/events/worst/{entity_part(run)}", drawing.clock(np.array(times, np.int64)), columns
             )

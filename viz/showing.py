@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -14,12 +13,13 @@ from urllib.parse import urlsplit
 from common import UserError
 from common.command import DONE, warn, warn_skipped
 from common.interrupts import stop_signals
-from viz.connection import check_viewer, viewer_url
+from common.preview import has_display
+from viz.connection import check_viewer, set_time, viewer_url
 from viz.follow import VIEWER_MEMORY, Follower, GoneError, feed, follow, save_growing
 from viz.playback import Prepared, save_prepared
 from viz.saying import complain, say
 from viz.training import follow_training, prepared_training, wait_until_trained
-from viz.viewer import Ports, free_port, has_display, open_viewer
+from viz.viewer import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
 WINDOW_MEMORY: Final = "1MB"
@@ -107,7 +107,7 @@ class GrowingTraining:
 @contextlib.contextmanager
 def opened(
     where: Where, *, memory: str | None = None, server_memory: str | None = None
-) -> Iterator[tuple[str, subprocess.Popen[bytes] | None]]:
+) -> Iterator[tuple[str, Viewer | None]]:
     """A viewer: its URL, and its process if it was opened for this. It shows nothing yet.
 
     Raises UserError if it cannot be opened, or does not listen.
@@ -148,6 +148,8 @@ class _Sender(Follower):
         try:
             try:
                 self._prepared.send(recording, lambda: self._flush(recording))
+                if self._prepared.at_s is not None:
+                    set_time(self.url, recording, self._prepared.at_s, self.stop)
             except GoneError:
                 self._refuse_silence()
                 return

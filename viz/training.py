@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from model.progress import METRICS, STEPS, Epoch, Step
 from viz.follow import POLL_S, Follower, GoneError, feed
 from viz.playback import Prepared
 from viz.saying import complain, say, say_skipped
+from viz.viewer import Viewer
 from viz.worst import send_worst, worst_views
 
 SAMPLES: Final = "samples"  # learnt from since the run began: what all curves are drawn over
@@ -109,7 +109,7 @@ def wait_until_trained(run: Path) -> None:
         time.sleep(POLL_S)
 
 
-def follow_training(run: Path, url: str, viewer: subprocess.Popen[bytes] | None) -> int:
+def follow_training(run: Path, url: str, viewer: Viewer | None) -> int:
     """Show the training of `run` as it goes on in the viewer at `url`, until that is closed; the exit code.
 
     Without its process (`viewer`), the viewer is another's.

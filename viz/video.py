@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common import Skipped, UserError, whole_file
+from common.errors import counted
 from common.files import refuse_existing
 from common.progress import track
 from common.versions import TOOLKIT
@@ -149,7 +150,7 @@ class _Pictures:
         sound = (picture for i in range(len(self.times_ns)) if (picture := self._decoded(i)) is not None)
         first = next(sound, None)
         if first is None:
-            many = f"none of its {len(self.times_ns):,} pictures" if len(self.times_ns) else "no picture"
+            many = f"none of {counted(len(self.times_ns), 'picture')}" if len(self.times_ns) else "no picture"
             raise UserError(f"{log.path}: {many} of the centre camera can be shown, and a video is made of those")
         self.width, self.height = _video_size(first.shape[1], first.shape[0])
         if min(self.width, self.height) < _LEAST_SIDE:

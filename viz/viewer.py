@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,8 +24,12 @@ LOCAL: Final = "127.0.0.1"
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
 """What Rerun may print where data is sent: a viewer that is closed while it gets some is no error."""
 
-_PATIENCE_S: Final = 30.0  # for a window to open on a busy machine
+_PATIENCE_S: Final = 120.0  # for a window to open on a slow and busy machine
 _GRACE_S: Final = 1.0  # a frozen process does not hear that it shall end
+_LAST_WORDS_S: Final = 5.0  # for what has ended to be read; children of it may still hold its stderr
+# What the viewer says before it ends because there is nothing to draw with, or nowhere.
+_NO_GRAPHICS: Final = re.compile(rb"wgpu error|graphics adapter|surface for any enabled backend", re.IGNORECASE)
+_NO_WINDOW: Final = re.compile(rb"EventLoopError")
 
 
 @dataclass(frozen=True)
@@ -43,13 +49,6 @@ class Ports:
         return f"http://{LOCAL}:{self.web}/?url=rerun%2Bhttp://{LOCAL}:{self.data}/proxy"
 
 
-def has_display() -> bool:
-    """Whether a window can open here."""
-    if sys.platform in ("win32", "darwin"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
 def viewer_program() -> Path:
     """The viewer itself. `rerun` is a Python wrapper, and killing that would leave the viewer alone."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
@@ -62,6 +61,37 @@ def free_port() -> int:
         return port
 
 
+class Viewer(subprocess.Popen[bytes]):
+    """The process of a viewer. What it prints is printed, except why it cannot draw: that is told in our words."""
+
+    def __init__(self, line: list[str], environment: dict[str, str]) -> None:
+        super().__init__(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment)
+        self._trouble = ""
+        self._reader = threading.Thread(target=self._read, name="viewer", daemon=True)
+        self._reader.start()
+
+    def trouble(self) -> str:
+        """Why it could not draw, and what helps, once it has ended; empty if it was something else."""
+        self._reader.join(_LAST_WORDS_S)
+        return self._trouble
+
+    def _read(self) -> None:
+        assert self.stderr is not None  # noqa: S101
+        with self.stderr as lines:
+            for line in lines:
+                if _NO_GRAPHICS.search(line):
+                    self._trouble = (
+                        "finds no graphics driver to draw with; without a graphics card, Debian's and Ubuntu's"
+                        " package mesa-vulkan-drivers draws in software (`sudo apt install mesa-vulkan-drivers`)"
+                    )
+                elif _NO_WINDOW.search(line):
+                    self._trouble = self._trouble or "cannot open a window on this display"
+                else:
+                    with contextlib.suppress(OSError, ValueError):  # our own stderr has gone
+                        sys.stderr.buffer.write(line)
+                        sys.stderr.buffer.flush()
+
+
 @contextlib.contextmanager
 def open_viewer(
     ports: Ports,
@@ -69,7 +99,7 @@ def open_viewer(
     web: bool,
     memory: str | None = None,
     server_memory: str | None = None,
-) -> Iterator[subprocess.Popen[bytes]]:
+) -> Iterator[Viewer]:
     """Open an empty viewer in a window, or serve it to browsers on this machine.
 
     The viewer ends with the context. `memory` limits what it holds ("1GB"), `server_memory` what it holds for
@@ -86,7 +116,7 @@ def open_viewer(
         command += ["--server-memory-limit", server_memory]
     wanted = os.environ.get("RUST_LOG", SENDER_LOG)
     environment = {**os.environ, "RUST_LOG": "error" if wanted == SENDER_LOG else wanted}
-    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
+    viewer = Viewer(command, environment)
     try:
         yield viewer
     finally:
@@ -103,7 +133,7 @@ def end_viewer(viewer: subprocess.Popen[bytes]) -> None:
         viewer.wait()
 
 
-def wait_until_it_listens(viewer: subprocess.Popen[bytes], url: str) -> None:
+def wait_until_it_listens(viewer: Viewer, url: str) -> None:
     """Until data can be sent to it; before that, Rerun waits seconds. Raises UserError if it does not start."""
     port = urlsplit(url).port
     deadline_s = time.monotonic() + _PATIENCE_S
@@ -117,11 +147,13 @@ def wait_until_it_listens(viewer: subprocess.Popen[bytes], url: str) -> None:
     raise UserError("the Rerun viewer did not start; give --web to use a browser instead, or --save FILE.rrd")
 
 
-def wait_until_closed(viewer: subprocess.Popen[bytes]) -> None:
+def wait_until_closed(viewer: Viewer) -> None:
     """Raises UserError if the viewer ends otherwise than by being closed."""
     code = viewer.wait()
     if code:
         how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
+        if trouble := viewer.trouble():
+            raise UserError(f"the Rerun viewer {trouble}; or give --web to use a browser instead")
         raise UserError(f"the Rerun viewer {how}; open it again, or give --web to use a browser instead")
 
 
