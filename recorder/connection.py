@@ -135,6 +135,8 @@ class Connection(Socket):  # type: ignore[misc]
                 self._wire.cut()
 
     def close(self, wait: bool = True, abort: bool = False, reason: str | None = None) -> None:
+        if self._wire is not None and self._wire.broke:
+            reason = self._wire.broke
         with self._lock:  # the tick closes too, and twice closed is twice reported
             super().close(wait=False, abort=abort, reason=reason)  # waiting, it would hold the lock
 

@@ -16,6 +16,7 @@ from socketio import packet
 
 from recorder.broken_packets import CheckedPacket, hang_up_on_broken_packets, one_line_log
 from recorder.connection import HAS_HUNG_UP, Connection, Host
+from recorder.locale_numbers import POINT
 from recorder.old_clients import accept_old_clients
 from recorder.telemetry import MAX_IMAGE_BYTES, format_command
 from recorder.visitors import CROWD, END_S, MOST_CONNECTIONS, Said
@@ -45,7 +46,7 @@ class Steer:
 
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # -1..1
-    decimal_comma: bool  # how the simulator's machine writes numbers
+    decimal_separator: str = POINT  # of the simulator's machine
 
 
 @dataclass(frozen=True)
@@ -263,7 +264,7 @@ class TelemetryServer:
 
 
 def _event(command: Steer) -> tuple[str, dict[str, str]]:
-    return "steer", format_command(command.steering, command.throttle, command.decimal_comma)
+    return "steer", format_command(command.steering, command.throttle, command.decimal_separator)
 
 
 def _is_for_websocket(environ: dict[str, Any]) -> bool:

@@ -370,7 +370,7 @@ def test_a_simulator_that_comes_while_the_others_are_braked_is_braked_too(pilot_
     with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
         server.connected("a")
         server.telemetry("a", rolling, time.perf_counter()).then(1.0)
-        assert not server._is_at_rest()  # as at a Ctrl-C
+        server.stop()  # as at a Ctrl-C
         server.connected("b")
         answer = server.telemetry("b", rolling, time.perf_counter())
         answer.then(1.0)
@@ -424,11 +424,20 @@ def test_each_malformed_telemetry_is_an_event_and_is_counted(drive: Drive) -> No
     bad = [event for event in events if event.message.startswith("bad telemetry: ")]
     assert len(bad) == len(MALFORMED_NAMES)
     assert {event.level for event in bad} == {LogMessage.WARNING}
-    assert f"{len(MALFORMED_NAMES)} malformed telemetries" in drive.stdout
+    assert f"{len(MALFORMED_NAMES)} telemetries could not be used: " in drive.stdout
+    said = [line for line in drive.stderr.splitlines() if "telemetry that cannot be used" in line]
+    assert len(said) == len(set(said)) == len({reason_kind(event.message) for event in bad})
     reasons = dict(zip(MALFORMED_NAMES, (event.message for event in bad), strict=True))
     assert "image is larger" in reasons["too large an image"]
     assert "speed is not finite" not in reasons["a speed in words"]
-    assert "not a picture" in reasons["an image that is not a picture"]
+    assert "image is not a JPEG (3 bytes)" in reasons["an image that is not a picture"]
+    assert "speed is not a number (fast)" in reasons["a speed in words"]
+    assert "image is missing (told: steering_angle, throttle, speed)" in reasons["no image"]
+
+
+def reason_kind(message: str) -> str:
+    """Without what differs from one telemetry to the next."""
+    return message.partition(" (")[0]
 
 
 def test_manual_is_answered_by_manual(drive: Drive) -> None:
@@ -453,7 +462,7 @@ def test_a_client_with_decimal_commas_is_understood_and_answered_in_kind(drive: 
 
 
 def test_ctrl_c_finishes_the_log_under_its_name(drive: Drive) -> None:
-    assert drive.exit_code == 0
+    assert drive.exit_code == 3  # some telemetries could not be used
     assert set(drive.log.parent.iterdir()) == {drive.log, drive.second_log}
     assert drive.stdout.startswith(f"{drive.log}: {drive.frames:,} frames")
     with Log(drive.log) as log:
@@ -706,6 +715,6 @@ def test_browsers_and_broken_packets_are_one_line_each(pilot_run: Path, tmp_path
         assert process.end() == 0
     lines = [line for line in process.stderr if "broken packet" in line]
     log = tmp_path / "run.mcap"
-    assert lines == [f"bc-drive: disconnected (broken packet): {log} has 1 frames so far; waiting"]
+    assert lines == [f"bc-drive: disconnected (broken packet): {log} has 1 frame so far; waiting"]
     assert sum("looks at this port with a browser" in line for line in process.stderr) == 1
     assert "Traceback" not in "".join(process.stderr)

@@ -73,7 +73,7 @@ def test_the_old_protocol_and_modern_clients_are_served_at_once_on_one_port(mode
     assert [answer.steering for answer in old if not isinstance(answer, str | None)] == [
         pytest.approx(-steering(number), abs=1e-6) for number in range(40)
     ]
-    assert answers == [steered(Steer(-steering(number), 0.5, False)) for number in range(100, 150)]
+    assert answers == [steered(Steer(-steering(number), 0.5)) for number in range(100, 150)]
     assert book.calls.count("telemetry") == book.calls.count("answered") == 40 + 40 + 50
     assert book.calls.count("connected") == 4
     assert book.overlaps == 0
@@ -95,7 +95,7 @@ def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving(mode: Se
         client = RawClient(serving.port)
         for number in range(5):
             client.tell(fields(number))
-            assert client.command() == steered(Steer(-steering(number), 0.5, False))
+            assert client.command() == steered(Steer(-steering(number), 0.5))
             has_answer.set()
             wait_until(lambda count=number + 1: len(book.answered_ms) == count)  # type: ignore[misc]
         client.close()
@@ -187,8 +187,8 @@ def test_the_tick_can_push_a_command_that_nobody_asked_for(mode: ServerMode) -> 
 
         def tick(self) -> None:
             if self.sid:
-                self.server.push(self.sid, Steer(0.25, 0.5, True))
-                self.server.push("nobody", Steer(0.25, 0.5, True))
+                self.server.push(self.sid, Steer(0.25, 0.5, ","))
+                self.server.push("nobody", Steer(0.25, 0.5, ","))
                 self.sid = ""
 
     book = Pushing()
@@ -201,7 +201,7 @@ def test_the_tick_can_push_a_command_that_nobody_asked_for(mode: ServerMode) -> 
 
 def test_who_was_steered_gets_a_last_command_at_the_end(mode: ServerMode) -> None:
     book = Book()
-    book.last = Steer(0.0, -0.125, False)
+    book.last = Steer(0.0, -0.125)
     with Serving(mode, book) as serving:
         driven, manual = RawClient(serving.port), RawClient(serving.port)
         driven.tell(1)
@@ -229,7 +229,7 @@ def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(Connection, "send_now", send_late)
     monkeypatch.setattr(telemetry_server, "END_S", PATIENCE_S)
     book = Book()
-    book.last = Steer(0.0, -0.125, False)
+    book.last = Steer(0.0, -0.125)
     with Serving("threading", book) as serving:
         client = RawClient(serving.port)
         client.tell(1)
@@ -474,7 +474,7 @@ def ask(serving: Serving, count: int, seed: int) -> None:
             name, command = client.command()
             assert name == ("manual" if data == "null" else "steer"), data[:80]
             assert set(command) <= {"steering_angle", "throttle"}
-        assert client.command() == steered(Steer(-steering(good), 0.5, False))
+        assert client.command() == steered(Steer(-steering(good), 0.5))
     client.close()
 
 
