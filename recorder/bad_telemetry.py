@@ -34,9 +34,9 @@ class BadTelemetry:
 
 
 def read_event(message: str) -> tuple[str, int]:
-    """The reason that an event tells, and how many telemetries it stands for: 0 if it is another event."""
+    """The kind that an event tells, and how many telemetries it stands for: 0 if it is another event."""
     if not message.startswith(_PREFIX):
         return message, 0
     reason = message.removeprefix(_PREFIX)
     more = _MORE.search(reason)
-    return (reason, 1) if more is None else (reason[: more.start()], int(more[1].replace(",", "")))
+    return reason.partition(" (")[0], 1 if more is None else int(more[1].replace(",", ""))

@@ -14,8 +14,10 @@ import socketio
 from engineio.exceptions import EngineIOError
 from socketio import packet
 
+from common.errors import shown
 from recorder.broken_packets import CheckedPacket, hang_up_on_broken_packets, one_line_log
 from recorder.connection import HAS_HUNG_UP, Connection, Host
+from recorder.let_in import LetIn
 from recorder.locale_numbers import POINT
 from recorder.old_clients import accept_old_clients
 from recorder.telemetry import MAX_IMAGE_BYTES, format_command
@@ -35,6 +37,12 @@ POLLING: Final = (
     "a client connects by long polling, which is slow: let it use a websocket (python-socketio's client does, once"
     " `pip install websocket-client` is done)"
 )
+
+REFUSED: Final = (
+    "refused a web page or client that asks {}: this port is for this machine, and for what --host names; others"
+    " write its address as numbers"
+)
+MOST_SHOWN: Final = 100  # characters of such a name
 
 ServerMode = Literal["eventlet", "threading"]
 Result = TypeVar("Result")
@@ -110,6 +118,8 @@ class TelemetryServer:
         self._answers: dict[str, tuple[str, float, Answer]] = {}
         self._on_their_way = 0  # answers that have not left yet
         self._lock = threading.RLock()
+        self._let_in = LetIn(host)
+        self._has_refused = False
         self._host = _host(mode, host, port, self._say)
         self.port: int = self._host.port
         log = one_line_log(self._say)
@@ -117,6 +127,7 @@ class TelemetryServer:
             async_mode=mode,
             async_handlers=False,
             serializer=CheckedPacket,
+            cors_allowed_origins=self._let_in.allows,
             logger=log,
             engineio_logger=log,
             max_http_buffer_size=MAX_MESSAGE_BYTES,
@@ -187,8 +198,18 @@ class TelemetryServer:
                 self.push(sid, command)
 
     def _serve(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
+        if refused := self._let_in.refused(environ):
+            self._refuse(refused)
+            start_response("403 Forbidden", [("Content-Length", "0")])
+            return []
         answer = self._application(environ, start_response)
         return self._host.after_websocket() if environ.get(HAS_HUNG_UP) else answer
+
+    def _refuse(self, what: str) -> None:
+        with self._lock:  # once: a page that tries name after name must not fill the screen
+            if not self._has_refused:
+                self._has_refused = True
+                self._say(REFUSED.format(shown(what[:MOST_SHOWN])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         if not _is_for_websocket(environ) and len(self._engine.sockets) > MOST_CONNECTIONS:
