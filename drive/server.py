@@ -10,13 +10,13 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Literal, Self
 
 from common import UserError
 from common.errors import counted
 from dataset.preprocess import DESCRIPTION
 from drive.config import DriveConfig
-from drive.session import WATCHDOG_S, DriveSession
+from drive.session import DriveSession
 from model import Pilot
 from recorder import LogWriter
 from recorder.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
@@ -71,14 +71,14 @@ class DriveServer:
         self._connections = 0
         self._of: dict[str, DriveSession] = {}
         self._quiet: dict[str, float] = {}  # those that have told nothing yet -> when they connected
-        self._pushed: set[str] = set()  # those of them that were sent a command all the same
         self._stopping_since_s: float | None = None
         self._braked: set[DriveSession] = set()  # when it was stopping
         self.sessions: list[DriveSession] = []
         with ExitStack() as stack:
             self._stack = stack
             self._open_session(log, overwrite)
-            self._server = TelemetryServer(self, host=host, port=port, mode=mode, said=say)
+            first: Steer | Literal["nothing"] = "nothing" if is_built_in else Steer(0.0, 0.0)
+            self._server = TelemetryServer(self, host=host, port=port, mode=mode, said=say, first=first)
             self._stack = stack.pop_all()
         self.port = self._server.port
 
@@ -133,7 +133,6 @@ class DriveServer:
 
     def disconnected(self, sid: str, reason: str) -> None:
         self._quiet.pop(sid, None)
-        self._pushed.discard(sid)
         session = self._of.pop(sid, None)
         if session is not None:
             if session.is_connected and session in self._braked and not session.is_braked:
@@ -159,7 +158,7 @@ class DriveServer:
     def tick(self) -> None:
         now_s = time.monotonic()
         if not self._is_built_in and self._stopping_since_s is None:
-            self._push_the_silent(now_s)
+            self._push_the_silent()
         shown = next((session for session in self.sessions if session.is_connected), self.session)
         if text := shown.status(now_s):
             self._show(text)
@@ -198,15 +197,11 @@ class DriveServer:
             self._said.add(text)
             self.say(text)
 
-    def _push_the_silent(self, now_s: float) -> None:
+    def _push_the_silent(self) -> None:
         for sid, session in list(self._of.items()):  # whoever cannot be sent anything disconnects meanwhile
             steer = session.push()
             if steer is not None:
                 self._server.push(sid, steer)
-        for sid, since_s in list(self._quiet.items()):
-            if sid not in self._pushed and now_s - since_s >= WATCHDOG_S:
-                self._pushed.add(sid)
-                self._server.push(sid, Steer(0.0, 0.0))
 
     def _session_for(self, sid: str) -> DriveSession:
         """For one that tells for the first time since it connected."""

@@ -1,9 +1,8 @@
 """Who may speak to a port of this machine: no web page of another site, by whatever name it reaches the port.
 
 A page in the user's browser can reach every port of this machine. Its requests tell the page's own address as
-`Origin`, and by which name they got here as `Host`: its own, where that name was made to lead to this machine after
-the page was loaded (DNS rebinding). An address in numbers leads nowhere else, and nobody on the internet owns a
-private name.
+`Origin`, and by which name they got here as `Host`: its own, where that was made to lead to this machine after the
+page was loaded (DNS rebinding). An address in numbers leads nowhere else, and a private name is nobody else's.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def listen_for_telemetry(
         writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
         with StatusLine() as status:
             session = _Session(writer, status)
-            server = TelemetryServer(session, host=host, port=port, said=session.warn)
+            server = TelemetryServer(session, host=host, port=port, said=session.warn, first="manual")
             session.say(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
                 on_started(writer.part)

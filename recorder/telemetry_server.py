@@ -24,6 +24,8 @@ from recorder.telemetry import MAX_IMAGE_BYTES, format_command
 from recorder.visitors import CROWD, END_S, MOST_CONNECTIONS, Said
 
 TICK_S: Final = 0.1
+FIRST_S: Final = 1.0
+"""The real simulator tells its first at once. Each command that it did not ask for keeps one more in flight."""
 QUIET_S: Final = 5.0
 """Whoever has opened a connection and told nothing for so long speaks something else."""
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
@@ -101,13 +103,16 @@ class TelemetryServer:
         port: int = 4567,
         mode: ServerMode = "eventlet",
         said: Said = lambda text: None,
+        first: Steer | Literal["manual", "nothing"] = "nothing",
     ) -> None:
         """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible.
 
         "eventlet" serves all connections in the thread that runs it, "threading" each in one of its own.
         `said` gets a line for a person where something else than a simulator connects, each line once; like the
-        handler, it is never called by two threads at once.
+        handler, it is never called by two threads at once. `first` is sent to who has opened a websocket and told
+        no telemetry for `FIRST_S`: a classic server's first command comes unasked, and some clients wait for it.
         """
+        self._first = first
         self._handler = handler
         self._said = said
         self._told: set[str] = set()
@@ -229,7 +234,7 @@ class TelemetryServer:
             return
         # Without the lock: a client that does not read what it is sent keeps nobody else waiting.
         sid, received_s, answer = asked
-        name, fields = ("manual", {}) if answer.command is None else _event(answer.command)
+        name, fields = _event(answer.command)
         with contextlib.suppress(OSError, EngineIOError):  # the client has gone
             if not connection.send_now(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
                 self._server.emit(name, fields, to=sid)
@@ -249,7 +254,8 @@ class TelemetryServer:
 
     def _on_telemetry(self, sid: str, data: object = None, *_: object) -> None:
         engine_sid = self._server.manager.eio_sid_from_sid(sid, "/")
-        received_s = self._engine.sockets[engine_sid].received_s
+        connection: Connection = self._engine.sockets[engine_sid]
+        connection.waits, received_s = False, connection.received_s
         answer = None if self._is_over else self._call(self._handler.telemetry, sid, data, received_s)
         if answer is not None:
             if answer.command is not None:
@@ -261,7 +267,11 @@ class TelemetryServer:
             connection.tick()
             if connection.closed and not connection.is_by_websocket:
                 self._engine.sockets.pop(engine_sid, None)
-            elif connection.is_older_than(QUIET_S):
+                continue
+            if self._first != "nothing" and connection.waits_longer_than(FIRST_S):
+                event = _event(self._first if isinstance(self._first, Steer) else None)
+                connection.send_first(packet.Packet(packet.EVENT, data=[*event]).encode())
+            if connection.is_older_than(QUIET_S):
                 if not connection.is_by_websocket:
                     self._say(POLLING)
                 elif not connection.has_told:
@@ -284,7 +294,9 @@ class TelemetryServer:
             return None
 
 
-def _event(command: Steer) -> tuple[str, dict[str, str]]:
+def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
+    if command is None:
+        return "manual", {}
     return "steer", format_command(command.steering, command.throttle, command.decimal_separator)
 
 

@@ -89,10 +89,10 @@ class Book:
 class Serving:
     """A server that runs in a thread until the context is left; what it said, and what its run raised."""
 
-    def __init__(self, mode: ServerMode, book: Any, port: int = 0) -> None:
+    def __init__(self, mode: ServerMode, book: Any, port: int = 0, **options: Any) -> None:
         self.said: list[str] = []
         self.error: BaseException | None = None
-        self.server = TelemetryServer(book, port=port, mode=mode, said=self.said.append)
+        self.server = TelemetryServer(book, port=port, mode=mode, said=self.said.append, **options)
         self.port = self.server.port
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._run)

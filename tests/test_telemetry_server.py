@@ -16,6 +16,7 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from typing import Literal
 
 import pytest
 import websocket
@@ -505,3 +506,27 @@ TelemetryServer(None, port=0, mode={mode!r}).run(lambda: True)
         [sys.executable, "-W", "error", "-c", code], env=environment(), capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("first", [Steer(0.0, 0.0), "manual"])
+@pytest.mark.parametrize("hello", [(), ("40",)], ids=["old client", "modern client"])
+def test_who_waits_for_a_first_command_gets_one_and_whoever_tells_at_once_none(
+    first: Steer | Literal["manual"], hello: tuple[str, ...], mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A classic server sends a steer when a client connects. For the real simulator each is one telemetry more in
+    flight for ever."""
+    monkeypatch.setattr(telemetry_server, "FIRST_S", PATIENCE_S)
+    with Serving(mode, Book(), first=first) as serving:
+        busy = RawClient(serving.port, *hello)
+        busy.tell(fields(0))
+        assert busy.command() == steered(Steer(-steering(0), 0.5))
+        monkeypatch.setattr(telemetry_server, "FIRST_S", 0.0)
+        waiting = RawClient(serving.port, *hello)
+        name, command = waiting.command()
+        assert (name, command) == (("manual", {}) if first == "manual" else steered(Steer(0.0, 0.0)))
+        waiting.tell(fields(1))
+        assert waiting.command() == steered(Steer(-steering(1), 0.5))
+        busy.tell(fields(2))
+        assert busy.command() == steered(Steer(-steering(2), 0.5))
+        for client in (busy, waiting):
+            client.close()
