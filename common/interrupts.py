@@ -44,14 +44,26 @@ def signals_to(handler: Callable[[int, FrameType | None], object]) -> Iterator[N
             signal.signal(number, previous)
 
 
+class Stop(threading.Event):
+    """Set by the first signal; `again` by the second."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.again = threading.Event()
+
+    def note(self, number: int, frame: FrameType | None) -> None:
+        """A signal has come."""
+        (self.again if self.is_set() else self).set()
+
+
 @contextlib.contextmanager
-def stop_signals() -> Iterator[threading.Event]:
+def stop_signals() -> Iterator[Stop]:
     """An event that Ctrl-C and `kill` set, instead of interrupting whatever is going on at that moment.
 
     Outside the main thread, which alone hears signals, nothing sets it.
     """
-    stopped = threading.Event()
-    with signals_to(lambda number, frame: stopped.set()):
+    stopped = Stop()
+    with signals_to(stopped.note):
         yield stopped
 
 

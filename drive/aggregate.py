@@ -36,7 +36,7 @@ class Round:
     log: Path
     laps: float
     interventions: int  # the expert took over, or the simulator put the car back
-    autonomy_percent: float
+    autonomy_percent: float | None
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from simulator.vehicle import BRAKE_MPS2, MPS_PER_MPH, TOP_SPEED_MPS, resistance_mps2
@@ -23,25 +24,30 @@ def stopping_s(speed_mph: float) -> float:
 
 
 class EmergencyBrake:
-    """Full brake from its first `throttle()` on, until the car must stand; then nothing, until `release()`."""
+    """Full brake from its first `throttle()` on, until the car must stand; then nothing, until `release()`.
+
+    It stands when it is told to, and else after the time that the brakes need from the speed that was told last:
+    from the top speed if none ever was, by which a car that stood is reversed for two seconds. The speed of the
+    real simulator has no sign: only one that is lower than all before tells that there is more to be braked. A car
+    that does not get slower, or was stopped once, may be rolling backwards, and a brake would speed it up.
+    """
 
     def __init__(self) -> None:
         self._until_s: float | None = None
+        self._lowest_mph = math.inf
 
     @property
     def is_on(self) -> bool:
         """It was asked to stop the car, and was not released since."""
         return self._until_s is not None
 
-    def throttle(self, time_s: float, speed_mph: float) -> float:
-        """-1 or 0, at `time_s` and with the speed that was told last.
-
-        The speed of the real simulator has no sign. A car that is slow, or was stopped once, is therefore not
-        braked again: it may be rolling backwards.
-        """
-        if self._until_s is None:
-            self._until_s = time_s + stopping_s(speed_mph)
-        if speed_mph <= WALKING_MPH:
+    def throttle(self, time_s: float, speed_mph: float | None) -> float:
+        """-1 or 0, at `time_s` and with the speed that was told last; None if none ever was."""
+        known_mph = math.inf if speed_mph is None else speed_mph
+        if self._until_s is None or (known_mph < self._lowest_mph and time_s < self._until_s):
+            self._lowest_mph = known_mph
+            self._until_s = time_s + stopping_s(known_mph)
+        if known_mph <= WALKING_MPH:
             self._until_s = min(self._until_s, time_s)
         return -1.0 if time_s < self._until_s else 0.0
 

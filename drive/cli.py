@@ -14,7 +14,8 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, flags_given, run_command, stderr, stdout, warn
+from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command, stderr, stdout, warn
+from common.errors import counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.preview import has_display, preview
@@ -134,7 +135,7 @@ def drive(config: Drive) -> int:
                 if config.takeover:
                     told = "--takeover needs a simulator that tells where its car is: `bc-sim --tell-world`"
                     status.note(f"bc-drive: {told}; Udacity's cannot, there a human takes over by holding a key")
-                server.run(until=stopped.is_set)
+                server.run(until=stopped.is_set, at_once=stopped.again.is_set)
             else:
                 drive_built_in(server, course, stopped, shows_progress=False)
             if server.session.is_empty:
@@ -170,18 +171,25 @@ def _viewer(config: Drive, log: Path, status: StatusLine) -> str | None:
 
 
 def _told(server: DriveServer) -> int:
-    """Print how it went; the exit code."""
+    """Print how it went; the exit code. Raises DriveError if nothing was driven on at all."""
+    from drive.errors import DriveError
+
     code = DONE
     for session in server.sessions:
-        log = session.writer.path
-        print(f"{log}: {session.log.frames:,} frames; look at it with `bc-play {log}`")
-        for line in session.summary.lines():
+        log, summary = session.writer.path, session.summary
+        look = f"; look at it with `bc-play {log}`" if session.log.frames else ""
+        print(f"{log}: {counted(session.log.frames, 'frame')}{look}")
+        for line in summary.lines():
             print(f"  {line}")
+        if summary.bad or summary.without_number:
+            code = DONE_BUT_SKIPPED
         if session.log.dropped_pictures or session.log.dropped_rows:
             code = warn(
                 f"{log}: the disk was too slow: {session.log.dropped_pictures:,} pictures and"
                 f" {session.log.dropped_rows:,} rows were not written; log to a faster one with --log"
             )
+    if all(session.summary.is_all_lost for session in server.sessions):
+        raise DriveError(f"nothing was driven: {server.session.summary.why_nothing}")
     return code
 
 
@@ -216,7 +224,8 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
             for heading in ("run", "laps", "interventions", "autonomy", "log"):
                 table.add_column(heading, justify="left" if heading in ("run", "log") else "right")
             for each in rounds:
-                autonomy = f"{each.autonomy_percent:.1f} %"
+                percent = each.autonomy_percent
+                autonomy = "unknown" if percent is None else f"{percent:.1f} %"
                 table.add_row(each.run, f"{each.laps:.2f}", str(each.interventions), autonomy, str(each.log))
             stdout().print(table)
     return DONE

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from dataset.preprocess import Image
-from drive.braking import EmergencyBrake
+from drive.braking import WALKING_MPH, EmergencyBrake
 from drive.clock import DriveClock
 from drive.config import DriveConfig
 from drive.course_events import CourseEvents
@@ -17,6 +17,7 @@ from drive.speed import SpeedController
 from drive.steering import SteeringFilter
 from drive.takeover import Takeover
 from model import Pilot
+from recorder.locale_numbers import POINT
 from recorder.telemetry import Telemetry, TelemetryError, parse_telemetry
 
 USUAL_SIZE: Final = (160, 320)  # height, width
@@ -24,6 +25,7 @@ NONSENSE_S: Final = 1.0
 """So long the car rolls on, steered as before, while nothing usable comes; then it is braked."""
 
 NO_NUMBER: Final = "the network gave no number"
+NOTHING_USABLE: Final = f"nothing usable for {NONSENSE_S:g} s"
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,9 @@ class Decision:
 
     steering: float  # -1..1, as sent
     throttle: float  # -1..1, as sent
-    decimal_comma: bool
-    driver: Literal["pilot", "expert"] = "pilot"
+    decimal_separator: str = POINT
+    driver: Literal["pilot", "expert", "brake"] = "pilot"  # whose throttle was sent
+    speed_mph: float | None = None  # as told, also where nothing else of the telemetry could be used
     telemetry: Telemetry | None = None
     crop: Image | None = None
     predicted_steering: float = 0.0  # the network's, whoever drives; not clamped, NaN if it gave no number
@@ -46,6 +49,7 @@ class Decision:
     network_ms: float = 0.0
     set_speed_mph: float = 0.0  # lower than asked for in a curve, if that was asked for
     problem: str = ""
+    kind: str = ""  # of problem: the same for all that differ only in their numbers
     events: tuple[str, ...] = ()  # what has begun or ended with this telemetry
 
 
@@ -58,11 +62,12 @@ class Driver:
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
         self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves)
         self._brake = EmergencyBrake()
+        self._last_brake: EmergencyBrake | None = None
         self._takeover = Takeover() if config.takeover else None
         self._course = CourseEvents()
         self._steering = 0.0
-        self._speed_mph = 0.0
-        self._decimal_comma = False
+        self._speed_mph: float | None = None  # until it is told
+        self._decimal_separator = POINT
         self._nonsense_since_s: float | None = None
         self._gave_number = True
         self._said_size = False
@@ -81,22 +86,40 @@ class Driver:
             told = parse_telemetry(data)
         except TelemetryError as error:
             parsed_s = time.perf_counter()
-            decision = self._without(str(error), self._clock.at(now_s, None))
+            world, speed_mph = error.world, error.speed_mph
+            self._note(speed_mph, error.decimal_separator)
+            time_s = self._clock.at(now_s, world)
+            decision = self._without(error, time_s)
         else:
             parsed_s = time.perf_counter()
-            decision = self._answer(told, parsed_s, self._clock.at(now_s, told.world))
-            if told.world is not None:
-                decision = replace(decision, events=(*self._course.after(told.world), *decision.events))
+            world, speed_mph = told.world, told.speed_mph
+            self._note(speed_mph, told.decimal_separator)
+            time_s = self._clock.at(now_s, world)
+            decision = self._answer(told, parsed_s, time_s)
+        if world is not None:
+            decision = replace(decision, events=(*self._course.after(world), *decision.events))
+        if self._last_brake is not None:
+            throttle = self._last_brake.throttle(time_s, self._speed_mph)
+            decision = replace(decision, throttle=throttle, driver="brake")
         self._steering = decision.steering
-        return replace(decision, parse_ms=(parsed_s - received_s) * 1e3)
+        return replace(decision, speed_mph=speed_mph, parse_ms=(parsed_s - received_s) * 1e3)
+
+    def stop(self) -> None:
+        """From now on the car is braked to a stand, and steered as before meanwhile."""
+        self._last_brake = EmergencyBrake()
+
+    def _note(self, speed_mph: float | None, decimal_separator: str | None) -> None:
+        if speed_mph is not None:
+            self._speed_mph = speed_mph
+        if decimal_separator is not None:
+            self._decimal_separator = decimal_separator
 
     def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
         """The answer to a telemetry; whether its picture can be used is found out here."""
-        self._decimal_comma, self._speed_mph = told.decimal_comma, told.speed_mph
         try:
             picture = camera_picture(told.jpeg)
-        except ValueError as error:
-            return self._without(f"image: {error}", time_s)
+        except TelemetryError as error:
+            return self._without(error, time_s)
         crop = self._pilot.crop(picture)
         decoded_s = time.perf_counter()
         predicted = self._pilot.predict(crop)
@@ -137,37 +160,44 @@ class Driver:
             throttle = self._speed.throttle(told.speed_mph, steering)
         return self._decision(steering, throttle, events=events)
 
-    def _without(self, problem: str, time_s: float) -> Decision:
+    def _without(self, problem: TelemetryError, time_s: float) -> Decision:
         """There is nothing to drive on."""
         if self._nonsense_since_s is None:
             self._nonsense_since_s = time_s
         if not self._brake.is_on and time_s - self._nonsense_since_s < NONSENSE_S:
             self._filter.note(time_s, self._steering)
-            return self._decision(self._steering, 0.0, problem)
-        return self._braked(problem, time_s, f"nothing usable for {NONSENSE_S:g} s: the car is braked")
+            return self._decision(self._steering, 0.0, str(problem), problem.kind)
+        return self._braked(str(problem), problem.kind, time_s, f"{NOTHING_USABLE}: ")
 
     def _without_number(self, time_s: float) -> Decision:
         """The network may never give one again: there is no reason to wait."""
         was_news, self._gave_number = self._gave_number, False
-        decision = self._braked(NO_NUMBER, time_s, "the car is braked")
+        decision = self._braked(NO_NUMBER, NO_NUMBER, time_s)
         return replace(decision, events=(NO_NUMBER, *decision.events)) if was_news else decision
 
-    def _braked(self, problem: str, time_s: float, event: str) -> Decision:
-        events = [] if self._brake.is_on else [event]
+    def _braked(self, problem: str, kind: str, time_s: float, why: str = "") -> Decision:
+        events = [] if self._brake.is_on else [why + _what_a_brake_does(self._speed_mph)]
         self._filter.note(time_s, self._steering)
         throttle = self._brake.throttle(time_s, self._speed_mph)
-        return self._decision(self._steering, throttle, problem, events)
+        return replace(self._decision(self._steering, throttle, problem, kind, events), driver="brake")
 
     def _decision(
-        self, steering: float, throttle: float, problem: str = "", events: list[str] | None = None
+        self, steering: float, throttle: float, problem: str = "", kind: str = "", events: list[str] | None = None
     ) -> Decision:
         is_expert = self._takeover is not None and self._takeover.expert_drives
         return Decision(
             steering,
             throttle,
-            self._decimal_comma,
+            self._decimal_separator,
             driver="expert" if is_expert else "pilot",
             set_speed_mph=self._speed.set_speed_for(steering),
             problem=problem,
+            kind=kind,
             events=tuple(events or ()),
         )
+
+
+def _what_a_brake_does(speed_mph: float | None) -> str:
+    if speed_mph is None:
+        return "the car is braked, as from its top speed: its own was never told"
+    return "the car stands" if speed_mph <= WALKING_MPH else "the car is braked"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -15,6 +14,7 @@ from common.closing import Closing
 from drive.log_thread import LogThread
 from drive.log_time import LogClock
 from recorder import LogWriter
+from recorder.bad_telemetry import BadTelemetry
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.pose import pose_message
 from recorder.telemetry import Telemetry
@@ -23,11 +23,7 @@ from recorder.writer import EventLevel
 if TYPE_CHECKING:
     from drive.driver import Decision  # loads PyTorch
 
-MOST_OF_EACH: Final = 5  # bad telemetries of one reason that become events; the others are counted
-MOST_REASONS: Final = 100
-OTHER_REASONS: Final = "of yet another kind"
-
-_DRIVERS: Final = {"pilot": PilotCommand.PILOT, "expert": PilotCommand.EXPERT}
+_DRIVERS: Final = {"pilot": PilotCommand.PILOT, "expert": PilotCommand.EXPERT, "brake": PilotCommand.BRAKE}
 _PICTURES_OF_A_ROW: Final = 2  # the camera's and the crop
 
 
@@ -52,7 +48,7 @@ class DriveLog(Closing):
         self._thread = LogThread(writer.flush_if_due)
         self._is_manual = False
         self._is_closed = False
-        self._bad: Counter[str] = Counter()
+        self._bad = BadTelemetry()
 
     @property
     def failure(self) -> UserError | None:
@@ -65,7 +61,8 @@ class DriveLog(Closing):
             return
         received_ns = _ago_ns(total_ms)
         if decision.telemetry is None:
-            self._bad_telemetry(received_ns, decision.problem)
+            if (text := self._bad.take(decision.kind, decision.problem)) is not None:
+                self._event(received_ns, text, is_problem=True)
         else:
             if self._is_manual:
                 self._is_manual = False
@@ -89,20 +86,12 @@ class DriveLog(Closing):
         if self._is_closed:
             return
         self._is_closed = True
-        for reason, count in self._bad.items():
-            if count > MOST_OF_EACH:
-                self._problem(f"bad telemetry: {reason} ({count - MOST_OF_EACH:,} more)")
+        for text in self._bad.left():
+            self._problem(text)
         for count, what in ((self.dropped_pictures, "pictures"), (self.dropped_rows, "rows and events")):
             if count:
                 self._problem(f"the disk was too slow: {count:,} {what} are missing")
         self._thread.close()
-
-    def _bad_telemetry(self, received_ns: int, reason: str) -> None:
-        if reason not in self._bad and len(self._bad) >= MOST_REASONS:
-            reason = OTHER_REASONS
-        self._bad[reason] += 1
-        if self._bad[reason] <= MOST_OF_EACH:
-            self._event(received_ns, f"bad telemetry: {reason}", is_problem=True)
 
     def _row(self, received_ns: int, decision: Decision, told: Telemetry, total_ms: float) -> None:
         if not self._thread.has_room:

@@ -6,8 +6,8 @@ from typing import Final
 
 from dataset import decode
 from dataset.preprocess import Image
-from recorder.jpeg import is_whole_jpeg
 from recorder.picture_size import pixels
+from recorder.telemetry import TelemetryError, check_whole_jpeg
 
 MOST_PIXELS: Final = 1 << 21
 """No larger picture is driven on. 1920x1080 is just within, and takes 10 ms to decode. The megabyte that a
@@ -15,11 +15,12 @@ telemetry may hold can say 60 million pixels, and for the second that they take,
 
 
 def camera_picture(jpeg: bytes) -> Image:
-    """(height, width, 3) BGR. Raises ValueError for what is no whole JPEG, as the end of a cut one would be grey,
-    and for more than `MOST_PIXELS`."""
+    """(height, width, 3) BGR. Raises TelemetryError for what is no whole JPEG, and for more than `MOST_PIXELS`."""
     size = pixels(jpeg) or 0
     if size > MOST_PIXELS:
-        raise ValueError(f"{size:,} pixels, of at most {MOST_PIXELS:,}")
-    if not is_whole_jpeg(jpeg):
-        raise ValueError(f"{len(jpeg):,} bytes that are not a picture: expected one whole JPEG")
-    return decode(jpeg)
+        raise TelemetryError(f"image has more than {MOST_PIXELS:,} pixels", f" ({size:,})")
+    check_whole_jpeg(jpeg)
+    try:
+        return decode(jpeg)
+    except ValueError as error:
+        raise TelemetryError("image does not decode", f" ({error})") from None

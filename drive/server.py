@@ -10,12 +10,13 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Literal, Self
 
 from common import UserError
+from common.errors import counted
 from dataset.preprocess import DESCRIPTION
 from drive.config import DriveConfig
-from drive.session import WATCHDOG_S, DriveSession
+from drive.session import DriveSession
 from model import Pilot
 from recorder import LogWriter
 from recorder.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
@@ -26,6 +27,8 @@ MOST_SIMULATORS: Final = 8
 """At once; each has a log of its own. One more is told to drive by itself."""
 WAITING: Final = "connected, waiting for telemetry"
 MENU: Final = "connected, but no telemetry comes: choose Autonomous Mode in the simulator"
+MOST_COMINGS: Final = 3
+"""Of a simulator that comes and goes, each time with lines that say so; then one says that no more will."""
 BRAKING_S: Final = 5.0
 """From 30 mph the car stands in under 3 s; a simulator that does not go on is not waited for any longer."""
 
@@ -68,13 +71,14 @@ class DriveServer:
         self._connections = 0
         self._of: dict[str, DriveSession] = {}
         self._quiet: dict[str, float] = {}  # those that have told nothing yet -> when they connected
-        self._pushed: set[str] = set()  # those of them that were sent a command all the same
         self._stopping_since_s: float | None = None
+        self._braked: set[DriveSession] = set()  # when it was stopping
         self.sessions: list[DriveSession] = []
         with ExitStack() as stack:
             self._stack = stack
             self._open_session(log, overwrite)
-            self._server = TelemetryServer(self, host=host, port=port, mode=mode, said=say)
+            first: Steer | Literal["nothing"] = "nothing" if is_built_in else Steer(0.0, 0.0)
+            self._server = TelemetryServer(self, host=host, port=port, mode=mode, said=say, first=first)
             self._stack = stack.pop_all()
         self.port = self._server.port
 
@@ -90,14 +94,35 @@ class DriveServer:
             return "a simulator connected, but told no telemetry; choose Autonomous Mode there"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
 
-    def run(self, until: Callable[[], bool]) -> None:
+    def run(self, until: Callable[[], bool], at_once: Callable[[], bool] = lambda: False) -> None:
         """Serve until `until()` is true, or a log cannot be written any more, and every car is braked to a stand.
+        The latter is not waited for when `at_once()` is true.
 
         Raises UserError if a log could not be written.
         """
-        self._server.run(lambda: (until() or self._failure is not None) and self._is_at_rest())
+
+        def is_over() -> bool:
+            is_asked = until()
+            if not is_asked and self._failure is None:
+                return False
+            if self._stopping_since_s is None:
+                self.stop(may_hurry=is_asked)
+            return self._is_at_rest() or at_once()
+
+        self._server.run(is_over)
+        for session in self._braked:
+            if text := session.end():
+                self.say(text)
         if self._failure is not None:
             raise self._failure
+
+    def stop(self, *, may_hurry: bool = False) -> None:
+        """From now on every car is braked to a stand. `may_hurry`: it is said how to end sooner."""
+        self._stopping_since_s = time.monotonic()
+        for session in self._of.values():
+            self._brake(session)
+        if self._braked:
+            self.say("the car is braked to a stand" + ("; Ctrl-C again ends at once" if may_hurry else ""))
 
     def connected(self, sid: str) -> None:
         """Whose log it gets is seen when it tells telemetry: others connect too, and tell none."""
@@ -108,12 +133,13 @@ class DriveServer:
 
     def disconnected(self, sid: str, reason: str) -> None:
         self._quiet.pop(sid, None)
-        self._pushed.discard(sid)
         session = self._of.pop(sid, None)
         if session is not None:
+            if session.is_connected and session in self._braked and not session.is_braked:
+                session.rolls = "its simulator has gone"
             session.disconnected(reason)
-            if not self._is_built_in:
-                frames = f"{session.writer.path} has {session.log.frames:,} frames so far"
+            if not self._is_built_in and session.comings <= MOST_COMINGS:
+                frames = f"{session.writer.path} has {counted(session.log.frames, 'frame')} so far"
                 self.say(f"disconnected ({reason}): {frames}" + ("" if self._of else "; waiting"))
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
@@ -132,9 +158,10 @@ class DriveServer:
     def tick(self) -> None:
         now_s = time.monotonic()
         if not self._is_built_in and self._stopping_since_s is None:
-            self._push_the_silent(now_s)
-        if not self.session.is_empty:
-            self._show(self.session.summary.status(now_s))
+            self._push_the_silent()
+        shown = next((session for session in self.sessions if session.is_connected), self.session)
+        if text := shown.status(now_s):
+            self._show(text)
         for sid, since_s in list(self._quiet.items()):
             if now_s - since_s >= QUIET_S:
                 del self._quiet[sid]
@@ -157,40 +184,40 @@ class DriveServer:
         return next((session.log.failure for session in self.sessions if session.log.failure is not None), None)
 
     def _is_at_rest(self) -> bool:
-        now_s = time.monotonic()
-        if self._stopping_since_s is None:
-            self._stopping_since_s = now_s
-            for session in self._of.values():
-                session.stop()
-        is_late = now_s - self._stopping_since_s >= BRAKING_S
-        return is_late or all(session.stands for session in self._of.values())
+        is_late = time.monotonic() - (self._stopping_since_s or 0.0) >= BRAKING_S
+        return is_late or all(session.is_braked for session in self._of.values())
+
+    def _brake(self, session: DriveSession) -> None:
+        session.stop()
+        if not self._is_built_in:  # its car ends with it
+            self._braked.add(session)
 
     def _say_once(self, text: str) -> None:
         if text not in self._said:
             self._said.add(text)
             self.say(text)
 
-    def _push_the_silent(self, now_s: float) -> None:
+    def _push_the_silent(self) -> None:
         for sid, session in list(self._of.items()):  # whoever cannot be sent anything disconnects meanwhile
             steer = session.push()
             if steer is not None:
                 self._server.push(sid, steer)
-        for sid, since_s in list(self._quiet.items()):
-            if sid not in self._pushed and now_s - since_s >= WATCHDOG_S:
-                self._pushed.add(sid)
-                self._server.push(sid, Steer(0.0, 0.0, decimal_comma=False))
 
     def _session_for(self, sid: str) -> DriveSession:
         """For one that tells for the first time since it connected."""
         free = [session for session in self.sessions if not session.is_connected]
         session = free[0] if free else self._open_session(self._free_name(), overwrite=False)
         self._of[sid] = session
-        self._said -= {WAITING, MENU}
         session.connected()
+        if session.comings <= MOST_COMINGS:
+            self._said -= {WAITING, MENU}
         if self._stopping_since_s is not None:
-            session.stop()
+            self._brake(session)
         if not session.is_empty:
-            self.say(f"connected again: {session.writer.path} goes on")
+            if session.comings <= MOST_COMINGS:
+                self.say(f"connected again: {session.writer.path} goes on")
+            elif session.comings == MOST_COMINGS + 1:
+                self.say("it comes and goes: no more is said of that, the log has it as events")
         elif session is not self.session:
             self.say(
                 f"a second simulator has connected: it is driven too, and logged to {session.writer.path};"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from types import TracebackType
 from typing import Final, Self
 
+from common.errors import counted
 from drive.braking import WALKING_MPH
 from drive.config import DriveConfig
 from drive.driver import Decision, Driver
@@ -20,6 +20,9 @@ from recorder.topics import DRIVE_METADATA
 
 WATCHDOG_S: Final = 1.0
 """The real simulator tells nothing more once all its telemetries are lost; a steer makes it go on."""
+
+STEADY_S: Final = 10.0
+"""Whoever stays so long does not come and go."""
 
 
 class DriveSession:
@@ -42,30 +45,40 @@ class DriveSession:
         self._last_steer: Steer | None = None
         self._last_telemetry_s = time.monotonic()
         self._is_pushed = False
-        self._is_stopping = False
+        self._is_stopping = self._was_braking = False
         self.is_connected = False
-        self.stands = False
-        """Whether the car has been braked to a stand."""
+        self._connected_s = 0.0
+        self.comings = 0
+        """How often a simulator connected, since one last stayed."""
+        self.rolls = ""
+        """What speaks against it that the car stands, at the end of a drive; empty where it does."""
+        self.is_braked = False
+        """Whether it stands, or all was done that can be done without knowing its speed."""
 
     def connected(self) -> None:
         self._driver = Driver(self._pilot, self._config)
         self._last_steer, self._last_telemetry_s, self._is_pushed = None, time.monotonic(), False
-        self.is_connected, self.stands = True, False
+        self.is_connected, self._is_stopping = True, False
+        self.comings += 1
+        self._connected_s = time.monotonic()
         self.summary.connected()
         self.log.event("connected")
 
     def disconnected(self, reason: str) -> None:
         self.is_connected = False
+        if time.monotonic() - self._connected_s >= STEADY_S:
+            self.comings = 0
         self.log.event(f"disconnected: {reason}")
 
     def telemetry(self, data: object, received_s: float) -> Answer:
         self._last_telemetry_s, self._is_pushed = time.monotonic(), False
         if data is None:  # a human holds a key
+            self.rolls = "a human drives it"
             return Answer(None, self._note_manual)
         decision = self._driver.decide(data, received_s)
         if self._is_stopping:
-            decision = self._braked(decision)
-        self._last_steer = Steer(decision.steering, decision.throttle, decision.decimal_comma)
+            self._see_whether_it_stands(decision)
+        self._last_steer = Steer(decision.steering, decision.throttle, decision.decimal_separator)
         return Answer(self._last_steer, lambda total_ms: self._note(decision, total_ms))
 
     def push(self) -> Steer | None:
@@ -75,7 +88,7 @@ class DriveSession:
             return None
         self._is_pushed = True
         self.log.event("no telemetry for a second: sent a steer, to make the simulator go on", is_problem=True)
-        return self._last_steer or Steer(0.0, 0.0, decimal_comma=False)
+        return self._last_steer or Steer(0.0, 0.0)
 
     @property
     def silent_s(self) -> float:
@@ -84,11 +97,29 @@ class DriveSession:
 
     def stop(self) -> None:
         """From now on it is braked to a stand."""
-        self._is_stopping = True
+        self._driver.stop()
+        self._is_stopping, self.is_braked = True, False
+        self._was_braking = False
+        self.rolls = "it tells nothing any more"
 
     def rest(self) -> Steer:
         """The last command: the simulator's car keeps it for ever."""
-        return Steer(0.0, 0.0, self._last_steer is not None and self._last_steer.decimal_comma)
+        last = self._last_steer or Steer(0.0, 0.0)
+        return Steer(0.0, 0.0, last.decimal_separator)
+
+    def status(self, now_s: float) -> str:
+        """The live line."""
+        if self.is_connected or self.is_empty:
+            return self.summary.status(now_s)
+        return f"the simulator has gone: waiting, with {counted(self.log.frames, 'frame')} so far"
+
+    def end(self) -> str:
+        """What to say of a car that may not stand at the end of a drive; empty where it does."""
+        if self.is_braked and not self.rolls:
+            return ""
+        text = f"the car may still roll: {self.rolls}"
+        self.log.event(text, is_problem=True)
+        return text
 
     def note(self, record: str, values: dict[str, str]) -> None:
         """A metadata record to be written at the log's end."""
@@ -123,10 +154,18 @@ class DriveSession:
         """Whether nothing was told that could be driven on or written down."""
         return self.summary.telemetries == 0
 
-    def _braked(self, decision: Decision) -> Decision:
-        told = decision.telemetry
-        self.stands = told is not None and told.speed_mph <= WALKING_MPH
-        return replace(decision, throttle=0.0 if self.stands or told is None else -1.0)
+    def _see_whether_it_stands(self, decision: Decision) -> None:
+        speed_mph, is_braking = decision.speed_mph, decision.throttle < 0
+        if is_braking and not self._was_braking:
+            self._was_braking = True
+            self.log.event("the drive ends: the car is braked to a stand")
+        if speed_mph is None:
+            self.rolls = "its speed is not told"
+            self.is_braked = not is_braking
+        else:
+            stands = speed_mph <= WALKING_MPH
+            self.rolls = "" if stands else f"it goes {speed_mph:.1f} mph"
+            self.is_braked = stands
 
     def _note_manual(self, total_ms: float) -> None:
         self.log.manual(total_ms)
@@ -134,6 +173,8 @@ class DriveSession:
 
     def _note(self, decision: Decision, total_ms: float) -> None:
         self.log.decision(decision, total_ms)
+        if decision.telemetry is None and not self.summary.bad[decision.kind]:
+            self._say(f"telemetry that cannot be used: {decision.problem}")
         self.summary.decision(decision, total_ms)
         for text in decision.events:  # a car that brakes by itself, or is taken over, must not be a riddle
             self._say(text)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from drive.driver import Decision  # loads PyTorch
 
 STAGES: Final = ("parse", "decode", "network", "total")
+MOST_KINDS: Final = 5  # of bad telemetry, named
 RATE_S: Final = 1.0  # the replies a second that are shown are those of this last while
 
 
@@ -28,6 +29,7 @@ class _Moment:
 
     now_s: float
     replies: int
+    bad: int  # of them
     total_ms: float  # of all of them
 
 
@@ -40,8 +42,9 @@ class DriveSummary:
 
     def __init__(self) -> None:
         self.frames = 0
-        """Telemetries that were driven on."""
-        self.malformed = 0
+        """Telemetries that could be used."""
+        self.bad: Counter[str] = Counter()
+        """Those that could not, by kind."""
         self.without_number = 0
         """Frames for which the network gave no number: the car was braked."""
         self.manual_stretches = 0
@@ -54,16 +57,19 @@ class DriveSummary:
         """As `DriveLog` counts them, and told by its owner; so are the rows."""
         self.dropped_rows = 0
         self.elapsed_s = 0.0
+        self.driven_s = 0.0
+        """Of that, with telemetry that was driven on."""
         self.distance_m = 0.0
         self.latency = {stage: Latency() for stage in STAGES}
         self._clock = DriveClock()
         self._time_s = 0.0
         self._told_s = 0.0  # of `elapsed_s`, with a telemetry that told the speed
-        self._speed_mph = 0.0
+        self._speed_mph: float | None = None  # as the last telemetry told it
         self._world: World | None = None
         self._frames_with_world = 0
         self._laps = 0.0  # as far as they were told
         self._driver = "pilot"  # who drove last: pilot, expert or human
+        self._is_braked = False
         self._steering = 0.0
         self._telemetries = 0
         self._total_ms = 0.0  # of all telemetries
@@ -76,27 +82,34 @@ class DriveSummary:
         told = decision.telemetry
         passed_s = self._answered(total_ms, now_s, told.world if told is not None else None)
         self._steering = decision.steering
+        self._is_braked = decision.driver == "brake"
+        if decision.speed_mph is not None:
+            if self._speed_mph is not None:
+                self._told_s += passed_s
+                self.distance_m += abs(self._speed_mph) * MPS_PER_MPH * passed_s
+            self._speed_mph = decision.speed_mph
         if told is None:
-            self.malformed += 1
+            self.bad[decision.kind] += 1
             return
-        self._told_s += passed_s
-        self.distance_m += abs(self._speed_mph) * MPS_PER_MPH * passed_s
+        if not self._is_braked:
+            self.driven_s += passed_s
         self.frames += 1
         self.without_number += bool(decision.problem)
-        self._speed_mph = told.speed_mph
         for stage, ms in zip(
             STAGES, (decision.parse_ms, decision.decode_ms, decision.network_ms, total_ms), strict=True
         ):
             self.latency[stage].add(ms)
         if decision.driver == "expert" and self._driver != "expert":
             self.takeovers += 1
-        self._driver = decision.driver
+        if decision.driver != "brake":
+            self._driver = decision.driver
         if told.world is not None:
             self._course(told.world)
 
     def manual(self, total_ms: float, now_s: float | None = None) -> None:
         """One telemetry while a human drives."""
-        self._answered(total_ms, now_s, None)
+        self.driven_s += self._answered(total_ms, now_s, None)
+        self._is_braked = False
         if self._driver != "human":
             self.manual_stretches += 1
         self._driver = "human"
@@ -105,6 +118,25 @@ class DriveSummary:
     def telemetries(self) -> int:
         """All that were answered: frames, malformed ones, and those of a human's driving."""
         return self._telemetries
+
+    @property
+    def malformed(self) -> int:
+        return self.bad.total()
+
+    @property
+    def is_all_lost(self) -> bool:
+        """Whether there was nothing that the network could drive on, or it gave no number for any of it."""
+        return self.frames == self.without_number
+
+    @property
+    def why_nothing(self) -> str:
+        """What to do where all is lost."""
+        if self.without_number:
+            return "the network gave no number; drive with another run"
+        if not self.bad:
+            return "a human held the keys all the time; let go of them"
+        (kind, _), *_ = self.bad.most_common(1)
+        return f"no telemetry could be used ({kind}); mend that in the simulator"
 
     @property
     def laps(self) -> float | None:
@@ -116,21 +148,22 @@ class DriveSummary:
         return self.manual_stretches + self.takeovers + self.put_back
 
     @property
-    def autonomy_percent(self) -> float:
-        """Bojarski et al. 2016, section 7.1: each intervention counts as six seconds of a human's driving."""
-        if not self.interventions:
-            return 100.0
+    def autonomy_percent(self) -> float | None:
+        """Of the time that was driven; None where none was. Bojarski et al. 2016, section 7.1: each intervention
+        counts as six seconds of a human's driving."""
+        if self.is_all_lost or not self.driven_s:
+            return None
         lost_s = INTERVENTION_COST_S * self.interventions
-        return 100.0 * (1.0 - lost_s / self.elapsed_s) if self.elapsed_s > lost_s else 0.0
+        return 100.0 * max(0.0, 1.0 - lost_s / self.driven_s)
 
     @property
-    def mean_speed_mph(self) -> float:
-        """While the simulator told the speed; it does not while a human drives."""
-        return self.distance_m / self._told_s / MPS_PER_MPH if self._told_s else 0.0
+    def mean_speed_mph(self) -> float | None:
+        """While the simulator told the speed; it does not while a human drives. None if it never did."""
+        return self.distance_m / self._told_s / MPS_PER_MPH if self._told_s else None
 
     def connected(self) -> None:
         """From here on another simulator tells, or the same one another drive."""
-        self._world, self._driver = None, "pilot"
+        self._world, self._driver, self._speed_mph = None, "pilot", None
 
     def as_metadata(self) -> dict[str, str]:
         """The metadata record `bc.drive`, see docs/log-format.md."""
@@ -142,34 +175,41 @@ class DriveSummary:
                 *("dropped_pictures", "dropped_rows"),
             )
         }
-        numbers = {
+        numbers: dict[str, float | None] = {
             "elapsed_s": self.elapsed_s,
+            "driven_s": self.driven_s,
             "distance_m": self.distance_m,
             "mean_speed_mph": self.mean_speed_mph,
-            **({"autonomy_percent": self.autonomy_percent} if self.frames else {}),
-            **({} if self.laps is None else {"laps": self.laps}),
+            "autonomy_percent": self.autonomy_percent,
+            "laps": self.laps,
         }
         for stage, latency in self.latency.items():
             numbers[f"{stage}_p50_ms"] = latency.percentile_ms(50)
             numbers[f"{stage}_p99_ms"] = latency.percentile_ms(99)
             numbers[f"{stage}_max_ms"] = latency.max_ms
-        return counts | {name: f"{number:.3f}" for name, number in numbers.items()}
+        return counts | {name: f"{number:.3f}" for name, number in numbers.items() if number is not None}
 
     def lines(self) -> list[str]:
         """For people, at the end of a drive."""
         laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
+        speed_mph = self.mean_speed_mph
+        far = (
+            "distance and speed unknown"
+            if speed_mph is None
+            else f"{laps}{self.distance_m:,.0f} m, {speed_mph:.1f} mph on average"
+        )
         lines = [
-            f"{self.frames:,} frames in {self.elapsed_s:,.1f} s: {laps}{self.distance_m:,.0f} m,"
-            f" {self.mean_speed_mph:.1f} mph on average",
-            f"autonomy {self.autonomy_percent:.1f} %, {self._interventions_told()}{self._untold()}"
-            if self.frames
-            else f"nothing could be driven on, {self._interventions_told()}",
+            f"{counted(self.frames, 'frame')} in {self.elapsed_s:,.1f} s: {far}",
+            f"autonomy {self._autonomy_told()}, {self._interventions_told()}{self._untold()}",
         ]
         if self.frames:
             told = (f"{stage} {latency}" for stage, latency in self.latency.items())
             lines.append(f"latency p50/p99/max in ms: {', '.join(told)}")
-        if self.malformed:
-            lines.append(counted(self.malformed, "malformed telemetry", "malformed telemetries"))
+        if self.bad:
+            what = counted(self.malformed, "telemetry", "telemetries")
+            kinds = ", ".join(f"{count:,} {kind}" for kind, count in self.bad.most_common(MOST_KINDS))
+            more = f", and {len(self.bad) - MOST_KINDS} other kinds" if len(self.bad) > MOST_KINDS else ""
+            lines.append(f"{what} could not be used: {kinds}{more}")
         if self.without_number:
             frames = counted(self.without_number, "frame")
             lines.append(f"the network gave no number for {frames}: the car was braked")
@@ -187,7 +227,7 @@ class DriveSummary:
             return ""
         while len(self._moments) > 1 and self._moments[1].now_s <= now_s - RATE_S:
             self._moments.popleft()
-        self._moments.append(_Moment(now_s, self._telemetries, self._total_ms))
+        self._moments.append(_Moment(now_s, self._telemetries, self.malformed, self._total_ms))
         first, last = self._moments[0], self._moments[-1]
         replies, passed_s = last.replies - first.replies, last.now_s - first.now_s
         rate = replies / passed_s if passed_s > 0 else 0.0
@@ -199,9 +239,13 @@ class DriveSummary:
             "expert": f"expert {self._steering:+.2f}",
             "human": "a human drives",
         }[self._driver]
-        silent_s = max(0.0, now_s - self._last_s)
-        replied = f"{rate:.0f} Hz, {mean_ms:.1f} ms, {silent_s:.1f} s ago"
-        return f"{laps}{helped}{self._speed_mph:.1f} mph, {who}, {replied}"
+        bad = last.bad - first.bad
+        silent = f"{max(0.0, now_s - self._last_s):.1f} s ago"
+        replied = f"{rate:.0f} Hz, {f'{bad:,} bad' if bad else f'{mean_ms:.1f} ms'}, {silent}"
+        if bad and bad == replies:
+            return f"{laps}{helped}{rate:.0f} Hz, none of it usable, {silent}"
+        speed = "" if self._speed_mph is None else f"{self._speed_mph:.1f} mph, "
+        return f"{laps}{helped}{speed}{'braked' if self._is_braked else who}, {replied}"
 
     def _answered(self, total_ms: float, now_s: float | None, world: World | None) -> float:
         """How long it was driven since the telemetry before."""
@@ -226,9 +270,18 @@ class DriveSummary:
         self._laps += world.laps - before.laps
         self.put_back += max(0, world.interventions - before.interventions)
 
+    def _autonomy_told(self) -> str:
+        autonomy = self.autonomy_percent
+        if autonomy is None:
+            return "unknown, for nothing was driven"
+        whole = self.elapsed_s - self.driven_s < RATE_S
+        return f"{autonomy:.1f} %" + ("" if whole else f" of the {self.driven_s:,.1f} s that were driven")
+
     def _untold(self) -> str:
         """What the interventions leave out."""
         frames = self.frames - self._frames_with_world
+        if not self.frames:
+            return ""
         if frames == self.frames:
             return " (this simulator does not tell when the car leaves the road)"
         return f" (for {counted(frames, 'frame')} nobody told when the car left the road)" if frames else ""

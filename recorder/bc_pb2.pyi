@@ -25,10 +25,12 @@ class PilotCommand(_message.Message):
         PILOT: _ClassVar[PilotCommand.Driver]
         HUMAN: _ClassVar[PilotCommand.Driver]
         EXPERT: _ClassVar[PilotCommand.Driver]
+        BRAKE: _ClassVar[PilotCommand.Driver]
     UNKNOWN: PilotCommand.Driver
     PILOT: PilotCommand.Driver
     HUMAN: PilotCommand.Driver
     EXPERT: PilotCommand.Driver
+    BRAKE: PilotCommand.Driver
     PREDICTED_STEERING_FIELD_NUMBER: _ClassVar[int]
     STEERING_FIELD_NUMBER: _ClassVar[int]
     THROTTLE_FIELD_NUMBER: _ClassVar[int]

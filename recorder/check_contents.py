@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
 from recorder import compressed_image, topics
+from recorder.bad_telemetry import read_event
 from recorder.bc_pb2 import VehicleState
 from recorder.chunks import StoredMessage
 from recorder.compressed_image import image_data
@@ -46,6 +48,12 @@ class Contents:
             for number, topic in self._topics.items()
             if topic == topics.VEHICLE and structure.is_protobuf(number, topics.VEHICLE_SCHEMA)
         }
+        self._events = {
+            number
+            for number, topic in self._topics.items()
+            if topic == topics.EVENTS and structure.is_protobuf(number, LogMessage.DESCRIPTOR.full_name)
+        }
+        self._bad_telemetry: Counter[str] = Counter()
         self._findings = findings
         self._look = Look(pool)
         self._states = StatesWritten()
@@ -79,6 +87,8 @@ class Contents:
                 self._states.add(message.sequence, message.log_time_ns, state)
         elif message.channel in self._images:
             self._take_picture(topic, records, message)
+        elif message.channel in self._events:
+            self._take_event(topic, records, message)
 
     def _take_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
         at, length = image_data(records, message.offset, message.length)
@@ -87,12 +97,24 @@ class Contents:
             return
         self._look.take(topic, message.sequence, message.log_time_ns, records[at : at + length])
 
+    def _take_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
+        try:
+            event = LogMessage.FromString(records[message.offset : message.offset + message.length])
+        except DecodeError:
+            self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
+            return
+        kind, count = read_event(event.message)
+        if count:
+            self._bad_telemetry[kind] += count
+
     def judge(self) -> None:
         """What can only be said when everything was seen."""
         self._look.finish()
         for topic, at in self._look.broken:
             where = f"{topic} row {self._look.seen[topic].rows[at]}"
             self._findings.append(Finding("pictures that do not decode", where))
+        for reason, count in self._bad_telemetry.most_common():
+            self._findings.append(Finding("kinds of telemetry that could not be used", f"{reason} ({count:,})"))
         states = self._states.states()
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))

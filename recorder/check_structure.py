@@ -50,6 +50,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
             expected = {}
         if opcode == Opcode.DATA_END:
+            if length != 4:  # the one record whose header no CRC covers
+                findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             (told,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
             if told and told != crc:
                 findings.append(Finding("CRC of all data does not hold", f"{told:08x}, found {crc:08x}"))

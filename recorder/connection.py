@@ -65,6 +65,7 @@ class Connection(Socket):  # type: ignore[misc]
     """
 
     has_told: bool
+    waits: bool  # has told no telemetry, and was sent no first command
     last_ping: Any
     _lock: Lock
     _host: Host
@@ -78,7 +79,7 @@ class Connection(Socket):  # type: ignore[misc]
         """Make one of a connection that python-engineio has just made. Whoever closes one holds `lock`; `said`
         hears why somebody was hung up on."""
         connection.__class__ = cls
-        connection.has_told = False
+        connection.has_told, connection.waits = False, True
         connection._lock, connection._host, connection._said = lock, host, said
         connection._wire = None
         connection._since_s = connection._next_ping_s = time.monotonic()
@@ -94,6 +95,15 @@ class Connection(Socket):  # type: ignore[misc]
 
     def is_older_than(self, seconds: float) -> bool:
         return time.monotonic() - self._since_s >= seconds
+
+    def waits_longer_than(self, seconds: float) -> bool:
+        """Whether somebody by websocket has told no telemetry for so long, and was sent nothing for it."""
+        return self.is_by_websocket and self.waits and not self.closed and self.is_older_than(seconds)
+
+    def send_first(self, message: str) -> None:
+        """Without being asked, and once."""
+        self.waits = False
+        self.send(packet.Packet(packet.MESSAGE, data=message))
 
     def send_now(self, message: str) -> bool:
         """Whether a websocket has taken the message; by long polling, nothing is sent but what is asked for."""
@@ -135,6 +145,8 @@ class Connection(Socket):  # type: ignore[misc]
                 self._wire.cut()
 
     def close(self, wait: bool = True, abort: bool = False, reason: str | None = None) -> None:
+        if self._wire is not None and self._wire.broke:
+            reason = self._wire.broke
         with self._lock:  # the tick closes too, and twice closed is twice reported
             super().close(wait=False, abort=abort, reason=reason)  # waiting, it would hold the lock
 

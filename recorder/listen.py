@@ -11,11 +11,11 @@ from common import Skipped
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.progress import StatusLine
+from recorder.bad_telemetry import BadTelemetry
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.jpeg import is_whole_jpeg
 from recorder.record import Imported
-from recorder.telemetry import TelemetryError, parse_telemetry
+from recorder.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
 from recorder.telemetry_server import QUIET_S, Answer, Steer, TelemetryServer
 from recorder.writer import EventLevel, LogWriter
 
@@ -45,11 +45,12 @@ def listen_for_telemetry(
         writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
         with StatusLine() as status:
             session = _Session(writer, status)
-            server = TelemetryServer(session, host=host, port=port, said=session.warn)
+            server = TelemetryServer(session, host=host, port=port, said=session.warn, first="manual")
             session.say(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
                 on_started(writer.part)
             server.run(until=lambda: stopped.is_set() or (idle_s is not None and session.is_idle_for(idle_s)))
+        session.finish()
         if not session.rows:
             writing.pop_all()  # a live log would be kept, for its events
             writer.discard()
@@ -74,6 +75,7 @@ class _Session:
         self._rate = 0.0
         self.rows = 0
         self.skipped = Skipped()
+        self._bad = BadTelemetry()
 
     def connected(self, sid: str) -> None:
         self._event(time.time_ns(), "connected")
@@ -121,6 +123,11 @@ class _Session:
         self._text = text
         self._status.say(text)
 
+    def finish(self) -> None:
+        """To be called when nothing more will come."""
+        for text in self._bad.left():
+            self._event(time.time_ns(), text, "WARNING")
+
     def is_idle_for(self, idle_s: float) -> bool:
         """Whether the last telemetry came so long ago; False before the first."""
         return self._telemetries > 0 and time.monotonic() - self._last_s >= idle_s
@@ -146,11 +153,13 @@ class _Session:
             return
         try:
             told = parse_telemetry(data)
-            if not is_whole_jpeg(told.jpeg):
-                raise TelemetryError("image is not a whole JPEG")
+            check_whole_jpeg(told.jpeg)
         except TelemetryError as error:
-            self.skipped.add(f"telemetries that cannot be used ({error})", f"number {self._telemetries}")
-            self._event(received_ns, f"bad telemetry: {error}", "WARNING")
+            if error.kind not in self._bad.counts:
+                self._status.note(f"telemetry that cannot be used: {error}")
+            self.skipped.add(f"telemetries that cannot be used ({error.kind})", f"number {self._telemetries}")
+            if (text := self._bad.take(error.kind, str(error))) is not None:
+                self._event(received_ns, text, "WARNING")
             return
         time_ns = self._unique_ns(received_ns)
         self._writer.picture("center", time_ns, self.rows, told.jpeg)

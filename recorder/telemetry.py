@@ -8,10 +8,12 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-import re
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
+from common.errors import counted, shown
+from recorder.jpeg import is_whole_jpeg
+from recorder.locale_numbers import POINT, decimal_separator, read_number, written
 from recorder.topics import MAX_STEERING_DEG
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
@@ -19,11 +21,33 @@ MAX_WORLD_NUMBER: Final = 1e9  # of any unit: 31 years, a million kilometres; wh
 
 MAX_SPEED_MPH: Final = 1e7  # what is beyond makes distances that nobody can read
 
-_NUMBER = re.compile(r"[+-]?\d[\d.,\u00a0\u202f' ]*([eE][+-]?\d+)?")
+_NUMBERS: Final = ("steering_angle", "throttle", "speed")
+_FIELDS: Final = (*_NUMBERS, "image")
+_MOST_NAMES: Final = 6
+_SHOWN: Final = 30  # characters of what a client has told, in a reason
+_OTHER_PICTURES: Final = {
+    b"\x89PNG": "PNG",
+    b"GIF8": "GIF",
+    b"RIFF": "WebP",
+    b"BM": "BMP",
+    b"II*": "TIFF",
+    b"MM": "TIFF",
+}
 
 
 class TelemetryError(ValueError):
-    """A telemetry that cannot be used; it is answered all the same."""
+    """A telemetry that cannot be used; it is answered all the same.
+
+    Its text is the reason, with whatever the client has told; `kind` the reason alone, by which they are counted.
+    """
+
+    def __init__(self, kind: str, detail: str = "") -> None:
+        super().__init__(kind + detail)
+        self.kind = kind
+        self.speed_mph: float | None = None
+        """What could be read all the same; None where that could not."""
+        self.decimal_separator: str | None = None
+        self.world: World | None = None
 
 
 @dataclass(frozen=True)
@@ -48,63 +72,110 @@ class World:
 class Telemetry:
     """One moment as the simulator tells it."""
 
-    steering: float  # -1 (left) .. 1 (right), the wheels as they are
-    throttle: float  # 0..1
+    steering: float  # -1 (left) .. 1 (right), the wheels as they are; beyond that where it was told so
+    throttle: float  # 0..1; beyond that too
     speed_mph: float
     jpeg: bytes
-    decimal_comma: bool  # the simulator's machine writes 0,5 for a half, and wants to read it
+    decimal_separator: str = POINT  # as the simulator's machine writes numbers, and wants to read them
     world: World | None = None  # None unless the built-in simulator tells it
 
 
 def parse_telemetry(data: object) -> Telemetry:
-    """Raises TelemetryError with the reason."""
+    """Raises TelemetryError with the reason, and what could be read all the same."""
     if not isinstance(data, dict):
         raise TelemetryError(f"not an object but a {type(data).__name__}")
-    throttle = data.get("throttle")
-    # At most 1, so it never has a thousands separator: the separator it has tells the machine's culture.
-    decimal_comma = isinstance(throttle, str) and "," in throttle
-    degrees = _number(data, "steering_angle", decimal_comma)
-    speed_mph = _number(data, "speed", decimal_comma)
-    if abs(speed_mph) > MAX_SPEED_MPH:
-        raise TelemetryError(f"speed is beyond {MAX_SPEED_MPH:,.0f} mph")
+    told = _decimal_separator(data)
+    decimal = told or POINT
+    numbers: dict[str, float] = {}
+    problems: list[TelemetryError] = []
+    if missing := [name for name in _FIELDS if data.get(name) is None]:
+        problems.append(_missing(missing, data))
+    for name in _NUMBERS:
+        if name not in missing:
+            try:
+                numbers[name] = _number(data[name], name, decimal)
+            except TelemetryError as error:
+                problems.append(error)
+    try:
+        jpeg = _image(data["image"]) if "image" not in missing else b""
+    except TelemetryError as error:
+        problems.append(error)
+    if problems:
+        problem = problems[0]
+        problem.speed_mph, problem.decimal_separator = numbers.get("speed"), told
+        problem.world = _world(data.get("world"))
+        raise problem
     return Telemetry(
-        steering=min(max(degrees / MAX_STEERING_DEG, -1.0), 1.0),
-        throttle=min(max(_number(data, "throttle", decimal_comma), 0.0), 1.0),
-        speed_mph=speed_mph,
-        jpeg=_image(data.get("image")),
-        decimal_comma=decimal_comma,
+        steering=numbers["steering_angle"] / MAX_STEERING_DEG,
+        throttle=numbers["throttle"],
+        speed_mph=numbers["speed"],
+        jpeg=jpeg,
+        decimal_separator=decimal,
         world=_world(data.get("world")),
     )
 
 
-def format_command(steering: float, throttle: float, decimal_comma: bool) -> dict[str, str]:
+def check_whole_jpeg(jpeg: bytes) -> None:
+    """Raises TelemetryError for what is no whole JPEG: the end of a cut one would be grey."""
+    if is_whole_jpeg(jpeg):
+        return
+    for start, name in _OTHER_PICTURES.items():
+        if jpeg.startswith(start):
+            raise TelemetryError(f"image is a {name}, not a JPEG")
+    if jpeg.startswith(b"\xff\xd8"):
+        raise TelemetryError("image is a JPEG that is cut off or damaged", f" ({counted(len(jpeg), 'byte')})")
+    raise TelemetryError("image is not a JPEG", f" ({counted(len(jpeg), 'byte')})")
+
+
+def format_command(steering: float, throttle: float, decimal_separator: str = POINT) -> dict[str, str]:
     """A `steer` command: strings, because the simulator drops a telemetry whose answer holds JSON numbers."""
-    values = {"steering_angle": f"{steering:.6f}", "throttle": f"{throttle:.6f}"}
-    if decimal_comma:
-        values = {name: text.replace(".", ",") for name, text in values.items()}
-    return values
+    return {
+        "steering_angle": written(steering, decimal_separator),
+        "throttle": written(throttle, decimal_separator),
+    }
 
 
-def _number(data: dict[object, object], field: str, decimal_comma: bool) -> float:
-    value = data.get(field)
-    if isinstance(value, str) and len(value) < 64 and _NUMBER.fullmatch(value.strip()):
-        decimal, thousands = (",", ".") if decimal_comma else (".", ",")
-        # other cultures group thousands by spaces or apostrophes
-        plain = re.sub(r"[\u00a0\u202f' ]", "", value.strip().replace(thousands, "")).replace(decimal, ".")
-        try:
-            number = float(plain)
-        except ValueError:
-            raise TelemetryError(f"{field} is not a number") from None
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except OverflowError:
-            raise TelemetryError(f"{field} is not finite") from None
-    else:
-        raise TelemetryError(f"{field} is missing or not a number")
+def _decimal_separator(data: dict[object, object]) -> str | None:
+    """The throttle tells: at most 1, it has no thousands to separate. Nor has an angle, and hardly a speed.
+    None where none of them is a number."""
+    for name in ("throttle", "steering_angle", "speed"):
+        separator = decimal_separator(value := data.get(name))
+        if isinstance(value, int | float) or (
+            isinstance(value, str) and read_number(value, separator) is not None
+        ):
+            return separator
+    return None
+
+
+def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
+    told = ", ".join(_short(name) for name in list(data)[:_MOST_NAMES]) + (
+        ", ..." if len(data) > _MOST_NAMES else ""
+    )
+    which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return TelemetryError(f"{which} {'is' if len(names) == 1 else 'are'} missing", f" (told: {told or 'nothing'})")
+
+
+def _number(value: object, field: str, decimal: str) -> float:
+    """`value` of a field that is there."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise TelemetryError(f"{field} is not a number but a {type(value).__name__}")
+    try:
+        number = read_number(value, decimal) if isinstance(value, str) else float(value)
+    except OverflowError:
+        number = math.inf
+    if number is None:
+        raise TelemetryError(f"{field} is not a number", f" ({_short(value)})")
     if not math.isfinite(number):
         raise TelemetryError(f"{field} is not finite")
+    if field == "speed" and abs(number) > MAX_SPEED_MPH:
+        raise TelemetryError(f"speed is beyond {MAX_SPEED_MPH:,.0f} mph")
     return number
+
+
+def _short(value: object) -> str:
+    """Of a client's text, enough to find it by."""
+    text = str(value)
+    return shown(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
 
 
 _WORLD: Final = tuple(field.name for field in fields(World))
@@ -127,10 +198,15 @@ def _world(value: object) -> World | None:
 
 
 def _image(value: object) -> bytes:
-    if not isinstance(value, str) or not value:
-        raise TelemetryError("image is missing or not a string")
+    """The picture of a field that is there."""
+    if not isinstance(value, str):
+        raise TelemetryError(f"image is not a string but a {type(value).__name__}")
+    if not value:
+        raise TelemetryError("image is empty")
     if len(value) > MAX_IMAGE_BYTES:
-        raise TelemetryError(f"image is larger than {MAX_IMAGE_BYTES} bytes")
+        raise TelemetryError(f"image is larger than {MAX_IMAGE_BYTES:,} bytes")
+    if value.startswith("data:"):
+        raise TelemetryError("image begins with data:", " (send only what comes after base64,)")
     try:
         return base64.b64decode(value, validate=True)
     except (binascii.Error, ValueError):

@@ -14,13 +14,18 @@ import socketio
 from engineio.exceptions import EngineIOError
 from socketio import packet
 
+from common.errors import shown
 from recorder.broken_packets import CheckedPacket, hang_up_on_broken_packets, one_line_log
 from recorder.connection import HAS_HUNG_UP, Connection, Host
+from recorder.let_in import LetIn
+from recorder.locale_numbers import POINT
 from recorder.old_clients import accept_old_clients
 from recorder.telemetry import MAX_IMAGE_BYTES, format_command
 from recorder.visitors import CROWD, END_S, MOST_CONNECTIONS, Said
 
 TICK_S: Final = 0.1
+FIRST_S: Final = 1.0
+"""The real simulator tells its first at once. Each command that it did not ask for keeps one more in flight."""
 QUIET_S: Final = 5.0
 """Whoever has opened a connection and told nothing for so long speaks something else."""
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
@@ -35,6 +40,12 @@ POLLING: Final = (
     " `pip install websocket-client` is done)"
 )
 
+REFUSED: Final = (
+    "refused a web page or client that asks {}: this port is for this machine, and for what --host names; others"
+    " write its address as numbers"
+)
+MOST_SHOWN: Final = 100  # characters of such a name
+
 ServerMode = Literal["eventlet", "threading"]
 Result = TypeVar("Result")
 
@@ -45,7 +56,7 @@ class Steer:
 
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # -1..1
-    decimal_comma: bool  # how the simulator's machine writes numbers
+    decimal_separator: str = POINT  # of the simulator's machine
 
 
 @dataclass(frozen=True)
@@ -92,13 +103,16 @@ class TelemetryServer:
         port: int = 4567,
         mode: ServerMode = "eventlet",
         said: Said = lambda text: None,
+        first: Steer | Literal["manual", "nothing"] = "nothing",
     ) -> None:
         """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible.
 
         "eventlet" serves all connections in the thread that runs it, "threading" each in one of its own.
         `said` gets a line for a person where something else than a simulator connects, each line once; like the
-        handler, it is never called by two threads at once.
+        handler, it is never called by two threads at once. `first` is sent to who has opened a websocket and told
+        no telemetry for `FIRST_S`: a classic server's first command comes unasked, and some clients wait for it.
         """
+        self._first = first
         self._handler = handler
         self._said = said
         self._told: set[str] = set()
@@ -109,6 +123,8 @@ class TelemetryServer:
         self._answers: dict[str, tuple[str, float, Answer]] = {}
         self._on_their_way = 0  # answers that have not left yet
         self._lock = threading.RLock()
+        self._let_in = LetIn(host)
+        self._has_refused = False
         self._host = _host(mode, host, port, self._say)
         self.port: int = self._host.port
         log = one_line_log(self._say)
@@ -116,6 +132,7 @@ class TelemetryServer:
             async_mode=mode,
             async_handlers=False,
             serializer=CheckedPacket,
+            cors_allowed_origins=self._let_in.allows,
             logger=log,
             engineio_logger=log,
             max_http_buffer_size=MAX_MESSAGE_BYTES,
@@ -186,8 +203,18 @@ class TelemetryServer:
                 self.push(sid, command)
 
     def _serve(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
+        if refused := self._let_in.refused(environ):
+            self._refuse(refused)
+            start_response("403 Forbidden", [("Content-Length", "0")])
+            return []
         answer = self._application(environ, start_response)
         return self._host.after_websocket() if environ.get(HAS_HUNG_UP) else answer
+
+    def _refuse(self, what: str) -> None:
+        with self._lock:  # once: a page that tries name after name must not fill the screen
+            if not self._has_refused:
+                self._has_refused = True
+                self._say(REFUSED.format(shown(what[:MOST_SHOWN])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         if not _is_for_websocket(environ) and len(self._engine.sockets) > MOST_CONNECTIONS:
@@ -207,7 +234,7 @@ class TelemetryServer:
             return
         # Without the lock: a client that does not read what it is sent keeps nobody else waiting.
         sid, received_s, answer = asked
-        name, fields = ("manual", {}) if answer.command is None else _event(answer.command)
+        name, fields = _event(answer.command)
         with contextlib.suppress(OSError, EngineIOError):  # the client has gone
             if not connection.send_now(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
                 self._server.emit(name, fields, to=sid)
@@ -227,7 +254,8 @@ class TelemetryServer:
 
     def _on_telemetry(self, sid: str, data: object = None, *_: object) -> None:
         engine_sid = self._server.manager.eio_sid_from_sid(sid, "/")
-        received_s = self._engine.sockets[engine_sid].received_s
+        connection: Connection = self._engine.sockets[engine_sid]
+        connection.waits, received_s = False, connection.received_s
         answer = None if self._is_over else self._call(self._handler.telemetry, sid, data, received_s)
         if answer is not None:
             if answer.command is not None:
@@ -239,7 +267,11 @@ class TelemetryServer:
             connection.tick()
             if connection.closed and not connection.is_by_websocket:
                 self._engine.sockets.pop(engine_sid, None)
-            elif connection.is_older_than(QUIET_S):
+                continue
+            if self._first != "nothing" and connection.waits_longer_than(FIRST_S):
+                event = _event(self._first if isinstance(self._first, Steer) else None)
+                connection.send_first(packet.Packet(packet.EVENT, data=[*event]).encode())
+            if connection.is_older_than(QUIET_S):
                 if not connection.is_by_websocket:
                     self._say(POLLING)
                 elif not connection.has_told:
@@ -262,8 +294,10 @@ class TelemetryServer:
             return None
 
 
-def _event(command: Steer) -> tuple[str, dict[str, str]]:
-    return "steer", format_command(command.steering, command.throttle, command.decimal_comma)
+def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
+    if command is None:
+        return "manual", {}
+    return "steer", format_command(command.steering, command.throttle, command.decimal_separator)
 
 
 def _is_for_websocket(environ: dict[str, Any]) -> bool:

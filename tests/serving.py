@@ -26,7 +26,7 @@ from recorder.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
 from simulator.client import Answer as Command
 from simulator.client import SimulatorClient, Telemetry, Told
 
-UNUSED = Steer(0.0, -1.0, False)
+UNUSED = Steer(0.0, -1.0)
 """What a telemetry is answered by that cannot be used."""
 
 
@@ -59,7 +59,7 @@ class Book:
                 told = parse_telemetry(data)
             except TelemetryError:
                 return Answer(UNUSED, self.answered)
-            return Answer(Steer(-told.steering, 0.5, told.decimal_comma), self.answered)
+            return Answer(Steer(-told.steering, 0.5, told.decimal_separator), self.answered)
 
     def answered(self, total_ms: float) -> None:
         with self._alone("answered"):
@@ -89,10 +89,10 @@ class Book:
 class Serving:
     """A server that runs in a thread until the context is left; what it said, and what its run raised."""
 
-    def __init__(self, mode: ServerMode, book: Any, port: int = 0) -> None:
+    def __init__(self, mode: ServerMode, book: Any, port: int = 0, **options: Any) -> None:
         self.said: list[str] = []
         self.error: BaseException | None = None
-        self.server = TelemetryServer(book, port=port, mode=mode, said=self.said.append)
+        self.server = TelemetryServer(book, port=port, mode=mode, said=self.said.append, **options)
         self.port = self.server.port
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._run)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import signal
 import socket
@@ -11,6 +12,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,7 @@ from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.edit import recover, recovered_name
 from recorder.telemetry import MAX_IMAGE_BYTES
 from rrd import contents, free_ports
+from serving import wait_until
 from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
 from simulator.replay import replay
 from udacity import call
@@ -370,7 +373,7 @@ def test_a_simulator_that_comes_while_the_others_are_braked_is_braked_too(pilot_
     with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
         server.connected("a")
         server.telemetry("a", rolling, time.perf_counter()).then(1.0)
-        assert not server._is_at_rest()  # as at a Ctrl-C
+        server.stop()  # as at a Ctrl-C
         server.connected("b")
         answer = server.telemetry("b", rolling, time.perf_counter())
         answer.then(1.0)
@@ -424,11 +427,20 @@ def test_each_malformed_telemetry_is_an_event_and_is_counted(drive: Drive) -> No
     bad = [event for event in events if event.message.startswith("bad telemetry: ")]
     assert len(bad) == len(MALFORMED_NAMES)
     assert {event.level for event in bad} == {LogMessage.WARNING}
-    assert f"{len(MALFORMED_NAMES)} malformed telemetries" in drive.stdout
+    assert f"{len(MALFORMED_NAMES)} telemetries could not be used: " in drive.stdout
+    said = [line for line in drive.stderr.splitlines() if "telemetry that cannot be used" in line]
+    assert len(said) == len(set(said)) == len({reason_kind(event.message) for event in bad})
     reasons = dict(zip(MALFORMED_NAMES, (event.message for event in bad), strict=True))
     assert "image is larger" in reasons["too large an image"]
     assert "speed is not finite" not in reasons["a speed in words"]
-    assert "not a picture" in reasons["an image that is not a picture"]
+    assert "image is not a JPEG (3 bytes)" in reasons["an image that is not a picture"]
+    assert "speed is not a number (fast)" in reasons["a speed in words"]
+    assert "image is missing (told: steering_angle, throttle, speed)" in reasons["no image"]
+
+
+def reason_kind(message: str) -> str:
+    """Without what differs from one telemetry to the next."""
+    return message.partition(" (")[0]
 
 
 def test_manual_is_answered_by_manual(drive: Drive) -> None:
@@ -453,7 +465,7 @@ def test_a_client_with_decimal_commas_is_understood_and_answered_in_kind(drive: 
 
 
 def test_ctrl_c_finishes_the_log_under_its_name(drive: Drive) -> None:
-    assert drive.exit_code == 0
+    assert drive.exit_code == 3  # some telemetries could not be used
     assert set(drive.log.parent.iterdir()) == {drive.log, drive.second_log}
     assert drive.stdout.startswith(f"{drive.log}: {drive.frames:,} frames")
     with Log(drive.log) as log:
@@ -469,6 +481,17 @@ def test_a_port_in_use_is_one_line_and_writes_nothing(drive: Drive) -> None:
     assert not (drive.log.parent / "second.mcap").exists()
 
 
+def pictures_so_far(part: Path) -> list[bytes]:
+    """The centre camera's, in a log that is being written or was cut off: by mcap's own reader."""
+    pictures = []
+    with part.open("rb") as stream, contextlib.suppress(McapError, EOFError):  # the end is cut
+        reader = NonSeekingReader(stream, validate_crcs=True)
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.topic == "/camera/center":
+                pictures.append(CompressedImage.FromString(message.data).data)
+    return pictures
+
+
 def test_a_killed_drive_leaves_a_part_that_can_be_read(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     told = [road_jpeg(i) for i in range(20)]
@@ -479,22 +502,11 @@ def test_a_killed_drive_leaves_a_part_that_can_be_read(pilot_run: Path, tmp_path
         for i in range(1, len(told)):
             client.tell(fields(i))
         (part,) = tmp_path.glob("run.mcap.*.part")
-        deadline_s = time.monotonic() + PATIENCE_S
-        while part.stat().st_size < sum(map(len, told)) and time.monotonic() < deadline_s:
-            time.sleep(0.05)  # a flush is due once a second
+        wait_until(lambda: len(pictures_so_far(part)) == len(told))
         assert server.end(signal.SIGKILL) == -signal.SIGKILL
         client.close()
     assert not log.exists()
-    pictures = []
-    with part.open("rb") as stream:
-        reader = NonSeekingReader(stream, validate_crcs=True)
-        try:
-            for _, channel, message in reader.iter_messages(log_time_order=False):
-                if channel.topic == "/camera/center":
-                    pictures.append(CompressedImage.FromString(message.data).data)
-        except (McapError, EOFError):
-            pass  # the cut
-    assert pictures == told
+    assert pictures_so_far(part) == told
     recovered = recover(part, recovered_name(part))
     assert recovered.path == log
     with Log(log) as whole:
@@ -579,6 +591,119 @@ def test_at_the_end_the_car_is_braked_to_a_stand(pilot_run: Path, tmp_path: Path
     assert [command.steering for command in commands[:-1]] == pytest.approx(
         [command.steering for command in sent], abs=1e-6
     )
+
+
+def test_a_drive_on_nothing_but_bad_telemetry_says_so_and_fails(pilot_run: Path, tmp_path: Path) -> None:
+    """A simulator of one's own that sends PNGs, and then forgets a field: each is said once, while it drives."""
+    log = tmp_path / "run.mcap"
+    png = base64.b64encode(b"\x89PNG\r\n\x1a\n" + bytes(99)).decode()
+    with DriveProcess(pilot_run, log) as process:
+        client = OldClient(process.wait_until_it_listens())
+        for _ in range(20):
+            client.tell(fields(0, image=png))
+        process.wait_for("telemetry that cannot be used: image is a PNG, not a JPEG")
+        client.tell(fields(0, image="data:image/jpeg;base64,AAAA"))
+        client.tell(fields(0, speed=...))
+        client.close()
+        assert process.end() == 1
+    said = [line for line in process.stderr if "cannot be used" in line]
+    assert len(said) == 3
+    assert "speed is missing (told: steering_angle, throttle, image)" in said[2]
+    assert "nothing was driven: no telemetry could be used (image is a PNG, not a JPEG)" in process.stderr[-1]
+    assert "bc-play" not in process.stdout
+    assert "autonomy unknown" in process.stdout
+    assert "22 telemetries could not be used: 20 image is a PNG, not a JPEG, 1 image begins with data:" in (
+        process.stdout
+    )
+    checked = run("bc-log", "check", log)
+    assert checked.returncode == 3
+    assert "image is a PNG, not a JPEG (20)" in checked.stdout
+
+
+def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
+    pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It tells 9 mph, and then nothing any more."""
+    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+        client = OldClient(process.wait_until_it_listens())
+        client.tell(fields(0))
+        process.popen.send_signal(signal.SIGINT)
+        process.wait_for("the car is braked to a stand; Ctrl-C again ends at once")
+        process.popen.send_signal(signal.SIGINT)
+        assert process.join() == 0
+        client.close()
+    assert process.stderr[-1] == "bc-drive: the car may still roll: it tells nothing any more"
+    assert (tmp_path / "run.mcap").exists()
+
+
+def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path) -> None:
+    log, said = tmp_path / "run.mcap", list[str]()
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+        server.connected("a")
+
+        def tell(speed: str, **changed: Any) -> float:
+            answer = server.telemetry("a", fields(0, speed=speed, **changed), time.perf_counter())
+            answer.then(1.0)
+            assert answer.command is not None
+            return answer.command.throttle
+
+        tell("9.0000")
+        server.stop()
+        assert [tell("9.0000"), tell("8.0000", image="%%%"), tell("0.4000"), tell("0.0000")] == [-1, -1, 0, 0]
+        assert server.session.is_braked
+    commands = [PilotCommand.FromString(data) for _, _, data in messages(log, "/pilot/command")]
+    assert [command.driver for command in commands] == [PilotCommand.PILOT] + [PilotCommand.BRAKE] * 3
+    events = [LogMessage.FromString(data).message for _, _, data in messages(log, "/events")]
+    assert events.count("the drive ends: the car is braked to a stand") == 1
+
+
+def test_a_simulator_that_comes_and_goes_does_not_fill_the_screen(pilot_run: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    log = tmp_path / "run.mcap"
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+        for number in range(20):
+            server.connected(str(number))
+            server.telemetry(str(number), fields(0), time.perf_counter()).then(1.0)
+            server.disconnected(str(number), "gone")
+    assert len(said) < 12
+    assert sum("it comes and goes" in line for line in said) == 1
+    events = [LogMessage.FromString(data).message for _, _, data in messages(log, "/events")]
+    assert events.count("connected") == 20
+
+
+def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_path: Path) -> None:
+    shown: list[str] = []
+    with DriveServer(
+        load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0, show=shown.append
+    ) as server:
+        server.connected("a")
+        server.telemetry("a", fields(0), time.perf_counter()).then(1.0)
+        server.tick()
+        server.disconnected("a", "gone")
+        server.tick()
+    assert "9.0 mph" in shown[0]
+    assert shown[1:] == ["the simulator has gone: waiting, with 1 frame so far"]
+
+
+def test_a_client_that_sends_too_much_is_named_each_time(pilot_run: Path, tmp_path: Path) -> None:
+    def has_gone(times: int) -> bool:
+        return sum("disconnected" in line for line in process.stderr) == times
+
+    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+        port = process.wait_until_it_listens()
+        for number in range(2):
+            with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
+                url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
+                connection = websocket.create_connection(url, socket=stream)
+                connection.send("42" + json.dumps(["telemetry", fields(0)]))
+                with contextlib.suppress(ConnectionError, websocket.WebSocketConnectionClosedException):
+                    connection.send("42" + json.dumps(["telemetry", "A" * (5 << 20)]))
+                    while connection.recv():
+                        pass
+            wait_until(partial(has_gone, number + 1))
+        assert process.end() == 0
+    gone = [line for line in process.stderr if "disconnected" in line]
+    assert all("disconnected (message too large)" in line for line in gone)
 
 
 def test_a_simulator_that_falls_silent_is_steered_once_without_being_asked(
@@ -706,6 +831,6 @@ def test_browsers_and_broken_packets_are_one_line_each(pilot_run: Path, tmp_path
         assert process.end() == 0
     lines = [line for line in process.stderr if "broken packet" in line]
     log = tmp_path / "run.mcap"
-    assert lines == [f"bc-drive: disconnected (broken packet): {log} has 1 frames so far; waiting"]
+    assert lines == [f"bc-drive: disconnected (broken packet): {log} has 1 frame so far; waiting"]
     assert sum("looks at this port with a browser" in line for line in process.stderr) == 1
     assert "Traceback" not in "".join(process.stderr)

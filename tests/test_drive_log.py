@@ -23,11 +23,12 @@ from hypothesis import strategies as st
 from common import UserError
 from disk import files_of_at_most
 from drive.driver import Decision
-from drive.log import MOST_OF_EACH, MOST_REASONS, DriveLog
+from drive.log import DriveLog
 from drive.log_time import LogClock
 from driving import PATIENCE_S, DriveProcess, environment, road_jpeg, run, untrained_run
 from logs import read_messages
 from recorder import Log, LogWriter
+from recorder.bad_telemetry import MOST_OF_EACH
 from recorder.bc_pb2 import PilotCommand
 from recorder.check import check
 from recorder.edit import recover
@@ -54,12 +55,11 @@ WORLD = World(
 
 def decided(number: int, world: World | None = None, **changed: Any) -> Decision:
     """What a driver might have decided; every number another picture, crop, and command."""
-    told = Telemetry(number / 1000, 0.25, 9.0 + number / 100, road_jpeg(number), decimal_comma=False, world=world)
+    told = Telemetry(number / 1000, 0.25, 9.0 + number / 100, road_jpeg(number), world=world)
     crop = np.random.default_rng(number).integers(0, 256, (128, 128, 3), np.uint8)
     decision = Decision(
         steering=-number / 500,
         throttle=0.5,
-        decimal_comma=False,
         driver="pilot",
         telemetry=told,
         crop=crop,
@@ -72,7 +72,7 @@ def decided(number: int, world: World | None = None, **changed: Any) -> Decision
     return replace(decision, **changed)
 
 
-BAD = Decision(steering=0.0, throttle=0.0, decimal_comma=False, problem="not an object but a list")
+BAD = Decision(steering=0.0, throttle=0.0, problem="not an object but a list", kind="not an object but a list")
 
 
 @contextmanager
@@ -166,11 +166,45 @@ def test_a_healthy_drive_passes_bc_log_check_and_is_one_drive(tmp_path: Path) ->
             log.decision(decided(i, replace(WORLD, time_s=i / 25)), total_ms=2.0)
             if i == 20:
                 log.manual(0.1)
-                log.decision(BAD, 0.1)
     checked = check(path)
     assert (checked.findings, checked.pictures) == ([], 80)
     told = run("bc-log", "info", path)
     assert "1 drive; no odd rows" in told.stdout
+
+
+def test_bc_log_check_tells_what_could_not_be_used(tmp_path: Path) -> None:
+    """Every one is counted, and not only those that became an event of their own."""
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        for i in range(1_500):
+            log.decision(replace(BAD, problem=f"image is cut off ({i} bytes)", kind="image is cut off"), 0.1)
+        log.decision(BAD, 0.1)
+    told = run("bc-log", "check", path)
+    assert told.returncode == 3
+    assert (
+        "2 kinds of telemetry that could not be used: image is cut off (1,500), not an object but a list (1)"
+        in told.stdout
+    )
+
+
+def test_what_was_out_of_range_is_in_the_log_as_it_came(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        for i in range(3):
+            row = decided(i)
+            assert row.telemetry is not None
+            log.decision(replace(row, telemetry=replace(row.telemetry, steering=160.0, throttle=-0.5)), 2.0)
+    states = [state for _, state in read_messages(path)["/vehicle"]]
+    assert [(state.steering, state.throttle) for state in states] == [(160.0, -0.5)] * 3
+    assert [finding.kind for finding in check(path).findings] == ["values out of range"]
+
+
+def test_a_row_that_was_braked_is_not_the_pilots(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        log.decision(decided(0, driver="brake", throttle=-1.0), 2.0)
+    ((_, command),) = read_messages(path)["/pilot/command"]
+    assert (command.driver, command.throttle) == (PilotCommand.BRAKE, -1.0)
 
 
 def test_events_of_decisions_stand_in_their_order(tmp_path: Path) -> None:
@@ -215,11 +249,13 @@ def test_ten_thousand_bad_telemetries_do_not_fill_the_log_but_are_all_counted(tm
     reasons = ["speed is not finite", "image is not base64", "image: no picture"]
     with drive_log(path) as log:
         for number in range(9_000):
-            log.decision(replace(BAD, problem=reasons[number % 3]), 0.1)
-        for number in range(1_000):  # each its own
-            log.decision(replace(BAD, problem=f"reason {number}"), 0.1)
+            log.decision(replace(BAD, problem=reasons[number % 3], kind=reasons[number % 3]), 0.1)
+        for number in range(1_000):  # of a kind, each with its own number
+            log.decision(replace(BAD, problem=f"image is cut off ({number} bytes)", kind="image is cut off"), 0.1)
     events = events_of(path)
-    assert len(events) < 3 * (MOST_OF_EACH + 1) + MOST_REASONS + MOST_OF_EACH + 1
+    assert len(events) == 4 * (MOST_OF_EACH + 1)
+    assert f"bad telemetry: image is cut off ({MOST_OF_EACH - 1} bytes)" in events
+    assert f"bad telemetry: image is cut off ({1000 - MOST_OF_EACH:,} more)" in events
     for reason in reasons:
         assert events.count(f"bad telemetry: {reason}") == MOST_OF_EACH
         assert f"bad telemetry: {reason} ({3000 - MOST_OF_EACH:,} more)" in events

@@ -21,17 +21,17 @@ from simulator.track import load_track
 
 WORLD = World(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
 MPH = 0.44704  # m/s, by definition of the mile
-BAD = Decision(steering=0.0, throttle=0.0, decimal_comma=False, problem="not an object but a list")
+BAD = Decision(steering=0.0, throttle=0.0, problem="not an object but a list", kind="not an object")
 
 
 def decided(speed_mph: float = 10.0, world: World | None = None, **changed: Any) -> Decision:
-    told = Telemetry(0.0, 0.5, speed_mph, b"jpeg", decimal_comma=False, world=world)
+    told = Telemetry(0.0, 0.5, speed_mph, b"jpeg", world=world)
     decision = Decision(
         steering=0.03,
         throttle=0.5,
-        decimal_comma=False,
         driver="pilot",
         telemetry=told,
+        speed_mph=speed_mph,
         parse_ms=0.1,
         decode_ms=0.2,
         network_ms=1.0,
@@ -207,18 +207,52 @@ def test_autonomy_counts_humans_experts_and_the_simulator() -> None:
     tell(pilot, 2001 - summary.telemetries)
     assert (summary.manual_stretches, summary.takeovers, summary.put_back) == (2, 3, 0)
     assert summary.elapsed_s == pytest.approx(200.0)
-    assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 * 5 / 200))
+    assert summary.driven_s == pytest.approx(199.5)  # a tenth ends with each that could not be used
+    assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 * 5 / 199.5))
     assert summary.malformed == 5
     assert summary.frames == 2001 - 5 - 20
 
 
 def test_autonomy_is_never_below_zero() -> None:
     summary = DriveSummary()
+    summary.decision(decided(), 2.0, now_s=0.0)
+    summary.decision(decided(), 2.0, now_s=0.5)
     assert summary.autonomy_percent == 100.0
-    summary.manual(0.1, 0.0)
-    assert summary.autonomy_percent == 0.0
     summary.manual(0.1, 0.9)
     assert summary.autonomy_percent == 0.0
+
+
+def test_autonomy_and_speed_are_unknown_where_nothing_was_driven() -> None:
+    """As told by metadata too: neither is a number there."""
+    no_number = decided(problem="the network gave no number", driver="brake")
+    for told in ([], [BAD] * 30, [no_number] * 30, [decided()], [None] * 30):
+        summary = DriveSummary()
+        for i, decision in enumerate(told):
+            if decision is None:
+                summary.manual(0.1, i / 10)
+            else:
+                summary.decision(decision, 2.0, now_s=i / 10)
+        assert summary.autonomy_percent is None
+        assert "autonomy_percent" not in summary.as_metadata()
+        assert summary.lines()[1].startswith("autonomy unknown, for nothing was driven")
+        assert (summary.mean_speed_mph is None) == (told != [no_number] * 30)
+
+
+def test_the_time_in_which_nothing_could_be_used_is_no_driving() -> None:
+    summary = DriveSummary()
+    for i in range(301):
+        summary.decision(decided() if i <= 100 else BAD, 2.0, now_s=i / 10)
+    summary.manual(0.1, 30.1)
+    assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 10.1))
+    assert summary.lines()[1].startswith("autonomy 40.6 % of the 10.1 s that were driven, 1 intervention")
+    assert summary.lines()[-1] == "200 telemetries could not be used: 200 not an object"
+
+
+def test_a_brake_between_two_stretches_of_the_expert_makes_no_second_takeover() -> None:
+    summary = DriveSummary()
+    for driver in ("pilot", "expert", "brake", "expert", "pilot"):
+        summary.decision(decided(driver=driver), 2.0)
+    assert summary.takeovers == 1
 
 
 def test_what_the_simulator_put_back_counts_since_the_drive_began() -> None:
@@ -259,6 +293,7 @@ def test_the_metadata_has_a_unit_in_every_name_that_needs_one() -> None:
             "dropped_pictures": 4,
             "dropped_rows": 1,
             "elapsed_s": 1.0,
+            "driven_s": 1.0,
             "distance_m": 10 * MPH,
             "mean_speed_mph": 10.0,
             "autonomy_percent": 0.0,
@@ -284,7 +319,7 @@ def test_the_lines_for_people() -> None:
     assert distance == "1,202 frames in 120.0 s: 1.20 laps, 536 m, 10.0 mph on average"
     assert autonomy == "autonomy 95.0 %, 1 intervention: 1 by the expert"
     assert latency.startswith("latency p50/p99/max in ms: parse 0.10/0.10/0.10, decode ")
-    assert malformed == "1 malformed telemetry"
+    assert malformed == "1 telemetry could not be used: 1 not an object"
     assert dropped == "the disk was too slow: 12 pictures and 0 rows are not in the log"
 
 
@@ -299,8 +334,8 @@ def test_frames_without_a_number_of_the_network_are_told() -> None:
 
 def test_a_drive_that_never_was_has_lines_too() -> None:
     assert DriveSummary().lines() == [
-        "0 frames in 0.0 s: 0 m, 0.0 mph on average",
-        "nothing could be driven on, 0 interventions",
+        "0 frames in 0.0 s: distance and speed unknown",
+        "autonomy unknown, for nothing was driven, 0 interventions",
     ]
 
 
@@ -317,6 +352,18 @@ def test_the_live_line_tells_the_last_second() -> None:
     assert summary.status(16.5) == "10.1 mph, steer +0.03, 0 Hz, 1.9 ms, 2.5 s ago"
     summary.manual(0.1, 17.0)
     assert summary.status(17.0).startswith("1 intervention, 10.1 mph, a human drives")
+
+
+def test_the_live_line_tells_what_cannot_be_used() -> None:
+    summary = DriveSummary()
+    lines = []
+    for i in range(1, 161):  # two seconds of good ones, two in which every fourth is bad, four of bad ones only
+        bad = i > 80 or (i > 40 and i % 4 == 0)
+        summary.decision(BAD if bad else decided(), 2.0, now_s=i / 20)
+        lines.append(summary.status(i / 20))
+    assert lines[39] == "10.0 mph, steer +0.03, 20 Hz, 2.0 ms, 0.0 s ago"
+    assert lines[78] == "10.0 mph, steer +0.03, 20 Hz, 5 bad, 0.0 s ago"
+    assert lines[159] == "20 Hz, none of it usable, 0.0 s ago"
 
 
 @pytest.mark.parametrize("driver", ["pilot", "expert"])
@@ -340,7 +387,7 @@ def test_whatever_a_simulator_tells_there_is_a_summary(told: list[tuple[float, f
         world = replace(WORLD, time_s=time_s, laps=laps, interventions=interventions)
         if abs(speed_mph) < sys.float_info.max:  # a telemetry's numbers are finite
             summary.decision(decided(speed_mph, world if time_s > 1 else None), 2.0, now_s=time_s)
-        assert 0.0 <= summary.autonomy_percent <= 100.0
+        assert summary.autonomy_percent is None or 0.0 <= summary.autonomy_percent <= 100.0
     assert summary.lines()
     assert summary.as_metadata()
     summary.status(0.0)

@@ -118,25 +118,27 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
 @pytest.mark.parametrize(
     ("jpeg", "problem"),
     [
-        (encoded(2049, 1024), f"image: 2,098,176 pixels, of at most {MOST_PIXELS:,}"),
-        (base64.b64encode(road_jpeg(0)[:-900]).decode(), "expected one whole JPEG"),
-        (base64.b64encode(b"\x89PNG" + bytes(99)).decode(), "expected one whole JPEG"),
-        ("", "image is missing"),
+        (encoded(2049, 1024), f"image has more than {MOST_PIXELS:,} pixels (2,098,176)"),
+        (base64.b64encode(road_jpeg(0)[:-900]).decode(), "image is a JPEG that is cut off or damaged ("),
+        (base64.b64encode(b"\x89PNG" + bytes(99)).decode(), "image is a PNG, not a JPEG"),
+        (base64.b64encode(bytes(99)).decode(), "image is not a JPEG (99 bytes)"),
+        ("", "image is empty"),
     ],
 )
 def test_a_picture_that_is_too_large_or_none_is_not_driven_on(half_right: Pilot, jpeg: str, problem: str) -> None:
     decision = drive(Driver(half_right, DriveConfig()), told(image=jpeg))
     assert problem in decision.problem
     assert (decision.steering, decision.throttle, decision.telemetry, decision.crop) == (0.0, 0.0, None, None)
+    assert decision.speed_mph == 9.0  # what can be read is used
 
 
 def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
     comma: dict[str, Any] = {"steering_angle": "-1,0000", "throttle": "0,1000", "speed": "9,0000"}
     assert [
-        drive(driver, data).decimal_comma
+        drive(driver, data).decimal_separator
         for data in (NONSENSE, told(), told(**comma), NONSENSE, told(**comma, image="AAAA"), told(), NONSENSE)
-    ] == [False, False, True, True, True, False, False]
+    ] == [".", ".", ",", ",", ",", ".", "."]
 
 
 # Nonsense
@@ -148,7 +150,7 @@ def test_nonsense_keeps_the_steering_and_lets_go_of_the_throttle(half_right: Pil
     for now_s in (0.1, 0.5, 1.0):
         decision = drive(driver, NONSENSE, now_s)
         assert (decision.steering, decision.throttle, decision.telemetry) == (0.5, 0.0, None)
-        assert (decision.problem, decision.events) == ("steering_angle is missing or not a number", ())
+        assert (decision.kind, decision.events) == ("steering_angle, throttle and image are missing", ())
 
 
 def test_good_telemetry_in_between_is_driven_and_begins_the_second_again(half_right: Pilot) -> None:
@@ -186,7 +188,74 @@ def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
         assert backwards_mps > -0.2
     assert len(braked) * 2 * STEP_S < 2.0
     assert min(braked, default=25) * 2 * STEP_S == pytest.approx(1.0, abs=3 * STEP_S)
-    assert events == ["nothing usable for 1 s: the car is braked"]
+    stands = speed_mph < 1 and data in (NONSENSE, None)
+    assert events == [f"nothing usable for 1 s: the car {'stands' if stands else 'is braked'}"]
+
+
+@pytest.mark.parametrize("slope", [0.0, -0.1])
+@pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
+@pytest.mark.parametrize("image", ["%%%", "AAAA", ...])
+def test_a_car_of_which_nothing_but_the_speed_can_be_read_is_braked_to_a_stand(
+    half_right: Pilot, speed_mph: float, image: object, slope: float
+) -> None:
+    """From the first telemetry on, also downhill, and as the real simulator tells it: without a sign."""
+    driver = Driver(half_right, DriveConfig())
+    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    throttles: list[float] = []
+    for k in range(150):
+        data = told(speed_mph=abs(car.speed_mph), image=image)
+        if image is ...:
+            del data["image"]
+        decision = drive(driver, data, k * 2 * STEP_S)
+        throttles.append(decision.throttle)
+        for _ in range(2):
+            car = step(car, decision.steering, decision.throttle, slope if throttles.count(-1.0) else 0.0)
+        if throttles.count(-1.0) and decision.throttle == 0.0:
+            break
+    assert (-1.0 in throttles) == (speed_mph > 1.0)
+    assert abs(car.speed_mph) < 2.0
+
+
+@pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
+def test_a_car_whose_speed_is_never_told_is_braked_once_and_not_reversed_for_ever(
+    half_right: Pilot, speed_mph: float
+) -> None:
+    driver = Driver(half_right, DriveConfig())
+    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    throttles, events = [], list[str]()
+    for k in range(1500):
+        decision = drive(driver, NONSENSE, k * 2 * STEP_S)
+        throttles.append(decision.throttle)
+        events += decision.events
+        for _ in range(2):
+            car = step(car, decision.steering, decision.throttle)
+    assert events == ["nothing usable for 1 s: the car is braked, as from its top speed: its own was never told"]
+    assert 1.5 < throttles.count(-1.0) * 2 * STEP_S < 2.5
+    assert throttles[:25] == [0.0] * 25
+    assert throttles[-1] == 0.0
+    assert abs(car.speed_mph) < 1.0
+
+
+@pytest.mark.parametrize(("speed_mph", "throttle"), [(0.5, 0.0), (5.0, -1.0)])
+def test_a_brake_of_unknown_speed_heeds_the_speed_as_soon_as_it_is_told(
+    half_right: Pilot, speed_mph: float, throttle: float
+) -> None:
+    driver = Driver(half_right, DriveConfig())
+    for k in range(12):
+        drive(driver, NONSENSE, k / 10)
+    assert drive(driver, told(speed_mph=speed_mph, image="%%%"), 1.2).throttle == throttle
+    assert drive(driver, told(speed_mph=0.0, image="%%%"), 1.3).throttle == 0.0
+    assert drive(driver, told(speed_mph=5.0, image="%%%"), 1.4).throttle == 0.0  # backwards, perhaps
+
+
+@pytest.mark.parametrize("data", [told(speed_mph=9.0), told(speed_mph=9.0, image="%%%"), NONSENSE])
+def test_at_the_end_the_car_is_braked_and_the_throttle_is_not_the_pilots(half_right: Pilot, data: object) -> None:
+    driver = Driver(half_right, DriveConfig())
+    drive(driver, told(), 0.0)
+    driver.stop()
+    decision = drive(driver, data, 0.1)
+    assert (decision.steering, decision.throttle, decision.driver) == (0.5, -1.0, "brake")
+    assert drive(driver, data, 10.0).throttle == 0.0
 
 
 def test_a_braked_car_is_driven_again_as_soon_as_there_is_something_to_drive_on(half_right: Pilot) -> None:

@@ -25,6 +25,7 @@ from driving import PATIENCE_S, untrained_run
 from logs import read_messages
 from model import load_pilot
 from recorder import broken_packets, connection, green, telemetry_server, threaded_server, visitors
+from recorder.let_in import LetIn
 from recorder.telemetry_server import MAX_MESSAGE_BYTES, ServerMode
 from recorder.wire import FRAME_BYTES, TOO_LARGE
 from serving import (
@@ -193,7 +194,7 @@ def test_a_body_whose_size_is_not_told_is_not_read(header: str, mode: ServerMode
     with Serving(mode, Book()) as serving:
         client = PollingClient(serving.port)
         with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
-            stream.sendall(f"POST {client.path} HTTP/1.1\r\nHost: x\r\n{header}\r\n\r\n".encode())
+            stream.sendall(f"POST {client.path} HTTP/1.1\r\nHost: localhost\r\n{header}\r\n\r\n".encode())
             assert sent_until_hung_up(stream, b"x" * 65536, most=1000) < 1000
         assert len(tell(serving.port, range(3))) == 3
 
@@ -289,3 +290,88 @@ def test_a_client_that_polls_is_driven_like_any_other(mode: ServerMode, tmp_path
         assert polling.tell(None)[0] == "manual"
     summary = server.session.summary
     assert (summary.frames, summary.malformed) == (2, 1)
+
+
+# Web pages of other sites, in the user's own browser
+
+
+def asked(port: int, path: str, **headers: str) -> int:
+    """The status that a request is answered by."""
+    head = "".join(f"{name.replace('_', '-')}: {value}\r\n" for name, value in headers.items())
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
+        stream.sendall(f"GET {path} HTTP/1.1\r\n{head}\r\n".encode())
+        return int(stream.recv(1 << 16).split()[1])
+
+
+POLL = "/socket.io/?EIO=4&transport=polling"
+WEBSOCKET = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec_WebSocket_Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    "Sec_WebSocket_Version": "13",
+}
+
+
+@pytest.mark.parametrize(
+    ("headers", "is_let_in"),
+    [
+        ({"Host": "127.0.0.1:4567"}, True),
+        ({"Host": "localhost:4567"}, True),
+        ({"Host": "LocalHost.:80"}, True),
+        ({"Host": "[::1]:4567"}, True),
+        ({"Host": "127.9.9.9"}, True),
+        ({}, True),
+        ({"Host": "127.0.0.1:4567", "Origin": "http://localhost:8888"}, True),
+        ({"Host": "evil.example:4801", "Origin": "http://evil.example:4801"}, False),  # DNS rebinding
+        ({"Host": "evil.example:4801"}, False),
+        ({"Host": "127.0.0.1.evil.example"}, False),
+        ({"Host": "localhost@evil.example"}, False),
+        ({"Host": "192.168.0.7:4567"}, False),
+        ({"Host": ""}, False),
+        ({"Host": "[::1"}, False),
+        ({"Host": "127.0.0.1:4567", "Origin": "http://evil.example"}, False),
+        ({"Host": "127.0.0.1:4567", "Origin": "null"}, False),
+        ({"Host": "127.0.0.1:4567", "Origin": "http://evil.example", "X_Forwarded_Host": "evil.example"}, False),
+    ],
+)
+def test_no_page_of_another_site_is_let_in_by_whatever_name_it_comes(
+    headers: dict[str, str], is_let_in: bool
+) -> None:
+    with Serving("eventlet", Book()) as serving:
+        websocket_path = POLL.replace("polling", "websocket")
+        assert asked(serving.port, POLL, **headers) == (200 if is_let_in else 403)
+        assert asked(serving.port, websocket_path, **WEBSOCKET, **headers) == (101 if is_let_in else 403)
+        assert sum("refused a web page" in line for line in serving.said) == (not is_let_in)
+
+
+def test_names_that_are_tried_one_after_the_other_are_one_line(mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        for number in range(5):
+            assert asked(serving.port, POLL, Host=f"evil{number}.example\x1b[2J") == 403
+            assert asked(serving.port, f"{POLL}&j={number}", Host="localhost") == 403  # JSONP
+        (line,) = serving.said
+        assert "evil0.example\\x1b[2J" in line
+        assert len(tell(serving.port, range(3))) == 3
+
+
+@pytest.mark.parametrize(
+    ("host", "name", "origin", "is_let_in"),
+    [
+        ("0.0.0.0", "192.168.0.7:4567", None, True),
+        ("::", "[2001:db8::1]:4567", None, True),
+        ("0.0.0.0", "mybox:4567", None, True),
+        ("0.0.0.0", "mybox.local", None, True),
+        ("0.0.0.0", "host.docker.internal:4567", None, True),
+        ("0.0.0.0", "evil.example", None, False),
+        ("0.0.0.0", "192.168.0.7:4567", "http://192.168.0.7:4567", True),
+        ("0.0.0.0", "192.168.0.7:4567", "http://203.0.113.5", False),
+        ("0.0.0.0", "mybox", "http://evil.example", False),
+        ("192.168.0.7", "192.168.0.7:4567", None, True),
+        ("192.168.0.7", "192.168.0.8:4567", None, False),
+        ("car.example.org", "car.example.org:4567", "http://car.example.org", True),
+        ("car.example.org", "mybox", None, False),
+    ],
+)
+def test_what_host_names_is_let_in(host: str, name: str, origin: str | None, is_let_in: bool) -> None:
+    environ = {"HTTP_HOST": name} | ({} if origin is None else {"HTTP_ORIGIN": origin})
+    assert (LetIn(host).refused(environ) == "") == is_let_in

@@ -128,11 +128,11 @@ def fields(telemetry: Telemetry, **changed: Any) -> dict[str, Any]:
 BAD: dict[str, tuple[Any, str]] = {
     "a picture cut off": (
         fields(DRIVEN[0], image=base64.b64encode(road_jpeg(0)[:-200]).decode()),
-        "image is not a whole JPEG",
+        "image is a JPEG that is cut off or damaged",
     ),
     "no picture": (fields(DRIVEN[0], image=...), "image is missing"),
     "not base64": (fields(DRIVEN[0], image="%%%%"), "image is not base64"),
-    "a speed in words": (fields(DRIVEN[0], speed="fast"), "speed is missing or not a number"),
+    "a speed in words": (fields(DRIVEN[0], speed="fast"), "speed is not a number (fast)"),
     "a list": ([1, 2], "not an object but a list"),
 }
 
@@ -249,7 +249,7 @@ def test_what_cannot_be_used_is_an_event_with_its_reason_and_is_counted(listened
     assert len(skipped) == len(BAD)
     for line, (_, reason) in zip(skipped, BAD.values(), strict=True):
         assert line.startswith("skipped 1 telemetries that cannot be used")
-        assert reason in line
+        assert reason.partition(" (")[0] in line
 
 
 def test_who_came_and_went_is_in_the_log(listened: Listened) -> None:
@@ -270,8 +270,35 @@ def test_ctrl_c_finishes_the_log_under_its_name(listened: Listened) -> None:
 
 def test_without_a_terminal_waiting_and_connected_are_said_once(listened: Listened) -> None:
     said = [line for line in listened.stderr if not line.startswith("skipped ")]
-    assert len(said) == 2
-    assert said[1] == "connected, waiting for telemetry"
+    bad = [line for line in said if line.startswith("telemetry that cannot be used: ")]
+    assert len(bad) == len(BAD)  # each is the first of its kind
+    assert all(reason in line for line, (_, reason) in zip(bad, BAD.values(), strict=True))
+    assert [line for line in said if line not in bad][1:] == ["connected, waiting for telemetry"]
+
+
+def test_a_kind_of_bad_telemetry_is_said_once_and_fills_no_log(tmp_path: Path) -> None:
+    """Its events are few, and its number is told by them, however many lengths the pictures had."""
+    count = 40
+    with ListenProcess(tmp_path / "live.mcap") as process:
+        port = process.wait_until_it_listens()
+        cut = [Telemetry(0.0, 0.0, 9.0, road_jpeg(0)[: -200 - i]) for i in range(count)]
+        tell(port, [DRIVEN[0], *cut])
+        assert process.end() == 3
+    assert sum("telemetry that cannot be used" in line for line in process.stderr) == 1
+    events = [decoded.message for _, decoded in read_messages(tmp_path / "live.mcap")["/events"]]
+    bad = [event for event in events if event.startswith("bad telemetry: ")]
+    assert len(bad) == 6
+    assert bad[-1].endswith("(35 more)")
+
+
+def test_what_is_out_of_range_is_recorded_as_it_came(tmp_path: Path) -> None:
+    with ListenProcess(tmp_path / "live.mcap") as process:
+        client = ModernClient(process.wait_until_it_listens())
+        client.tell(fields(DRIVEN[0], steering_angle="4000.0000", throttle="-0.5000"))
+        client.close()
+        assert process.end() == 0
+    ((_, state),) = read_messages(tmp_path / "live.mcap")["/vehicle"]
+    assert (state.steering, state.throttle) == (160.0, -0.5)
 
 
 def test_two_simulators_at_once_lose_nothing_and_kill_finishes_the_log(tmp_path: Path) -> None:
@@ -342,15 +369,15 @@ def listen_here(
 def test_it_ends_when_nothing_more_comes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "live.mcap"
     before = signal.getsignal(signal.SIGINT)
-    done = listen_here(log, capsys, lambda port: tell(port, DRIVEN[:5]), idle_s=0.1)
-    assert (done.path, done.rows, done.pictures, len(done.skipped)) == (log, 5, 5, 0)
-    assert len(read_messages(log)["/camera/center"]) == 5
+    done = listen_here(log, capsys, lambda port: tell(port, DRIVEN[:1]), idle_s=0.1)
+    assert (done.path, done.rows, done.pictures, len(done.skipped)) == (log, 1, 1, 0)
+    assert len(read_messages(log)["/camera/center"]) == 1
     assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_log_says_that_it_comes_from_telemetry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "live.mcap"
-    listen_here(log, capsys, lambda port: tell(port, DRIVEN[:2]), idle_s=0.1)
+    listen_here(log, capsys, lambda port: tell(port, DRIVEN[:1]), idle_s=0.1)
     with log.open("rb") as stream:
         (session,) = (m for m in make_reader(stream).iter_metadata() if m.name == "bc.session")
     assert session.metadata["source"] == "telemetry"
@@ -361,7 +388,12 @@ def test_times_grow_even_if_the_clock_is_set_back(
 ) -> None:
     clock = itertools.count(START_NS, -1000)
     monkeypatch.setattr(time, "time_ns", lambda: next(clock))
-    listen_here(tmp_path / "live.mcap", capsys, lambda port: tell(port, DRIVEN[:5]), idle_s=0.1)
+
+    def tell_and_stop(port: int) -> None:
+        tell(port, DRIVEN[:5])
+        signal.raise_signal(signal.SIGINT)
+
+    listen_here(tmp_path / "live.mcap", capsys, tell_and_stop)
     times_ns = [message.log_time for message, _ in read_messages(tmp_path / "live.mcap")["/vehicle"]]
     assert len(times_ns) == 5
     assert times_ns == sorted(set(times_ns))
@@ -370,8 +402,8 @@ def test_times_grow_even_if_the_clock_is_set_back(
 @pytest.mark.parametrize(
     ("told", "advice"),
     [
-        (["manual", "manual"], "--watch"),
-        ([Telemetry(0.0, 0.0, 9.0, b"no picture")], "not a whole JPEG"),
+        (["manual"], "--watch"),
+        ([Telemetry(0.0, 0.0, 9.0, b"no picture")], "image is not a JPEG"),
     ],
     ids=["a human drove", "no picture was one"],
 )

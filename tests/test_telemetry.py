@@ -17,6 +17,7 @@ from recorder.telemetry import (
     Telemetry,
     TelemetryError,
     World,
+    check_whole_jpeg,
     format_command,
     parse_telemetry,
 )
@@ -36,7 +37,7 @@ def telemetry(**fields: Any) -> dict[str, Any]:
 
 
 def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
-    assert parse_telemetry(telemetry()) == Telemetry(-0.5, 0.25, 9.01, PICTURE, decimal_comma=False)
+    assert parse_telemetry(telemetry()) == Telemetry(-0.5, 0.25, 9.01, PICTURE)
 
 
 @pytest.mark.parametrize(
@@ -63,16 +64,110 @@ def test_numbers_as_every_machine_writes_them(told: object, throttle: object, sp
     assert parse_telemetry(telemetry(speed=told, throttle=throttle)).speed_mph == pytest.approx(speed_mph)
 
 
-@pytest.mark.parametrize(("throttle", "comma"), [("0.2500", False), ("0,2500", True), (0.25, False), ("1", False)])
-def test_the_throttle_tells_whether_the_machine_writes_commas(throttle: object, comma: bool) -> None:
-    assert parse_telemetry(telemetry(throttle=throttle)).decimal_comma is comma
+@pytest.mark.parametrize(
+    ("throttle", "separator"), [("0.2500", "."), ("0,2500", ","), ("0/2500", "/"), (0.25, "."), ("1", ".")]
+)
+def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object, separator: str) -> None:
+    assert parse_telemetry(telemetry(throttle=throttle)).decimal_separator == separator
 
 
-def test_steering_and_throttle_stay_within_their_bounds() -> None:
-    for degrees, expected in (("25.0000", 1.0), ("-25.0000", -1.0), ("26", 1.0), ("-1,000.0", -1.0)):
+# Mono's "N4" of -1234.5, of 0.25 and of -0.2167 in all its cultures, one a row, and newer .NET's in two of them
+CULTURES = [
+    ("-1,234.5000", "0.2500", "-0.2167"),  # en-US, and 75 more
+    ("-1.234,5000", "0,2500", "-0,2167"),  # de-DE
+    ("-1\u00a0234,5000", "0,2500", "-0,2167"),  # fr-FR
+    ("-1\u00a0234.5000", "0.2500", "-0.2167"),  # fr-CH
+    ("-1'234.5000", "0.2500", "-0.2167"),  # de-CH
+    ("-1\u2019234.5000", "0.2500", "-0.2167"),  # rm-CH
+    ("- 1.234,5000", "0,2500", "- 0,2167"),  # hr-HR
+    ("- 1,234.5000", "0.2500", "- 0.2167"),  # km-KH
+    ("1,234.5000-", "0.2500", "0.2167-"),  # ar-SA, and 15 more
+    ("1,234/5000-", "0/2500", "0/2167-"),  # fa-IR
+    ("\u200e\u22121\u066c234\u066b5000", "0\u066b2500", "\u200e\u22120\u066b2167"),  # fa-IR, newer .NET
+    ("\u061c-1\u066c234\u066b5000", "0\u066b2500", "\u061c-0\u066b2167"),  # ar-EG, newer .NET
+]
+
+
+@pytest.mark.parametrize(("speed", "throttle", "degrees"), CULTURES)
+def test_every_culture_is_understood_and_answered_in_kind(speed: str, throttle: str, degrees: str) -> None:
+    told = parse_telemetry(telemetry(speed=speed, throttle=throttle, steering_angle=degrees))
+    assert (told.speed_mph, told.throttle) == (-1234.5, 0.25)
+    assert told.steering == pytest.approx(-0.2167 / 25)
+    separator = throttle[1]
+    assert format_command(-0.25, 0.5, told.decimal_separator) == {
+        "steering_angle": f"-0{separator}250000",  # a minus behind is written there, and not read
+        "throttle": f"0{separator}500000",
+    }
+
+
+def test_what_is_out_of_range_is_told_as_it_came() -> None:
+    for degrees, expected in (("25.0000", 1.0), ("-25.0000", -1.0), ("26", 1.04), ("-4,000.0", -160.0)):
         assert parse_telemetry(telemetry(steering_angle=degrees)).steering == expected
-    assert parse_telemetry(telemetry(throttle="1.5")).throttle == 1.0
-    assert parse_telemetry(telemetry(throttle="-0.5")).throttle == 0.0
+    for throttle in ("1.5", "-0.5"):
+        assert parse_telemetry(telemetry(throttle=throttle)).throttle == float(throttle)
+
+
+@pytest.mark.parametrize(
+    ("changed", "kind", "reason"),
+    [
+        ({"speed": ...}, "speed is missing", "speed is missing (told: steering_angle, throttle, image)"),
+        (
+            {"speed": ..., "image": ..., "velocity": 3, "x" * 99: 1},
+            "speed and image are missing",
+            f"speed and image are missing (told: steering_angle, throttle, velocity, {'x' * 30}...)",
+        ),
+        ({"speed": "fast"}, "speed is not a number", "speed is not a number (fast)"),
+        ({"speed": "\u0661"}, "speed is not a number", "speed is not a number (\u0661)"),
+        ({"speed": "\x1b[2J"}, "speed is not a number", "speed is not a number (\\x1b[2J)"),
+        ({"speed": [1]}, "speed is not a number but a list", "speed is not a number but a list"),
+        (
+            {"image": "data:image/jpeg;base64,AAAA"},
+            "image begins with data:",
+            "image begins with data: (send only what comes after base64,)",
+        ),
+    ],
+)
+def test_the_reason_names_what_came_and_its_kind_does_not(
+    changed: dict[str, object], kind: str, reason: str
+) -> None:
+    with pytest.raises(TelemetryError) as found:
+        parse_telemetry(telemetry(**changed))
+    assert (found.value.kind, str(found.value)) == (kind, reason)
+
+
+@pytest.mark.parametrize(
+    ("changed", "speed_mph", "separator"),
+    [
+        ({"image": "%%%"}, 9.01, "."),
+        ({"image": ..., "speed": "9,0100", "throttle": "0,2500", "steering_angle": "0,0000"}, 9.01, ","),
+        ({"throttle": ..., "speed": "9,0100", "steering_angle": "-12,5000"}, 9.01, ","),
+        ({"speed": ...}, None, "."),
+        ({"speed": "fast", "throttle": None, "steering_angle": None}, None, None),
+    ],
+)
+def test_what_can_be_read_of_a_bad_telemetry_is_told(
+    changed: dict[str, object], speed_mph: float | None, separator: str | None
+) -> None:
+    with pytest.raises(TelemetryError) as found:
+        parse_telemetry(telemetry(world=world(), **changed))
+    assert (found.value.speed_mph, found.value.decimal_separator) == (speed_mph, separator)
+    assert found.value.world is not None
+
+
+@pytest.mark.parametrize(
+    ("picture", "kind"),
+    [
+        (b"\x89PNG\r\n", "image is a PNG, not a JPEG"),
+        (b"RIFF\0\0\0\0WEBP", "image is a WebP, not a JPEG"),
+        (b"\xff\xd8\xff", "image is a JPEG that is cut off or damaged"),
+        (b"", "image is not a JPEG"),
+        (bytes(99), "image is not a JPEG"),
+    ],
+)
+def test_a_picture_that_is_no_jpeg_is_named(picture: bytes, kind: str) -> None:
+    with pytest.raises(TelemetryError) as found:
+        check_whole_jpeg(picture)
+    assert found.value.kind == kind
 
 
 NOT_NUMBERS: tuple[object, ...] = (
@@ -111,7 +206,7 @@ def test_what_is_not_a_finite_number_is_refused_by_its_fields_name(field: str, v
     [
         (..., "missing"),
         (None, "missing"),
-        ("", "missing"),
+        ("", "empty"),
         (b"\xff\xd8", "not a string"),
         (["/9j/"], "not a string"),
         ("no*base64!", "not base64"),
@@ -203,9 +298,7 @@ def test_anything_is_either_a_telemetry_or_a_telemetry_error(data: object) -> No
         told = parse_telemetry(data)
     except TelemetryError:
         return
-    assert -1 <= told.steering <= 1
-    assert 0 <= told.throttle <= 1
-    assert math.isfinite(told.speed_mph)
+    assert all(math.isfinite(number) for number in (told.steering, told.throttle, told.speed_mph))
 
 
 @given(JSON | st.fixed_dictionaries({name: SCALARS | st.just(value) for name, value in world().items()}))
@@ -218,16 +311,16 @@ def test_any_world_is_one_of_finite_numbers_or_none(value: object) -> None:
     assert -1 <= told.expert_throttle <= 1
 
 
-@given(st.floats(-1, 1), st.floats(-1, 1), st.booleans())
+@given(st.floats(-1, 1), st.floats(-1, 1), st.sampled_from(".,/\u066b"))
 def test_a_command_is_two_strings_that_the_clients_culture_reads(
-    steering: float, throttle: float, comma: bool
+    steering: float, throttle: float, separator: str
 ) -> None:
-    answer = format_command(steering, throttle, comma)
+    answer = format_command(steering, throttle, separator)
     assert set(answer) == {"steering_angle", "throttle"}
     for text, value in ((answer["steering_angle"], steering), (answer["throttle"], throttle)):
         assert isinstance(text, str)
-        assert ("." in text, "," in text) == (not comma, comma)
-        read = float(text.replace(",", "."))  # no thousands separators: 1 at most
+        assert [character for character in text if character not in "-0123456789"] == [separator]
+        read = float(text.replace(separator, "."))  # no thousands separators: 1 at most
         assert read == pytest.approx(value, abs=1e-6)
         assert -1 <= read <= 1
         assert "e" not in text

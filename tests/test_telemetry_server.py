@@ -16,6 +16,7 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from typing import Literal
 
 import pytest
 import websocket
@@ -73,7 +74,7 @@ def test_the_old_protocol_and_modern_clients_are_served_at_once_on_one_port(mode
     assert [answer.steering for answer in old if not isinstance(answer, str | None)] == [
         pytest.approx(-steering(number), abs=1e-6) for number in range(40)
     ]
-    assert answers == [steered(Steer(-steering(number), 0.5, False)) for number in range(100, 150)]
+    assert answers == [steered(Steer(-steering(number), 0.5)) for number in range(100, 150)]
     assert book.calls.count("telemetry") == book.calls.count("answered") == 40 + 40 + 50
     assert book.calls.count("connected") == 4
     assert book.overlaps == 0
@@ -95,7 +96,7 @@ def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving(mode: Se
         client = RawClient(serving.port)
         for number in range(5):
             client.tell(fields(number))
-            assert client.command() == steered(Steer(-steering(number), 0.5, False))
+            assert client.command() == steered(Steer(-steering(number), 0.5))
             has_answer.set()
             wait_until(lambda count=number + 1: len(book.answered_ms) == count)  # type: ignore[misc]
         client.close()
@@ -187,8 +188,8 @@ def test_the_tick_can_push_a_command_that_nobody_asked_for(mode: ServerMode) -> 
 
         def tick(self) -> None:
             if self.sid:
-                self.server.push(self.sid, Steer(0.25, 0.5, True))
-                self.server.push("nobody", Steer(0.25, 0.5, True))
+                self.server.push(self.sid, Steer(0.25, 0.5, ","))
+                self.server.push("nobody", Steer(0.25, 0.5, ","))
                 self.sid = ""
 
     book = Pushing()
@@ -201,7 +202,7 @@ def test_the_tick_can_push_a_command_that_nobody_asked_for(mode: ServerMode) -> 
 
 def test_who_was_steered_gets_a_last_command_at_the_end(mode: ServerMode) -> None:
     book = Book()
-    book.last = Steer(0.0, -0.125, False)
+    book.last = Steer(0.0, -0.125)
     with Serving(mode, book) as serving:
         driven, manual = RawClient(serving.port), RawClient(serving.port)
         driven.tell(1)
@@ -229,7 +230,7 @@ def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(Connection, "send_now", send_late)
     monkeypatch.setattr(telemetry_server, "END_S", PATIENCE_S)
     book = Book()
-    book.last = Steer(0.0, -0.125, False)
+    book.last = Steer(0.0, -0.125)
     with Serving("threading", book) as serving:
         client = RawClient(serving.port)
         client.tell(1)
@@ -474,7 +475,7 @@ def ask(serving: Serving, count: int, seed: int) -> None:
             name, command = client.command()
             assert name == ("manual" if data == "null" else "steer"), data[:80]
             assert set(command) <= {"steering_angle", "throttle"}
-        assert client.command() == steered(Steer(-steering(good), 0.5, False))
+        assert client.command() == steered(Steer(-steering(good), 0.5))
     client.close()
 
 
@@ -505,3 +506,27 @@ TelemetryServer(None, port=0, mode={mode!r}).run(lambda: True)
         [sys.executable, "-W", "error", "-c", code], env=environment(), capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("first", [Steer(0.0, 0.0), "manual"])
+@pytest.mark.parametrize("hello", [(), ("40",)], ids=["old client", "modern client"])
+def test_who_waits_for_a_first_command_gets_one_and_whoever_tells_at_once_none(
+    first: Steer | Literal["manual"], hello: tuple[str, ...], mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A classic server sends a steer when a client connects. For the real simulator each is one telemetry more in
+    flight for ever."""
+    monkeypatch.setattr(telemetry_server, "FIRST_S", PATIENCE_S)
+    with Serving(mode, Book(), first=first) as serving:
+        busy = RawClient(serving.port, *hello)
+        busy.tell(fields(0))
+        assert busy.command() == steered(Steer(-steering(0), 0.5))
+        monkeypatch.setattr(telemetry_server, "FIRST_S", 0.0)
+        waiting = RawClient(serving.port, *hello)
+        name, command = waiting.command()
+        assert (name, command) == (("manual", {}) if first == "manual" else steered(Steer(0.0, 0.0)))
+        waiting.tell(fields(1))
+        assert waiting.command() == steered(Steer(-steering(1), 0.5))
+        busy.tell(fields(2))
+        assert busy.command() == steered(Steer(-steering(2), 0.5))
+        for client in (busy, waiting):
+            client.close()

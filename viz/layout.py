@@ -50,6 +50,7 @@ DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
     PilotCommand.PILOT: ("pilot", GREEN),
     PilotCommand.HUMAN: ("human", ORANGE),
     PilotCommand.EXPERT: ("expert", BLUE),
+    PilotCommand.BRAKE: ("brake", RED),
 }
 """Who drives: name and colour."""
 

@@ -1,0 +1,42 @@
+"""Telemetries that could not be used, as events of a log: the first of each kind, and how many more there were."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from typing import Final
+
+MOST_OF_EACH: Final = 5
+"""So many of a kind become events; the others are counted."""
+
+_PREFIX: Final = "bad telemetry: "
+_MORE: Final = re.compile(r" \(([0-9,]{1,26}) more\)$")
+
+
+class BadTelemetry:
+    """Counts them by kind (`TelemetryError.kind`), of which there are few, whatever clients tell."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+
+    def take(self, kind: str, reason: str) -> str | None:
+        """The event that one more makes; None where there were enough of its kind."""
+        self.counts[kind] += 1
+        return f"{_PREFIX}{reason}" if self.counts[kind] <= MOST_OF_EACH else None
+
+    def left(self) -> list[str]:
+        """The events at the end, for those that were none."""
+        return [
+            f"{_PREFIX}{kind} ({count - MOST_OF_EACH:,} more)"
+            for kind, count in self.counts.items()
+            if count > MOST_OF_EACH
+        ]
+
+
+def read_event(message: str) -> tuple[str, int]:
+    """The kind that an event tells, and how many telemetries it stands for: 0 if it is another event."""
+    if not message.startswith(_PREFIX):
+        return message, 0
+    reason = message.removeprefix(_PREFIX)
+    more = _MORE.search(reason)
+    return reason.partition(" (")[0], 1 if more is None else int(more[1].replace(",", ""))

@@ -1,0 +1,78 @@
+"""Who may speak to a port of this machine: no web page of another site, by whatever name it reaches the port.
+
+A page in the user's browser can reach every port of this machine. Its requests tell the page's own address as
+`Origin`, and by which name they got here as `Host`: its own, where that was made to lead to this machine after the
+page was loaded (DNS rebinding). An address in numbers leads nowhere else, and a private name is nobody else's.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from typing import Any, Final
+from urllib.parse import parse_qs, urlsplit
+
+_LOOPBACK_NAMES: Final = ("localhost", "localhost.localdomain", "ip6-localhost")
+_PRIVATE: Final = (".local", ".internal", ".home.arpa")
+
+
+class LetIn:
+    """Lets in loopback names and addresses, and what the server listens on; where that is everywhere (0.0.0.0),
+    every address, and names that only a private network has."""
+
+    def __init__(self, host: str) -> None:
+        self._host = _plain(host)
+        self._is_everywhere = not host or _is_unspecified(self._host)
+
+    def refused(self, environ: dict[str, Any]) -> str:
+        """What in a request (WSGI) is not let in; empty if it is. What is no browser may tell no names."""
+        host, origin = environ.get("HTTP_HOST"), environ.get("HTTP_ORIGIN")
+        if host is not None and not self._knows(_name(f"//{host}")):
+            return f"by the name {host}"
+        if origin is not None and not self.allows(origin, environ):
+            return f"from {origin}"
+        # its answer is a script, which pages of all sites may run
+        return "by JSONP" if "j" in parse_qs(environ.get("QUERY_STRING", "")) else ""
+
+    def allows(self, origin: str | None, environ: dict[str, Any]) -> bool:
+        """Whether a page of that origin may ask."""
+        name = _name(origin or "")
+        if not name:
+            return False
+        return _is_loopback(name) or name in (self._host, _name(f"//{environ.get('HTTP_HOST', '')}"))
+
+    def _knows(self, name: str) -> bool:
+        if not name or _is_loopback(name) or name == self._host:
+            return bool(name)
+        is_private = "." not in name or name.endswith(_PRIVATE) or name == _plain(socket.gethostname())
+        return self._is_everywhere and (is_private or _is_address(name))
+
+
+def _name(url: str) -> str:
+    """The host in a URL; empty if there is none."""
+    try:
+        return _plain(urlsplit(url).hostname or "")
+    except ValueError:
+        return ""
+
+
+def _plain(name: str) -> str:
+    return name.lower().rstrip(".")
+
+
+def _is_loopback(name: str) -> bool:
+    if name in _LOOPBACK_NAMES or name.endswith(".localhost"):
+        return True
+    return _is_address(name) and ipaddress.ip_address(name).is_loopback
+
+
+def _is_unspecified(name: str) -> bool:
+    return _is_address(name) and ipaddress.ip_address(name).is_unspecified
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True

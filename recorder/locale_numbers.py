@@ -1,0 +1,50 @@
+"""Numbers as a simulator's machine writes them: .NET writes the separators and signs of the user's language.
+
+Of Mono's 207 cultures (what Unity runs), formatted by "N4": the decimal separator is `.`, `,` or, in Persian,
+`/`; thousands are apart by `,`, `.`, a space that does not break, or an apostrophe; the minus stands before the
+number, in Croatian with a space after it, and in Arabic and Persian behind it: `0.2167-`, `10/9014`. Newer .NET
+takes other signs for these languages (U+066B, U+066C, U+2212, with marks of the direction of writing). Digits are
+0 to 9 in all of them. Each reads a leading minus with its own decimal separator, and none the minus behind it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+POINT: Final = "."
+_DECIMALS: Final = ".,/\u066b"
+_THOUSANDS: Final = ".,' \u00a0\u202f\u2019\u066c"
+_INVISIBLE: Final = re.compile("[\u200e\u200f\u061c]")  # marks of the direction of writing
+_NUMBER: Final = re.compile(
+    rf"(?P<sign>[+-]?)[ \u00a0]?(?P<digits>[0-9][0-9{re.escape(_DECIMALS + _THOUSANDS)}]*)"
+    r"(?P<exponent>[eE][+-]?[0-9]+)?(?P<behind>-?)"
+)
+_MOST_CHARACTERS: Final = 64
+
+
+def decimal_separator(text: object) -> str:
+    """The one in a number without thousands, as one of at most 1 is; a point where there is none."""
+    if not isinstance(text, str):
+        return POINT
+    return next((character for character in reversed(text) if character in _DECIMALS), POINT)
+
+
+def read_number(text: str, decimal: str = POINT) -> float | None:
+    """The number (perhaps infinite) that `text` says where `decimal` separates decimals; None if it says none."""
+    if len(text) >= _MOST_CHARACTERS:
+        return None
+    found = _NUMBER.fullmatch(_INVISIBLE.sub("", text).replace("\u2212", "-").strip())
+    if found is None or (found["sign"] and found["behind"]):
+        return None
+    digits = re.sub(f"[{re.escape(_THOUSANDS.replace(decimal, ''))}]", "", found["digits"]).replace(decimal, POINT)
+    try:
+        number = float(digits + (found["exponent"] or ""))
+    except ValueError:  # two decimal separators, or one of another language
+        return None
+    return -number if "-" in (found["sign"], found["behind"]) else number
+
+
+def written(value: float, decimal: str = POINT) -> str:
+    """`value` in six decimals, as every machine with that decimal separator reads it."""
+    return f"{value:.6f}".replace(POINT, decimal)
