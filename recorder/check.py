@@ -22,6 +22,7 @@ class Checked:
     messages: int
     pictures: int  # decoded
     findings: list[Finding]
+    has_crcs: bool  # other programs may do without: damage is then not noticed
 
 
 def check(path: Path, *, look: bool = True) -> Checked:
@@ -42,6 +43,7 @@ def check(path: Path, *, look: bool = True) -> Checked:
                 for message in messages:
                     contents.take(records, message)
             contents.judge()
+        has_crcs = file.have_crcs(structure.chunks)
     finally:
         file.close()
-    return Checked(path, sum(contents.counts.values()), contents.pictures, findings)
+    return Checked(path, sum(contents.counts.values()), contents.pictures, findings, has_crcs)

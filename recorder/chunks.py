@@ -13,8 +13,9 @@ import sys
 import threading
 import zlib
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -28,6 +29,7 @@ from mcap.records import Metadata as MetadataRecord
 
 from common.untrusted import open_regular
 from recorder.errors import LogError
+from recorder.topics import LIBRARY, PROFILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
@@ -36,6 +38,7 @@ CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, en
 _OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
 _LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
 _DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
+_LONGEST_HEADER: Final = 1 << 12
 _MOST_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: there are as many numbers for them
 
 MAX_CHUNK_BYTES: Final = 1 << 28
@@ -45,6 +48,9 @@ MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
 FREE_MESSAGES: Final = 1 << 16
 """A file holds no more messages than bytes, and these: compressed, the smallest ones still take several bytes, but
 what was made to fill a memory takes hardly any."""
+
+WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be told"
+"""What to tell a person, once, of another program's log that does without them."""
 
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
@@ -124,6 +130,33 @@ class McapFile:
             raise self.damaged("it has become shorter while it was read")
         return data
 
+    @cached_property
+    def promises_crcs(self) -> bool:
+        """Whether a CRC of 0, by which MCAP says that there is none, is damage: our logs have them all.
+
+        Told by the profile or, in copies of other programs' logs, by the library that wrote the file.
+        """
+        try:
+            opcode, length = RECORD.unpack(self.read(len(MAGIC), RECORD.size))
+            header = self.read(len(MAGIC) + RECORD.size, min(length, _LONGEST_HEADER))
+            profile = prefixed(header, 0)
+            library = prefixed(header, 4 + len(profile))
+        except (LogError, struct.error):
+            return False
+        return opcode == Opcode.HEADER and (profile == PROFILE.encode() or library.startswith(LIBRARY.encode()))
+
+    def may_have_crc(self, crc: int, content: bytes) -> bool:
+        """Whether `content` is what was written with this CRC, as far as the CRC can tell."""
+        return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
+
+    def has_crc(self, chunk: Chunk) -> bool:
+        if chunk.is_message or chunk.end - chunk.start < CHUNK_HEADER.size:
+            return False
+        return any(self.read(chunk.start + CHUNK_HEADER.size - 4, 4))
+
+    def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
+        return self.promises_crcs or all(map(self.has_crc, chunks))
+
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
         record = self.read(chunk.start, chunk.end - chunk.start)
@@ -150,7 +183,7 @@ class McapFile:
             raise self.damaged(f"{where} cannot be unpacked") from None
         if len(records) != size:
             raise self.damaged(f"{where} does not unpack to the {size} bytes it tells")
-        if crc and zlib.crc32(records) != crc:
+        if not self.may_have_crc(crc, records):
             raise self.damaged(f"{where} has another content than its CRC tells")
         return records
 
@@ -174,7 +207,7 @@ class McapFile:
     def attachment(self, offset: int) -> Attachment:
         """The attachment that begins at `offset`."""
         content = self._content(offset, Opcode.ATTACHMENT)
-        if content[-4:] not in (bytes(4), struct.pack("<I", zlib.crc32(content[:-4]))):
+        if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
             raise self.damaged("an attachment has another content than its CRC tells")
         try:
             attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))

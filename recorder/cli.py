@@ -9,7 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from common.command import run_command, warn_skipped
+from common.command import run_command, stderr, warn_skipped
+from common.errors import shown
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.record import Imported
@@ -57,6 +58,8 @@ def record(config: Record) -> int:
     done = _recorded(config, config.sessions / f"{config.name}.mcap")
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
+    if done.notice:
+        stderr().print(shown(done.notice), markup=False)
     print(f"{done.path}: {done.rows:,} rows, {done.pictures:,} pictures, {size_mb:.1f} MB")
     return code
 

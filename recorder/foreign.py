@@ -22,6 +22,7 @@ from common import Skipped
 from common.files import refuse_existing
 from common.progress import track
 from recorder.bc_pb2 import VehicleState
+from recorder.chunks import WITHOUT_CRCS
 from recorder.errors import RecordingError
 from recorder.foreign_messages import (
     Decoder,
@@ -78,6 +79,10 @@ class _McapFile:
             if log.notice:
                 skipped.add("files that are not whole", log.notice)
             return log.schemas
+
+    def has_crcs(self) -> bool:
+        with Log(self.path) as log:
+            return log.has_crcs
 
     def messages(self, topic: str, what: str) -> Iterator[tuple[Schema | None, Channel, Message]]:
         """The messages on `topic` in the order of the file, while a bar named `what` counts its chunks."""
@@ -138,14 +143,18 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
         "steering_scale": repr(topics.steering_scale),
     }
     count = 0
+    has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
+    notice = "" if has_crcs else f"{source}: {WITHOUT_CRCS}"
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
+        if notice:
+            writer.event(first.time_ns, notice, "WARNING", "recorder")
         for row in itertools.chain([first], rows):
             events.at(writer, row.time_ns)
             writer.picture("center", row.time_ns, count, row.picture)
             state = VehicleState(steering=row.steering, throttle=0.0, brake=0.0, speed_mph=math.nan)
             writer.vehicle(row.time_ns, count, state)
             count += 1
-    return Imported(log, count, count, skipped)
+    return Imported(log, count, count, skipped, notice)
 
 
 def _files(source: Path, skipped: Skipped) -> list[_File]:

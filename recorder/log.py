@@ -106,6 +106,11 @@ class Log(Closing):
         )
 
     @property
+    def has_crcs(self) -> bool:
+        """Whether all of it has CRCs. Other programs may do without: damage in their logs is then not noticed."""
+        return self._file.have_crcs(self.chunks)
+
+    @property
     def lost(self) -> list[tuple[int, int]]:
         """Stretches of bytes (from, to) in which nothing whole was found; always empty for a finished log."""
         return self._structure.lost
@@ -189,9 +194,8 @@ class Log(Closing):
         content) and the file's size. It reads some 50 bytes a chunk, and changes with any picture."""
         digest = hashlib.sha256(struct.pack("<Q", self.size))
         for chunk in self.chunks:
-            header = self._file.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start))
-            has_crc = not chunk.is_message and any(header[-4:])
-            digest.update(header if has_crc else self._file.read(chunk.start, chunk.end - chunk.start))
+            is_told = self._file.has_crc(chunk)
+            digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if is_told else chunk.end - chunk.start))
         return digest.hexdigest()
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:

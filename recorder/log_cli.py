@@ -27,6 +27,7 @@ from common.command import (
 )
 from common.errors import shown
 from recorder.check import Checked, check
+from recorder.chunks import WITHOUT_CRCS
 from recorder.edit import (
     Written,
     check_rows,
@@ -88,9 +89,10 @@ class Check:
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
             told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            print(json.dumps({**told, "findings": found}))
+            print(json.dumps({**told, "has_crcs": checked.has_crcs, "findings": found}))
         else:
             _print_checked(checked)
+            _remark_crcs(path, checked.has_crcs)
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 
@@ -109,10 +111,11 @@ class Recover:
     def run(self) -> int:
         with Log(self.log) as log:
             if log.problem:
-                stderr().print(f"{self.log}: {log.problem}; all that is whole in it is recovered", markup=False)
+                _remark(f"{self.log}: {log.problem}; all that is whole in it is recovered")
+            _remark_crcs(self.log, log.has_crcs)
         to = _named(self.to) if self.to is not None else recovered_name(self.log)
         code = _written(recover(self.log, to, overwrite=self.force))
-        stderr().print(f"{self.log} is as it was; once {to} is checked it can be removed", markup=False)
+        _remark(f"{self.log} is as it was; once {to} is checked it can be removed")
         return code
 
 
@@ -274,9 +277,20 @@ def _warn_stale(path: Path, count: int) -> int:
     return warn(f"{tags_path(path)}: {count} tags are of another content of {path.name} and do not count")
 
 
+def _remark(text: str) -> None:
+    """What a person should know, and no exit code need tell."""
+    stderr().print(shown(text), markup=False)
+
+
+def _remark_crcs(path: Path, has_crcs: bool) -> None:
+    if not has_crcs:
+        _remark(f"{path}: {WITHOUT_CRCS}")
+
+
 def _noted(path: Path) -> int:
-    """Say it of an unfinished log before it is used."""
+    """Say it of an unfinished log before it is used, and of one without CRCs."""
     with Log(path) as log:
+        _remark_crcs(path, log.has_crcs)
         return warn(log.notice) if log.notice else DONE
 
 

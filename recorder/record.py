@@ -29,6 +29,7 @@ class Imported:
     rows: int
     pictures: int
     skipped: Skipped
+    notice: str = ""  # what a person should know of what was imported
 
 
 class SkippedEvents:

@@ -10,7 +10,6 @@ import io
 import itertools
 import re
 import struct
-import zlib
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -145,7 +144,7 @@ def _summary(file: McapFile) -> Structure | None:
     if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
         return None
     summary = file.read(start, file.size - start)
-    if crc and zlib.crc32(summary[: len(summary) - len(MAGIC) - 4]) != crc:
+    if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
         return None
     found = Structure()
     try:
@@ -233,8 +232,8 @@ def _take(file: McapFile, opcode: int, start: int, end: int, found: Structure) -
 
 
 def _is_message(file: McapFile, start: int, end: int, found: Structure) -> bool:
-    """Files without chunks exist; no file has both, and a damaged chunk may look like a message."""
-    if end - start < MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
+    """Files without chunks exist, not of ours; no file has both, and a damaged chunk may look like a message."""
+    if file.promises_crcs or end - start < MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
         return False
     return MESSAGE.unpack(file.read(start, MESSAGE.size))[2] in found.channels
 

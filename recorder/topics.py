@@ -8,6 +8,7 @@ Camera = Literal["center", "left", "right"]
 CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
 
 PROFILE: Final = "bc"
+LIBRARY: Final = "behavioural-cloning-toolkit"  # what an MCAP file says that it was written by, before the version
 SESSION_METADATA: Final = "bc.session"
 QUALITY_METADATA: Final = "bc.quality"
 DRIVE_METADATA: Final = "bc.drive"  # a drive's own summary

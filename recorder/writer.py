@@ -108,7 +108,7 @@ class LogWriter:
         self._mcap = McapWriter(
             self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
         )
-        self._to_disk(self._mcap.start, profile=profile, library=f"behavioural-cloning-toolkit {version_of()}")
+        self._to_disk(self._mcap.start, profile=profile, library=f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
 
