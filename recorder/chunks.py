@@ -55,6 +55,9 @@ WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be tol
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
 
+NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)
+"""What `unpack` raises."""
+
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
@@ -64,6 +67,7 @@ class Chunk:
     end: int
     compression: str = ""
     is_message: bool = False
+    mended: bytes = b""  # what its first bytes should be, where its header is damaged
 
 
 class StoredMessage(NamedTuple):
@@ -131,19 +135,27 @@ class McapFile:
         return data
 
     @cached_property
-    def promises_crcs(self) -> bool:
-        """Whether a CRC of 0, by which MCAP says that there is none, is damage: our logs have them all.
-
-        Told by the profile or, in copies of other programs' logs, by the library that wrote the file.
-        """
+    def profile_and_library(self) -> tuple[bytes, bytes]:
+        """What the file's first record says: which rules its content follows, what wrote it; empty if damaged."""
         try:
             opcode, length = RECORD.unpack(self.read(len(MAGIC), RECORD.size))
             header = self.read(len(MAGIC) + RECORD.size, min(length, _LONGEST_HEADER))
             profile = prefixed(header, 0)
             library = prefixed(header, 4 + len(profile))
         except (LogError, struct.error):
-            return False
-        return opcode == Opcode.HEADER and (profile == PROFILE.encode() or library.startswith(LIBRARY.encode()))
+            return b"", b""
+        return (profile, library) if opcode == Opcode.HEADER else (b"", b"")
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether what is in it is what docs/log-format.md says."""
+        return self.profile_and_library[0] == PROFILE.encode()
+
+    @property
+    def promises_crcs(self) -> bool:
+        """Whether a CRC of 0, by which MCAP says that there is none, is damage: what this toolkit writes has them
+        all, copies of other programs' logs too."""
+        return self.is_ours or self.profile_and_library[1].startswith(LIBRARY.encode())
 
     def may_have_crc(self, crc: int, content: bytes) -> bool:
         """Whether `content` is what was written with this CRC, as far as the CRC can tell."""
@@ -160,6 +172,8 @@ class McapFile:
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
         record = self.read(chunk.start, chunk.end - chunk.start)
+        if chunk.mended:
+            record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)
 
     def unpacked(self, record: bytes, start: int) -> bytes:
@@ -178,8 +192,8 @@ class McapFile:
             raise self.damaged(f"{where} would unpack to {size} bytes")
         stored = memoryview(record)[stored_at:]
         try:
-            records = _unpacked(stored, named, size)
-        except (zstandard.ZstdError, RuntimeError, ValueError):
+            records = unpack(stored, named, size)
+        except NOT_UNPACKED:
             raise self.damaged(f"{where} cannot be unpacked") from None
         if len(records) != size:
             raise self.damaged(f"{where} does not unpack to the {size} bytes it tells")
@@ -278,8 +292,8 @@ def prefixed(data: bytes, at: int) -> bytes:
     return data[at + 4 : at + 4 + length]
 
 
-def _unpacked(stored: memoryview, compression: bytes, size: int) -> bytes:
-    """At most one byte more than `size`."""
+def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
+    """What was compressed, at most one byte more than `size`. Raises NOT_UNPACKED."""
     match compression:
         case b"":
             return bytes(stored)

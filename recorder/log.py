@@ -29,6 +29,7 @@ from recorder import topics
 from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
 from recorder.errors import LogError
 from recorder.places import LAST_TIME_NS, UNCOMPRESSED, find_places
+from recorder.salvage import salvage
 from recorder.structure import read_structure
 from recorder.topics import CAMERAS, Camera, camera_topic, prediction_topic
 
@@ -66,16 +67,19 @@ class Pictures:
 class Log(Closing):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
+    `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first asked for.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
-    def __init__(self, path: Path | str, *, shows_progress: bool = False) -> None:
+    def __init__(self, path: Path | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
         self.path = Path(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
         try:
             self._structure = read_structure(self._file)
+            if salvages:
+                salvage(self._file, self._structure)
         except BaseException:
             self._file.close()
             raise
@@ -111,8 +115,14 @@ class Log(Closing):
         return self._file.have_crcs(self.chunks)
 
     @property
+    def is_ours(self) -> bool:
+        """Whether it is of this toolkit, so that topics and row numbers mean what docs/log-format.md says."""
+        return self._file.is_ours
+
+    @property
     def lost(self) -> list[tuple[int, int]]:
-        """Stretches of bytes (from, to) in which nothing whole was found; always empty for a finished log."""
+        """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
+        unless it `salvages`."""
         return self._structure.lost
 
     @property
@@ -165,6 +175,11 @@ class Log(Closing):
 
     def attachment(self, offset: int) -> Attachment:
         return self._file.attachment(offset)
+
+    @property
+    def told_messages(self) -> int | None:
+        """How many messages the log says that it holds; None where it does not say."""
+        return None if self._structure.statistics is None else self._structure.statistics.message_count
 
     @property
     def counts(self) -> dict[str, int]:

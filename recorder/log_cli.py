@@ -28,19 +28,11 @@ from common.command import (
 from common.errors import shown
 from recorder.check import Checked, check
 from recorder.chunks import WITHOUT_CRCS
-from recorder.edit import (
-    Written,
-    check_rows,
-    merge,
-    recover,
-    recovered_name,
-    rows_between,
-    split,
-    trim,
-    trim_times,
-)
+from recorder.edit import check_rows, merge, rows_between, split, trim, trim_times
 from recorder.info import Info, describe
 from recorder.log import Log
+from recorder.new_log import Written
+from recorder.recover import recover, recovered_name
 from recorder.tags import Tag, add_tag, check_name, read_tags, remove_tag, stale_tags, tags_path
 
 LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]

@@ -31,3 +31,15 @@ def camera_topic(camera: Camera) -> str:
 def prediction_topic(run: str) -> str:
     """Where it is kept what the network of a run says of recorded pictures."""
     return f"{PREDICTIONS}{run}"
+
+
+ROW_TOPICS: Final = frozenset(
+    (
+        *map(camera_topic, CAMERAS),
+        VEHICLE,
+        PILOT_INPUT,
+        PILOT_COMMAND,
+        POSE,
+    )
+)
+"""Their messages carry their row's number as sequence number."""

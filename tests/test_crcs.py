@@ -18,9 +18,9 @@ from plain_mcap import contents, write_plain
 from recorder import Log, LogError
 from recorder.check import check
 from recorder.cli import main as bc_record
-from recorder.edit import merge, recover, split, trim, trim_times
-from recorder.foreign import ForeignTopics, import_foreign
+from recorder.edit import merge, split, trim, trim_times
 from recorder.log_cli import main as bc_log
+from recorder.recover import recover
 from recorder.topics import Camera
 from udacity import call, jpeg
 
@@ -53,13 +53,11 @@ def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return without_crc(write_log(tmp_path / "a.mcap", [0.0, 0.25] * 20, picture), 3)
 
 
-OF_OURS = ForeignTopics("/camera/center", "/vehicle.steering")
 READERS: dict[str, Callable[[Path, Path], object]] = {
     "trim": lambda path, to: trim(path, to, (0, 39)),
     "trim by time": lambda path, to: trim_times(path, to, 0, 9),
     "merge": lambda path, to: merge([path, path], to),
     "split": lambda path, to: split(path, to),
-    "import": lambda path, to: import_foreign(path, to, OF_OURS),
     "frames": lambda path, to: asked(path, Log.frames),
     "vehicle": lambda path, to: asked(path, Log.vehicle),
 }

@@ -30,8 +30,8 @@ from logs import read_messages
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand
 from recorder.check import check
-from recorder.edit import recover
 from recorder.green import GreenHost
+from recorder.recover import recover
 from recorder.telemetry import Telemetry, World
 from simulator.client import Answer, SimulatorClient, Told
 from simulator.client import Telemetry as SimulatorTelemetry

@@ -24,8 +24,9 @@ from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.donkeycar import import_tub
-from recorder.edit import merge, recover, split, trim
+from recorder.edit import merge, split, trim
 from recorder.foreign import import_foreign
+from recorder.recover import recover
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, Camera
