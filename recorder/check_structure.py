@@ -28,9 +28,13 @@ def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) 
     findings.append(Finding("no readable end", structure.problem))
     for start, end in structure.lost:
         findings.append(Finding("bytes without anything whole", f"{start:,} to {end:,}"))
+    count = 0
     for chunk in structure.chunks:
         records = file.records(chunk)
-        yield records, list(file.messages(records))
+        messages = list(file.messages(records))
+        count += len(messages)
+        file.check_count(count)
+        yield records, messages
 
 
 def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
@@ -62,6 +66,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             try:
                 records = file.unpacked(record, position)
                 messages = list(file.messages(records))
+                file.check_count(counts.total() + len(messages))
             except LogError:
                 findings.append(Finding("damaged chunks", f"bytes {position:,} to {chunk.end:,}"))
             else:

@@ -52,6 +52,9 @@ what was made to fill a memory takes hardly any."""
 WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be told"
 """What to tell a person, once, of another program's log that does without them."""
 
+_MOST_COMPRESSED: Final = 100
+"""Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
+
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
 
@@ -100,6 +103,8 @@ class McapFile:
         except OSError as error:
             raise LogError(f"{path}: cannot be opened ({error.strerror}); {_advice(path)}") from None
         self._lock = threading.Lock()
+        self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
+        self._unpacked_bytes = 0
         self.size = 0
         self.grow()
         if self.size < len(MAGIC) or self.read(0, len(MAGIC)) != MAGIC:
@@ -190,6 +195,11 @@ class McapFile:
             raise self.damaged(f"{where} is not of the length it tells")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size} bytes")
+        if named and start not in self._unpacked_at:
+            if self._unpacked_bytes + size > _MOST_COMPRESSED * self.size + MAX_CHUNK_BYTES:
+                raise self.damaged(f"with {where} it would unpack to more than {self._unpacked_bytes:,} bytes")
+            self._unpacked_at.add(start)
+            self._unpacked_bytes += size
         stored = memoryview(record)[stored_at:]
         try:
             records = unpack(stored, named, size)
@@ -240,7 +250,9 @@ class McapFile:
         found = Parts(array("q"), [])
         unpack, is_message = RECORD.unpack_from, found.messages.append
         position, size = 0, len(records)
-        while position <= size - RECORD.size:
+        for _ in range(self.size + FREE_MESSAGES):
+            if position > size - RECORD.size:
+                break
             opcode, length = unpack(records, position)
             end = position + RECORD.size + length
             if opcode == _OP_MESSAGE:
@@ -252,11 +264,12 @@ class McapFile:
                     raise self.damaged("more schemas and channels than a file can have")
                 found.definitions.append((opcode, position, end))
             position = end
+        else:
+            raise self.damaged(f"more records than {self.size:,} bytes can hold")
         if position > size:
             raise self.damaged("a record points out of its chunk")
         if position < size:
             raise self.damaged("a record in a chunk is cut off")
-        self.check_count(len(found.messages))
         return found
 
     def check_count(self, messages: int) -> None:

@@ -87,6 +87,8 @@ class Log(Closing):
         self._is_verified = bytearray(len(self.chunks))
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
+        self._copied_from: set[int] = set()
+        self._copied = 0
         self._pictures: dict[str, Pictures] = {}
 
     def close(self) -> None:
@@ -305,7 +307,12 @@ class Log(Closing):
         Those that no log can hold are added to `skipped`; without it, they raise LogError.
         """
         records = self._file.records(chunk)
-        for stored in self._file.messages(records):
+        messages = list(self._file.messages(records))
+        if chunk.start not in self._copied_from:
+            self._file.check_count(self._copied + len(messages))
+            self._copied_from.add(chunk.start)
+            self._copied += len(messages)
+        for stored in messages:
             channel = self.channels.get(stored.channel)
             if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:
                 what = "a topic that is not known" if channel is None else "a time that cannot be"

@@ -470,6 +470,41 @@ def test_a_file_full_of_bombs_is_given_up(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(zeros) <= unpacked_bytes < 8 * len(zeros)
 
 
+def test_a_file_full_of_bombs_whose_crcs_hold_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A megabyte of them would unpack to gigabytes."""
+    monkeypatch.setattr("recorder.chunks.MAX_CHUNK_BYTES", 1 << 22)
+    message = struct.pack("<BQHIQQ", 5, 22 + (1 << 21), 1, 0, 5, 5) + bytes(1 << 21)
+    bomb = chunk(message, size=len(message), compression=b"zstd", stored=zstandard.compress(message))
+    path = unfinished(tmp_path / "a.mcap", *[bomb] * 300)
+    unpacked_bytes = 0
+    unpack = chunks.unpack
+
+    def counting(stored: memoryview, compression: bytes, size: int) -> bytes:
+        nonlocal unpacked_bytes
+        unpacked_bytes += size
+        return unpack(stored, compression, size)
+
+    monkeypatch.setattr(chunks, "unpack", counting)
+    with Log(path) as log:
+        assert 0 < len(log.chunks) < 300
+        assert log.lost
+    assert unpacked_bytes < 200 * path.stat().st_size + (1 << 23)
+
+
+@pytest.mark.parametrize("opcode", [0, 5, 0x80])
+def test_a_chunk_of_more_records_than_its_file_can_hold_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opcode: int
+) -> None:
+    """Records without content, or messages without any: unpacked, each takes Python's time."""
+    monkeypatch.setattr("recorder.chunks.FREE_MESSAGES", 1 << 10)
+    content = struct.pack("<HIQQ", 1, 0, 5, 5) if opcode == 5 else b""
+    records = (struct.pack("<BQ", opcode, len(content)) + content) * (1 << 14)
+    bomb = chunk(records, size=len(records), compression=b"zstd", stored=zstandard.compress(records))
+    path = unfinished(tmp_path / "a.mcap", bomb)
+    with Log(path) as log:
+        assert log.chunks == []
+
+
 def test_a_disk_that_gives_nothing_is_a_log_error(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A failing disk: no other test can make one."""
 
