@@ -14,6 +14,23 @@ from recorder.chunks import McapFile
 from recorder.structure import read_structure
 
 
+def is_whole(path: Path) -> bool:
+    """Whether the file is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
+    file = McapFile(path)
+    findings: list[Finding] = []
+    try:
+        structure = read_structure(file)
+        if structure.problem:
+            return False
+        chunks = sound_chunks(file, structure, findings)
+        for _ in track(chunks, f"checking {path.name}", len(structure.chunks)):
+            if findings:
+                break
+    finally:
+        file.close()
+    return not findings
+
+
 @dataclass(frozen=True)
 class Checked:
     """What was looked at, and what is wrong."""

@@ -49,6 +49,7 @@ class Info:
     tags: list[Tag]
     stale_tags: int  # of what had this name before
     notice: str  # of an unfinished log
+    is_ours: bool  # not another program's
 
 
 def describe(path: Path) -> Info:
@@ -78,6 +79,7 @@ def describe(path: Path) -> Info:
             tags=read_tags(path, log.fingerprint) if has_tags else [],
             stale_tags=stale_tags(path, log.fingerprint) if has_tags else 0,
             notice=log.notice,
+            is_ours=log.is_ours,
         )
 
 
