@@ -144,7 +144,7 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
     }
     count = 0
     has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
-    notice = "" if has_crcs else f"{source}: {WITHOUT_CRCS}"
+    notice = "" if has_crcs else f"{metadata['recording']}: {WITHOUT_CRCS}"
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
         if notice:
             writer.event(first.time_ns, notice, "WARNING", "recorder")

@@ -377,6 +377,8 @@ def _print_info(info: Info) -> None:
     if len(info.stretches) > MOST_PLACES:
         more = counted(len(info.stretches) - MOST_PLACES, "more stretch", "more stretches")
         console.print(f"    and {more} (--json lists them)")
+    for topic_name, sizes in info.picture_sizes.items():
+        console.print(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
     for tag in info.tags:
         console.print(f"  tag {_plain(tag.name)}: {_rows_of(tag)}")
 

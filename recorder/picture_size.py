@@ -5,8 +5,12 @@ from __future__ import annotations
 import struct
 from typing import Final
 
+from common.errors import counted
+
 MOST_PIXELS: Final = 1 << 26
 """No larger picture is decoded: in memory it is up to 200 MB, and a car's camera gives a hundredth of it."""
+
+_MOST_SIZES: Final = 8  # of one camera's pictures, listed
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 
@@ -39,6 +43,31 @@ def pixels(picture: bytes) -> int | None:
 def can_be_decoded(picture: bytes) -> bool:
     """Whether it begins as a JPEG or PNG of at most `MOST_PIXELS`."""
     return 0 < (pixels(picture) or 0) <= MOST_PIXELS
+
+
+class PictureSizes:
+    """How large each camera's pictures are: one that changes its size within a session is told."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, dict[tuple[int, int], tuple[int, int]]] = {}  # topic, size -> count, first row
+
+    def add(self, topic: str, row: int, picture: bytes) -> None:
+        size = width_and_height(picture)
+        sizes = self._found.setdefault(topic, {})
+        if size is not None and (size in sizes or len(sizes) < _MOST_SIZES):
+            count, first_row = sizes.get(size, (0, row))
+            sizes[size] = count + 1, first_row
+
+    def mixed(self) -> dict[str, str]:
+        """For each topic with pictures of several sizes what they are, the first of them listed."""
+        return {
+            topic: ", ".join(
+                f"{counted(count, 'picture')} of {width}x{height} (first: row {row})"
+                for (width, height), (count, row) in sizes.items()
+            )
+            for topic, sizes in sorted(self._found.items())
+            if len(sizes) > 1
+        }
 
 
 def _frame(jpeg: bytes) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import time
 from collections.abc import Callable
@@ -28,12 +29,15 @@ from common.locks import lock
 from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.picture_size import PNG_START
+from recorder.compressed_image import SCHEMA, image_data
+from recorder.picture_size import PNG_START, PictureSizes
 from recorder.quality import StatesWritten, summary
-from recorder.topics import Camera, camera_topic, prediction_topic
+from recorder.topics import CAMERAS, Camera, camera_topic, prediction_topic
 
 CHUNK_BYTES: Final = 256 * 1024
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
+
+_CAMERA_TOPICS: Final = frozenset(map(camera_topic, CAMERAS))
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
 
@@ -85,6 +89,7 @@ class LogWriter:
         self._copied_channels: dict[tuple[object, ...], int] = {}
         self._copied_schemas: dict[tuple[str, str, bytes], int] = {}
         self._states = StatesWritten()
+        self._sizes = PictureSizes()
         self._sync: files.BackgroundSync | None = None
         self._folders: list[Path] = []
         try:
@@ -115,6 +120,7 @@ class LogWriter:
     def picture(self, camera: Camera, time_ns: int, sequence: int, picture: bytes) -> None:
         """A camera's JPEG or PNG, byte for byte."""
         kind = "png" if picture.startswith(PNG_START) else "jpeg"
+        self._sizes.add(camera_topic(camera), sequence, picture)
         self._image(camera_topic(camera), time_ns, sequence, picture, kind)
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
@@ -157,6 +163,10 @@ class LogWriter:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+        elif channel.topic in _CAMERA_TOPICS and schema is not None and schema.name == SCHEMA:
+            at, length = image_data(message.data, 0, len(message.data))
+            if at >= 0:
+                self._sizes.add(channel.topic, sequence, message.data[at : at + length])
 
     def copy_attachment(self, attachment: Attachment) -> None:
         self._to_disk(
@@ -203,7 +213,9 @@ class LogWriter:
     def finish(self) -> None:
         """Write the summary; the log still has its temporary name (`part`)."""
         if len(self._states):
-            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()))
+            sizes = self._sizes.mixed()
+            told = {"picture_sizes": json.dumps(sizes)} if sizes else {}
+            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | told)
         self._to_disk(self._finish)
 
     def publish(self) -> None:

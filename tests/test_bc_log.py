@@ -9,6 +9,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
 
@@ -359,6 +361,27 @@ def test_info_of_a_drive_in_which_nothing_was_driven(tmp_path: Path, capsys: pyt
     told = capsys.readouterr().out
     assert "no rows: nothing was driven" in told
     assert "another program" not in told
+
+
+def test_pictures_of_several_sizes_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ok, small = cv2.imencode(".png", np.zeros((60, 80, 3), np.uint8))
+    assert ok
+    rows: list[tuple[float, float, float, bytes | None]] = [
+        (row / 10, 0.1, 0.0, small.tobytes() if row in (3, 4) else jpeg(50)) for row in range(6)
+    ]
+    path = log_with(tmp_path / "a.mcap", rows)
+    told = "4 pictures of 320x160 (first: row 0), 2 pictures of 80x60 (first: row 3)"
+    assert found_in(path) == [("cameras with pictures of several sizes", f"/camera/center: {told}")]
+    trimmed = tmp_path / "b.mcap"
+    assert call(main, "trim", path, "--to", trimmed, "--start", 0) == 0
+    capsys.readouterr()
+    for log in (path, trimmed):
+        assert info_of(log, capsys)["picture_sizes"] == {"/camera/center": told}
+        assert call(main, "info", log) == 0
+        assert "pictures of several sizes on /camera/center" in capsys.readouterr().out
+    assert call(main, "trim", path, "--to", tmp_path / "c.mcap", "--rows", 0, 2) == 0
+    capsys.readouterr()
+    assert info_of(tmp_path / "c.mcap", capsys)["picture_sizes"] == {}
 
 
 def test_one_is_not_said_as_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
