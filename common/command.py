@@ -114,6 +114,8 @@ def _run(
     except BrokenPipeError:  # `bc-... | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except MemoryError:
+        why = "not enough memory; close other programs, or allow it more (`ulimit -v`)"
     except OSError as error:
         if error.strerror is None:
             raise

@@ -14,6 +14,23 @@ from recorder.chunks import McapFile
 from recorder.structure import read_structure
 
 
+def is_whole(path: Path) -> bool:
+    """Whether the file is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
+    file = McapFile(path)
+    findings: list[Finding] = []
+    try:
+        structure = read_structure(file)
+        if structure.problem:
+            return False
+        chunks = sound_chunks(file, structure, findings)
+        for _ in track(chunks, f"checking {path.name}", len(structure.chunks)):
+            if findings:
+                break
+    finally:
+        file.close()
+    return not findings
+
+
 @dataclass(frozen=True)
 class Checked:
     """What was looked at, and what is wrong."""
@@ -22,6 +39,7 @@ class Checked:
     messages: int
     pictures: int  # decoded
     findings: list[Finding]
+    has_crcs: bool  # other programs may do without: damage is then not noticed
 
 
 def check(path: Path, *, look: bool = True) -> Checked:
@@ -42,6 +60,7 @@ def check(path: Path, *, look: bool = True) -> Checked:
                 for message in messages:
                     contents.take(records, message)
             contents.judge()
+        has_crcs = file.have_crcs(structure.chunks)
     finally:
         file.close()
-    return Checked(path, sum(contents.counts.values()), contents.pictures, findings)
+    return Checked(path, sum(contents.counts.values()), contents.pictures, findings, has_crcs)

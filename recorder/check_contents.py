@@ -16,6 +16,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.chunks import StoredMessage
 from recorder.compressed_image import image_data
 from recorder.look import Look, Seen
+from recorder.picture_size import PictureSizes
 from recorder.places import LAST_TIME_NS
 from recorder.quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
 from recorder.structure import Structure
@@ -58,6 +59,7 @@ class Contents:
         self._look = Look(pool)
         self._states = StatesWritten()
         self._last_row: dict[str, int] = {}
+        self._sizes = PictureSizes()
         self.counts: Counter[str] = Counter()
 
     @property
@@ -95,7 +97,9 @@ class Contents:
         if at < 0:
             self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
             return
-        self._look.take(topic, message.sequence, message.log_time_ns, records[at : at + length])
+        picture = records[at : at + length]
+        self._sizes.add(topic, message.sequence, picture)
+        self._look.take(topic, message.sequence, message.log_time_ns, picture)
 
     def _take_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
         try:
@@ -115,6 +119,8 @@ class Contents:
             self._findings.append(Finding("pictures that do not decode", where))
         for reason, count in self._bad_telemetry.most_common():
             self._findings.append(Finding("kinds of telemetry that could not be used", f"{reason} ({count:,})"))
+        for topic, sizes in self._sizes.mixed().items():
+            self._findings.append(Finding("cameras with pictures of several sizes", f"{topic}: {sizes}"))
         states = self._states.states()
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))

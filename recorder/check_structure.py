@@ -28,9 +28,13 @@ def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) 
     findings.append(Finding("no readable end", structure.problem))
     for start, end in structure.lost:
         findings.append(Finding("bytes without anything whole", f"{start:,} to {end:,}"))
+    count = 0
     for chunk in structure.chunks:
         records = file.records(chunk)
-        yield records, list(file.messages(records))
+        messages = list(file.messages(records))
+        count += len(messages)
+        file.check_count(count)
+        yield records, messages
 
 
 def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
@@ -64,6 +68,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             try:
                 records = file.unpacked(record, position)
                 messages = list(file.messages(records))
+                file.check_count(counts.total() + len(messages))
             except LogError:
                 findings.append(Finding("damaged chunks", f"bytes {position:,} to {chunk.end:,}"))
             else:
@@ -74,6 +79,10 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 if (min(times), max(times)) != (first_ns, last_ns):
                     findings.append(Finding("chunks of other times than they tell", f"at byte {position:,}"))
                 yield records, messages
+        elif opcode == Opcode.MESSAGE and indexed.pop(position, None) is not None:  # of a file without chunks
+            messages = list(file.messages(record))
+            counts.update(message.channel for message in messages)
+            yield record, messages
         elif opcode == Opcode.MESSAGE_INDEX and expected:
             channel, found = _message_index(record)
             if sorted(found) != sorted(expected.pop(channel, [])):
@@ -82,7 +91,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
     findings.extend(
         Finding("chunks that are not where the summary says", f"at byte {start:,}") for start in sorted(indexed)
     )
-    told_counts = structure.statistics.channel_message_counts if structure.statistics is not None else {}
+    # other programs may leave the statistics out
+    told_counts = structure.statistics.channel_message_counts if structure.statistics is not None else counts
     for channel in sorted(told_counts.keys() | counts.keys()):
         if told_counts.get(channel, 0) != counts[channel]:
             topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"

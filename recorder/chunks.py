@@ -13,8 +13,9 @@ import sys
 import threading
 import zlib
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -28,6 +29,7 @@ from mcap.records import Metadata as MetadataRecord
 
 from common.untrusted import open_regular
 from recorder.errors import LogError
+from recorder.topics import LIBRARY, PROFILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
@@ -36,6 +38,7 @@ CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, en
 _OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
 _LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
 _DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
+_LONGEST_HEADER: Final = 1 << 12
 _MOST_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: there are as many numbers for them
 
 MAX_CHUNK_BYTES: Final = 1 << 28
@@ -46,8 +49,17 @@ FREE_MESSAGES: Final = 1 << 16
 """A file holds no more messages than bytes, and these: compressed, the smallest ones still take several bytes, but
 what was made to fill a memory takes hardly any."""
 
+WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be told"
+"""What to tell a person, once, of another program's log that does without them."""
+
+_MOST_COMPRESSED: Final = 100
+"""Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
+
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
+
+NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)
+"""What `unpack` raises."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +70,7 @@ class Chunk:
     end: int
     compression: str = ""
     is_message: bool = False
+    mended: bytes = b""  # what its first bytes should be, where its header is damaged
 
 
 class StoredMessage(NamedTuple):
@@ -90,6 +103,8 @@ class McapFile:
         except OSError as error:
             raise LogError(f"{path}: cannot be opened ({error.strerror}); {_advice(path)}") from None
         self._lock = threading.Lock()
+        self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
+        self._unpacked_bytes = 0
         self.size = 0
         self.grow()
         if self.size < len(MAGIC) or self.read(0, len(MAGIC)) != MAGIC:
@@ -124,9 +139,46 @@ class McapFile:
             raise self.damaged("it has become shorter while it was read")
         return data
 
+    @cached_property
+    def profile_and_library(self) -> tuple[bytes, bytes]:
+        """What the file's first record says: which rules its content follows, what wrote it; empty if damaged."""
+        try:
+            opcode, length = RECORD.unpack(self.read(len(MAGIC), RECORD.size))
+            header = self.read(len(MAGIC) + RECORD.size, min(length, _LONGEST_HEADER))
+            profile = prefixed(header, 0)
+            library = prefixed(header, 4 + len(profile))
+        except (LogError, struct.error):
+            return b"", b""
+        return (profile, library) if opcode == Opcode.HEADER else (b"", b"")
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether what is in it is what docs/log-format.md says."""
+        return self.profile_and_library[0] == PROFILE.encode()
+
+    @property
+    def promises_crcs(self) -> bool:
+        """Whether a CRC of 0, by which MCAP says that there is none, is damage: what this toolkit writes has them
+        all, copies of other programs' logs too."""
+        return self.is_ours or self.profile_and_library[1].startswith(LIBRARY.encode())
+
+    def may_have_crc(self, crc: int, content: bytes) -> bool:
+        """Whether `content` is what was written with this CRC, as far as the CRC can tell."""
+        return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
+
+    def has_crc(self, chunk: Chunk) -> bool:
+        if chunk.is_message or chunk.end - chunk.start < CHUNK_HEADER.size:
+            return False
+        return any(self.read(chunk.start + CHUNK_HEADER.size - 4, 4))
+
+    def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
+        return self.promises_crcs or all(map(self.has_crc, chunks))
+
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
         record = self.read(chunk.start, chunk.end - chunk.start)
+        if chunk.mended:
+            record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)
 
     def unpacked(self, record: bytes, start: int) -> bytes:
@@ -143,14 +195,19 @@ class McapFile:
             raise self.damaged(f"{where} is not of the length it tells")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size} bytes")
+        if named and start not in self._unpacked_at:
+            if self._unpacked_bytes + size > _MOST_COMPRESSED * self.size + MAX_CHUNK_BYTES:
+                raise self.damaged(f"with {where} it would unpack to more than {self._unpacked_bytes:,} bytes")
+            self._unpacked_at.add(start)
+            self._unpacked_bytes += size
         stored = memoryview(record)[stored_at:]
         try:
-            records = _unpacked(stored, named, size)
-        except (zstandard.ZstdError, RuntimeError, ValueError):
+            records = unpack(stored, named, size)
+        except NOT_UNPACKED:
             raise self.damaged(f"{where} cannot be unpacked") from None
         if len(records) != size:
             raise self.damaged(f"{where} does not unpack to the {size} bytes it tells")
-        if crc and zlib.crc32(records) != crc:
+        if not self.may_have_crc(crc, records):
             raise self.damaged(f"{where} has another content than its CRC tells")
         return records
 
@@ -174,7 +231,7 @@ class McapFile:
     def attachment(self, offset: int) -> Attachment:
         """The attachment that begins at `offset`."""
         content = self._content(offset, Opcode.ATTACHMENT)
-        if content[-4:] not in (bytes(4), struct.pack("<I", zlib.crc32(content[:-4]))):
+        if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
             raise self.damaged("an attachment has another content than its CRC tells")
         try:
             attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
@@ -193,7 +250,9 @@ class McapFile:
         found = Parts(array("q"), [])
         unpack, is_message = RECORD.unpack_from, found.messages.append
         position, size = 0, len(records)
-        while position <= size - RECORD.size:
+        for _ in range(self.size + FREE_MESSAGES):
+            if position > size - RECORD.size:
+                break
             opcode, length = unpack(records, position)
             end = position + RECORD.size + length
             if opcode == _OP_MESSAGE:
@@ -205,11 +264,12 @@ class McapFile:
                     raise self.damaged("more schemas and channels than a file can have")
                 found.definitions.append((opcode, position, end))
             position = end
+        else:
+            raise self.damaged(f"more records than {self.size:,} bytes can hold")
         if position > size:
             raise self.damaged("a record points out of its chunk")
         if position < size:
             raise self.damaged("a record in a chunk is cut off")
-        self.check_count(len(found.messages))
         return found
 
     def check_count(self, messages: int) -> None:
@@ -245,8 +305,8 @@ def prefixed(data: bytes, at: int) -> bytes:
     return data[at + 4 : at + 4 + length]
 
 
-def _unpacked(stored: memoryview, compression: bytes, size: int) -> bytes:
-    """At most one byte more than `size`."""
+def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
+    """What was compressed, at most one byte more than `size`. Raises NOT_UNPACKED."""
     match compression:
         case b"":
             return bytes(stored)

@@ -63,8 +63,8 @@ def record(config: Record) -> int:
     done = _recorded(config, config.sessions / f"{config.name}.mcap")
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
-    if done.notice:
-        stderr().print(done.notice, markup=False)
+    for notice in done.notices:
+        stderr().print(notice, markup=False)
     print(f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB")
     return code
 

@@ -84,7 +84,7 @@ def import_tub(
             writer.picture("center", frame.time_ns, rows, frame.jpeg)
             writer.vehicle(frame.time_ns, rows, frame.state)
             rows += 1
-    return Imported(log, rows, rows, skipped, writer.notice)
+    return Imported(log, rows, rows, skipped, writer.notices)
 
 
 def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[_Frame]:

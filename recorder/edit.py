@@ -1,4 +1,4 @@
-"""New logs out of old ones: recovered, trimmed, merged, split. Nothing edits a log in place.
+"""New logs out of old ones: trimmed, merged, split. Nothing edits a log in place.
 
 Messages are copied as they are, the CRC of each chunk checked. Metadata is copied as it is read: only the CRC of
 the whole file covers it, which `bc-log check` compares. Rows keep their numbers, but get new ones in a merged log.
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -20,91 +19,28 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.files import final_path, refuse_existing
-from common.locks import is_being_written
 from common.progress import track
 from recorder import topics
 from recorder.errors import LogError
 from recorder.log import Log
-from recorder.new_log import close_with_tags, copy_rest, new_log, publish_all, tags_of_rows
+from recorder.new_log import (
+    LAST_ROW,
+    Written,
+    close_with_tags,
+    copy_rest,
+    new_log,
+    publish_all,
+    refuse_taken,
+    tags_of_rows,
+)
 from recorder.quality import drive_numbers
 from recorder.tags import Tag, read_tags
-from recorder.topics import CAMERAS, camera_topic
+from recorder.topics import ROW_TOPICS
 from recorder.writer import LogWriter
 
-ROW_TOPICS: Final = frozenset(
-    (
-        *map(camera_topic, CAMERAS),
-        topics.VEHICLE,
-        topics.PILOT_INPUT,
-        topics.PILOT_COMMAND,
-        topics.POSE,
-    )
-)
-"""Their messages carry their row's number as sequence number."""
-
-_LAST_ROW: Final = 2**32 - 1  # sequence numbers of MCAP have 32 bits
 _MOST_DRIVES: Final = 500  # a log of each is open at once
 
 Copied = tuple[Schema | None, Channel, McapMessage]
-
-
-@dataclass(frozen=True)
-class Written:
-    """A new log."""
-
-    path: Path
-    messages: int
-    rows: int
-    skipped: Skipped
-
-
-def recovered_name(path: Path) -> Path:
-    """Where a recovered log goes unless told otherwise: what was being written gets the name it would have had,
-    unless its recording still goes on, and will take that name itself."""
-    meant = final_path(path)
-    if meant != path and not meant.exists() and not is_being_written(path):
-        return meant
-    return meant.with_name(f"{meant.name.removesuffix('.mcap')}.recovered.mcap")
-
-
-def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
-    """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
-
-    A chunk is taken if its CRC holds; what is left out is in `skipped`. Raises LogError if nothing is whole, or if
-    `to` is the name that the recording will take, which still goes on.
-    """
-    skipped = Skipped()
-    _refuse(to, [path], overwrite)  # before a long log is read
-    goes_on = is_being_written(path)
-    if goes_on and to == final_path(path):
-        raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
-    with Log(path) as log:
-        expected = sum(log.counts.values()) if not log.problem else None
-        records = _sound_metadata(log, skipped)
-        session = dict(records).get(topics.SESSION_METADATA, {})
-        tags = _sound_tags(log, skipped)
-        count, rows = 0, list[int]()
-        with new_log(to, session, {"recovered_from": path.name}, overwrite) as writer:
-            for chunk in track(log.chunks, f"recovering {path.name}", len(log.chunks)):
-                try:
-                    for schema, channel, message in log.messages_of(chunk, skipped):
-                        writer.copy(schema, channel, message, message.sequence)
-                        count += 1
-                        if channel.topic == topics.VEHICLE:
-                            rows.append(message.sequence)
-                except LogError:
-                    skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
-            if not count:
-                raise LogError(f"{path}: not one whole message in it: there is nothing to recover")
-            copy_rest(log, records, writer, skipped)
-            close_with_tags(writer, tags_of_rows(tags, rows))
-    for start, end in log.lost:
-        skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
-    if expected is not None and count < expected:
-        skipped.add("messages of damaged chunks", f"{expected - count:,} of {expected:,}")
-    if goes_on:
-        skipped.add("recordings' ends, because they still go on", path.name)
-    return Written(to, count, len(rows), skipped)
 
 
 def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False) -> Written:
@@ -112,7 +48,7 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
 
     Messages without a row (events) are taken if they are of the same time. Raises LogError without such rows.
     """
-    _refuse(to, [path], overwrite)
+    refuse_taken(to, [path], overwrite)
     with Log(path) as log:
         number, time_ns = _rows(log)
         is_chosen = (number >= rows[0]) & (number <= rows[1])
@@ -137,7 +73,7 @@ def trim_times(path: Path, to: Path, start_s: float, end_s: float, *, overwrite:
     are taken whose log time is between them. Raises LogError if there is nothing, or if the rows are not one
     stretch because time goes back.
     """
-    _refuse(to, [path], overwrite)
+    refuse_taken(to, [path], overwrite)
     with Log(path) as log:
         if log.counts.get(topics.VEHICLE):
             return trim(path, to, rows_between(log, start_s, end_s), overwrite=overwrite)
@@ -154,7 +90,7 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
 
     Raises LogError if the numbers do not suffice.
     """
-    _refuse(to, paths, overwrite)
+    refuse_taken(to, paths, overwrite)
     skipped = Skipped()
     count = row_count = following = 0
     with contextlib.ExitStack() as stack:
@@ -169,8 +105,8 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
                 sequence = message.sequence
                 if channel.topic in ROW_TOPICS:
                     sequence += first
-                    if sequence > _LAST_ROW:
-                        raise LogError(f"{log.path}: row {message.sequence} would have a number above {_LAST_ROW}")
+                    if sequence > LAST_ROW:
+                        raise LogError(f"{log.path}: row {message.sequence} would have a number above {LAST_ROW}")
                     following = max(following, sequence + 1)
                 writer.copy(schema, channel, message, sequence)
                 count += 1
@@ -268,12 +204,6 @@ def _messages(log: Log, doing: str) -> Iterator[Copied]:
         yield from log.messages_of(chunk)
 
 
-def _refuse(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
-    refuse_existing(to, overwrite)
-    if to.exists() and any(path.exists() and to.samefile(path) for path in originals):
-        raise LogError(f"{to}: the log itself, which stays as it is; give another name")
-
-
 def _trimmed(
     log: Log,
     to: Path,
@@ -296,21 +226,3 @@ def _trimmed(
         copy_rest(log, log.all_metadata(), writer, skipped)
         close_with_tags(writer, tags_of_rows(tags, rows))
     return Written(to, count, len(rows), skipped)
-
-
-def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str]]]:
-    records = []
-    for offset in log.metadata_records:
-        try:
-            records.append(log.metadata_record(offset))
-        except LogError:
-            skipped.add("damaged metadata records", f"at byte {offset:,}")
-    return records
-
-
-def _sound_tags(log: Log, skipped: Skipped) -> list[Tag]:
-    try:
-        return read_tags(log.path, log.fingerprint)
-    except LogError as error:
-        skipped.add("damaged files of tags", str(error))
-        return []

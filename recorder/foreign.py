@@ -24,6 +24,7 @@ from common.files import refuse_existing
 from common.progress import track
 from common.untrusted import open_regular
 from recorder.bc_pb2 import VehicleState
+from recorder.chunks import WITHOUT_CRCS
 from recorder.errors import RecordingError
 from recorder.foreign_messages import (
     Decoder,
@@ -83,6 +84,10 @@ class _McapFile:
             if log.notice:
                 skipped.add("files that are not whole", log.notice)
             return log.schemas
+
+    def has_crcs(self) -> bool:
+        with Log(self.path) as log:
+            return log.has_crcs
 
     def messages(self, topic: str, what: str) -> Iterator[tuple[Schema | None, Channel, Message]]:
         """The messages on `topic` in the order of the file, while a bar named `what` counts its chunks."""
@@ -152,14 +157,18 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
         "steering_scale": repr(topics.steering_scale),
     }
     count = 0
+    has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
+    notices = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
+        for notice in notices:
+            writer.event(first.time_ns, notice, "WARNING", "recorder")
         for row in itertools.chain([first], rows):
             events.at(writer, row.time_ns)
             writer.picture("center", row.time_ns, count, row.picture)
             state = VehicleState(steering=row.steering, throttle=0.0, brake=0.0, speed_mph=math.nan)
             writer.vehicle(row.time_ns, count, state)
             count += 1
-    return Imported(log, count, count, skipped, writer.notice)
+    return Imported(log, count, count, skipped, [*notices, *writer.notices])
 
 
 def _files(source: Path, skipped: Skipped) -> list[_File]:

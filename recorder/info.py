@@ -46,9 +46,11 @@ class Info:
     drives: int | None
     flags: dict[str, int] | None  # rows that each flag holds for
     stretches: list[Stretch]  # the first of them
+    picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
     tags: list[Tag]
     stale_tags: int  # of what had this name before
     notice: str  # of an unfinished log
+    is_ours: bool  # not another program's
 
 
 def describe(path: Path) -> Info:
@@ -75,9 +77,11 @@ def describe(path: Path) -> Info:
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
+            picture_sizes=_texts(quality.get("picture_sizes", "")),
             tags=read_tags(path, log.fingerprint) if has_tags else [],
             stale_tags=stale_tags(path, log.fingerprint) if has_tags else 0,
             notice=log.notice,
+            is_ours=log.is_ours,
         )
 
 
@@ -102,6 +106,14 @@ def _seconds(text: str | None) -> float | None:
     except ValueError:
         return None
     return seconds if math.isfinite(seconds) and seconds >= 0 else None
+
+
+def _texts(text: str) -> dict[str, str]:
+    """Somebody else may have written the log: what are no texts by name is left out."""
+    try:
+        return {str(name): str(value) for name, value in json.loads(text or "{}").items()}
+    except (ValueError, AttributeError, RecursionError):
+        return {}
 
 
 def _stretches(text: str) -> list[Stretch]:

@@ -55,7 +55,7 @@ def listen_for_telemetry(
             writing.pop_all()  # a live log would be kept, for its events
             writer.discard()
             raise RecordingError(f"{log}: {session.why_nothing()}")
-    return Imported(log, session.rows, session.rows, session.skipped, writer.notice)
+    return Imported(log, session.rows, session.rows, session.skipped, writer.notices)
 
 
 class _Session:

@@ -29,6 +29,7 @@ from recorder import topics
 from recorder.chunks import CHUNK_HEADER, Chunk, McapFile
 from recorder.errors import LogError
 from recorder.places import LAST_TIME_NS, UNCOMPRESSED, find_places
+from recorder.salvage import salvage
 from recorder.structure import read_structure
 from recorder.topics import CAMERAS, Camera, camera_topic, prediction_topic
 
@@ -66,16 +67,19 @@ class Pictures:
 class Log(Closing):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
+    `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first asked for.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
-    def __init__(self, path: Path | str, *, shows_progress: bool = False) -> None:
+    def __init__(self, path: Path | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
         self.path = Path(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
         try:
             self._structure = read_structure(self._file)
+            if salvages:
+                salvage(self._file, self._structure)
         except BaseException:
             self._file.close()
             raise
@@ -83,6 +87,8 @@ class Log(Closing):
         self._is_verified = bytearray(len(self.chunks))
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
+        self._copied_from: set[int] = set()
+        self._copied = 0
         self._pictures: dict[str, Pictures] = {}
 
     def close(self) -> None:
@@ -106,8 +112,19 @@ class Log(Closing):
         )
 
     @property
+    def has_crcs(self) -> bool:
+        """Whether all of it has CRCs. Other programs may do without: damage in their logs is then not noticed."""
+        return self._file.have_crcs(self.chunks)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is of this toolkit, so that topics and row numbers mean what docs/log-format.md says."""
+        return self._file.is_ours
+
+    @property
     def lost(self) -> list[tuple[int, int]]:
-        """Stretches of bytes (from, to) in which nothing whole was found; always empty for a finished log."""
+        """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
+        unless it `salvages`."""
         return self._structure.lost
 
     @property
@@ -162,6 +179,11 @@ class Log(Closing):
         return self._file.attachment(offset)
 
     @property
+    def told_messages(self) -> int | None:
+        """How many messages the log says that it holds; None where it does not say."""
+        return None if self._structure.statistics is None else self._structure.statistics.message_count
+
+    @property
     def counts(self) -> dict[str, int]:
         """Messages by topic: from the summary, if there is one."""
         if self._structure.statistics is not None:
@@ -189,9 +211,8 @@ class Log(Closing):
         content) and the file's size. It reads some 50 bytes a chunk, and changes with any picture."""
         digest = hashlib.sha256(struct.pack("<Q", self.size))
         for chunk in self.chunks:
-            header = self._file.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start))
-            has_crc = not chunk.is_message and any(header[-4:])
-            digest.update(header if has_crc else self._file.read(chunk.start, chunk.end - chunk.start))
+            is_told = self._file.has_crc(chunk)
+            digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if is_told else chunk.end - chunk.start))
         return digest.hexdigest()
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
@@ -286,7 +307,12 @@ class Log(Closing):
         Those that no log can hold are added to `skipped`; without it, they raise LogError.
         """
         records = self._file.records(chunk)
-        for stored in self._file.messages(records):
+        messages = list(self._file.messages(records))
+        if chunk.start not in self._copied_from:
+            self._file.check_count(self._copied + len(messages))
+            self._copied_from.add(chunk.start)
+            self._copied += len(messages)
+        for stored in messages:
             channel = self.channels.get(stored.channel)
             if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:
                 what = "a topic that is not known" if channel is None else "a time that cannot be"

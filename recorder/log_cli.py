@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Annotated
 
 import tyro
 from rich.markup import escape
+from rich.prompt import Confirm
 from rich.table import Table
 
 from common import Skipped, UserError
@@ -25,22 +28,17 @@ from common.command import (
     warn,
     warn_skipped,
 )
-from common.errors import shown
-from recorder.check import Checked, check
-from recorder.edit import (
-    Written,
-    check_rows,
-    merge,
-    recover,
-    recovered_name,
-    rows_between,
-    split,
-    trim,
-    trim_times,
-)
+from common.errors import counted, shown
+from common.files import final_path
+from recorder.check import Checked, check, is_whole
+from recorder.chunks import WITHOUT_CRCS
+from recorder.edit import check_rows, merge, rows_between, split, trim, trim_times
 from recorder.info import Info, describe
 from recorder.log import Log
-from recorder.tags import Tag, add_tag, check_name, read_tags, remove_tag, stale_tags, tags_path
+from recorder.new_log import Written
+from recorder.recover import recover, recovered_name
+from recorder.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
+from recorder.topics import VEHICLE
 
 LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 MOST_PLACES = 6
@@ -88,16 +86,18 @@ class Check:
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
             told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            print(json.dumps({**told, "findings": found}))
+            print(json.dumps({**told, "has_crcs": checked.has_crcs, "findings": found}))
         else:
             _print_checked(checked)
+            _remark_crcs(path, checked.has_crcs)
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 
 @dataclass(frozen=True)
 class Recover:
     """Make a finished log out of one that is not (its recording was killed), or out of a damaged one. The original
-    stays. Everything is kept whose CRC holds; what is lost is named, with exit code 3."""
+    stays. Everything is kept whose CRC holds; what is lost is named, with exit code 3. A log that is
+    whole is not copied, unless --to asks for it."""
 
     log: LogPath
     """The unfinished or damaged log."""
@@ -107,12 +107,17 @@ class Recover:
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
+        if final_path(self.log) == self.log and is_whole(self.log):
+            print(shown(f"{self.log}: whole, nothing to recover{'' if self.to else '; nothing was written'}"))
+            if self.to is None:
+                return DONE
         with Log(self.log) as log:
             if log.problem:
-                stderr().print(f"{self.log}: {log.problem}; all that is whole in it is recovered", markup=False)
+                _remark(f"{self.log}: {log.problem}; all that is whole in it is recovered")
+            _remark_crcs(self.log, log.has_crcs)
         to = _named(self.to) if self.to is not None else recovered_name(self.log)
         code = _written(recover(self.log, to, overwrite=self.force))
-        stderr().print(f"{self.log} is as it was; once {to} is checked it can be removed", markup=False)
+        _remark(f"{self.log} is as it was; once {to} is checked it can be removed")
         return code
 
 
@@ -208,11 +213,25 @@ class NameRows:
         if self.tag is not None:
             tags = self._change(self.tag, tags, fingerprint)
         for tag in tags:
-            print(f"{tag.name}: rows {tag.first_row} to {tag.last_row}")
+            print(f"{shown(tag.name)}: {_rows_of(tag)}")
         return code
 
     def _is_everywhere(self) -> bool:
         return self.start is None and self.end is None and self.rows is None
+
+    def _tell_new(self, name: str) -> None:
+        """A name that nobody has used yet is perhaps one that was mistyped: its rows would be trained on."""
+        used = names_used(self.log.parent)
+        if name in used:
+            return
+        close = difflib.get_close_matches(name, used, n=1)
+        told = f"new tag {name!r}" + (f"; did you mean {close[0]}?" if close else "")
+        if not close or not (sys.stdin.isatty() and sys.stderr.isatty()):
+            _remark(told)
+            return
+        question = escape(shown(f"{told} Give {name!r} all the same?"))
+        if not Confirm.ask(question, default=False, console=stderr()):
+            raise UserError("nothing was tagged")
 
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
         try:
@@ -226,10 +245,14 @@ class NameRows:
         else:
             chosen = [Tag(*_stretch(self.log, self.start, self.end, self.rows), name)]
         if self.remove and not set(chosen) & set(tags):
-            held = ", ".join(f"{tag.name} (rows {tag.first_row} to {tag.last_row})" for tag in tags) or "none"
+            held = ", ".join(f"{tag.name} ({_rows_of(tag)})" for tag in tags) or "none"
             raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
+        if not self.remove:
+            self._tell_new(name)
         for tag in chosen:
             (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
+            if self.remove:
+                _remark(f"removed {tag.name}: {_rows_of(tag)}")
         return read_tags(self.log, fingerprint)
 
 
@@ -248,6 +271,10 @@ def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
     if len(logs) < least:
         raise UserError(f"give at least {least} log{'s' if least > 1 else ''}, such as sessions/lake.mcap")
     return logs
+
+
+def _rows_of(tag: Tag) -> str:
+    return f"rows {tag.first_row} to {tag.last_row}"
 
 
 def _named(to: Path) -> Path:
@@ -271,12 +298,24 @@ def _warn_stale(path: Path, count: int) -> int:
     """Tags of what had this name before are not lost in silence."""
     if not count:
         return DONE
-    return warn(f"{tags_path(path)}: {count} tags are of another content of {path.name} and do not count")
+    told = f"{counted(count, 'tag is', 'tags are')} of another content of {path.name} and"
+    return warn(f"{tags_path(path)}: {told} {'does' if count == 1 else 'do'} not count")
+
+
+def _remark(text: str) -> None:
+    """What a person should know, and no exit code need tell."""
+    stderr().print(shown(text), markup=False)
+
+
+def _remark_crcs(path: Path, has_crcs: bool) -> None:
+    if not has_crcs:
+        _remark(f"{path}: {WITHOUT_CRCS}")
 
 
 def _noted(path: Path) -> int:
-    """Say it of an unfinished log before it is used."""
+    """Say it of an unfinished log before it is used, and of one without CRCs."""
     with Log(path) as log:
+        _remark_crcs(path, log.has_crcs)
         return warn(log.notice) if log.notice else DONE
 
 
@@ -303,7 +342,8 @@ def _times(start_s: float | None, end_s: float | None) -> tuple[float, float]:
 def _written(written: Written) -> int:
     code = warn_skipped(written.skipped)
     size_mb = written.path.stat().st_size / 1e6
-    print(f"{written.path}: {written.rows:,} rows, {written.messages:,} messages, {size_mb:.1f} MB")
+    told = f"{counted(written.rows, 'row')}, {counted(written.messages, 'message')}, {size_mb:,.1f} MB"
+    print(f"{shown(str(written.path))}: {told}")
     return code
 
 
@@ -319,11 +359,15 @@ def _print_info(info: Info) -> None:
     for name, value in sorted(info.session.items()):
         console.print(f"  {_plain(name)}: {_plain(value)}")
     if info.drives is None or info.flags is None:
-        if info.session.get("source") != "prediction":
+        if not info.is_ours:
             console.print("  written by another program: `bc-log check` looks at what is in it")
+        elif info.session.get("source") != "prediction" and not _has_rows(info):
+            console.print("  no rows: nothing was driven")
     elif info.drives:
-        odd = ", ".join(f"{count:,} rows {flag}" for flag, count in info.flags.items() if count and flag != "gap")
-        console.print(f"  {info.drives} drive{'s' if info.drives > 1 else ''}; {odd or 'no odd rows'}")
+        odd = ", ".join(
+            f"{counted(count, 'row')} {flag}" for flag, count in info.flags.items() if count and flag != "gap"
+        )
+        console.print(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
     for stretch in info.stretches[:MOST_PLACES]:
         goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
         console.print(
@@ -331,9 +375,16 @@ def _print_info(info: Info) -> None:
             f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
         )
     if len(info.stretches) > MOST_PLACES:
-        console.print(f"    and {len(info.stretches) - MOST_PLACES} more stretches (--json lists them)")
+        more = counted(len(info.stretches) - MOST_PLACES, "more stretch", "more stretches")
+        console.print(f"    and {more} (--json lists them)")
+    for topic_name, sizes in info.picture_sizes.items():
+        console.print(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
     for tag in info.tags:
-        console.print(f"  tag {_plain(tag.name)}: rows {tag.first_row} to {tag.last_row}")
+        console.print(f"  tag {_plain(tag.name)}: {_rows_of(tag)}")
+
+
+def _has_rows(info: Info) -> bool:
+    return any(topic.topic == VEHICLE and topic.messages for topic in info.topics)
 
 
 def _plain(text: str) -> str:
@@ -341,8 +392,9 @@ def _plain(text: str) -> str:
 
 
 def _print_checked(checked: Checked) -> None:
-    looked = f", {checked.pictures:,} pictures decoded" if checked.pictures else ""
-    print(f"{shown(str(checked.path))}: {checked.messages:,} messages{looked}: {_verdict(checked)}")
+    looked = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
+    told = f"{counted(checked.messages, 'message')}{looked}: {_verdict(checked)}"
+    print(f"{shown(str(checked.path))}: {told}")
     by_kind = Skipped()
     for finding in checked.findings:
         by_kind.add(finding.kind, finding.where)
@@ -351,8 +403,7 @@ def _print_checked(checked: Checked) -> None:
 
 
 def _verdict(checked: Checked) -> str:
-    count = len(checked.findings)
-    return f"{count:,} finding{'s' if count > 1 else ''}" if count else "nothing wrong"
+    return counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
 
 
 ABOUT = """Look after logs: what is in one, is it sound, make new ones of it, name stretches of it.

@@ -1,13 +1,16 @@
-"""What a log that is made out of another one says of itself, and how it gets its name and its tags."""
+"""What all share that make a log out of others: what it says of itself, how it gets its name and its tags."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from common import Skipped, UserError
+from common.files import refuse_existing
 from common.interrupts import uninterrupted
 from common.versions import version_of
 from recorder import topics
@@ -15,6 +18,26 @@ from recorder.errors import LogError
 from recorder.log import Log
 from recorder.tags import Tag, add_tags
 from recorder.writer import LogWriter
+
+LAST_ROW: Final = 2**32 - 1
+"""Sequence numbers of MCAP have 32 bits."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A new log."""
+
+    path: Path
+    messages: int
+    rows: int
+    skipped: Skipped
+
+
+def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
+    """Raise UserError for a file that exists, and LogError for one of the originals even if it may be replaced."""
+    refuse_existing(to, overwrite)
+    if to.exists() and any(path.exists() and to.samefile(path) for path in originals):
+        raise LogError(f"{to}: the log itself, which stays as it is; give another name")
 
 
 def new_log(to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:

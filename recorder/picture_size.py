@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections import Counter
 from typing import Final
 
 from common.errors import counted
@@ -11,9 +11,10 @@ from common.errors import counted
 MOST_PIXELS: Final = 1 << 26
 """No larger picture is decoded: in memory it is up to 200 MB, and a car's camera gives a hundredth of it."""
 
+_MOST_SIZES: Final = 8  # of one camera's pictures, listed
+
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 
-_MOST_NAMED: Final = 8
 _JPEG_START: Final = b"\xff\xd8"
 _WITHOUT_LENGTH: Final = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})
 _NO_FRAMES: Final = frozenset({0xC4, 0xC8, 0xCC})  # tables among the numbers of the frames
@@ -40,22 +41,51 @@ def pixels(picture: bytes) -> int | None:
     return None if found is None else found[0] * found[1]
 
 
-def different_sizes(pictures: Mapping[tuple[int, int] | None, int]) -> str:
-    """What to tell of a recording with so many pictures of each width and height; "" if all have the same."""
-    told = sorted(((size, count) for size, count in pictures.items() if size is not None), reverse=True)
-    if len(told) < 2:
-        return ""
-    parts = [f"{width:,} x {height:,} px ({count:,})" for (width, height), count in told[:_MOST_NAMED]]
-    more = f", and {counted(len(told) - _MOST_NAMED, 'other size')}" if len(told) > _MOST_NAMED else ""
-    return (
-        f"pictures of different sizes: {', '.join(parts)}{more}. A network sees the same share of each: they"
-        " should show the same part of the world"
-    )
-
-
 def can_be_decoded(picture: bytes) -> bool:
     """Whether it begins as a JPEG or PNG of at most `MOST_PIXELS`."""
     return 0 < (pixels(picture) or 0) <= MOST_PIXELS
+
+
+class PictureSizes:
+    """How large each camera's pictures are: one that changes its size within a session is told."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, dict[tuple[int, int], tuple[int, int]]] = {}  # topic, size -> count, first row
+
+    def add(self, topic: str, row: int, picture: bytes) -> None:
+        size = width_and_height(picture)
+        sizes = self._found.setdefault(topic, {})
+        if size is not None and (size in sizes or len(sizes) < _MOST_SIZES):
+            count, first_row = sizes.get(size, (0, row))
+            sizes[size] = count + 1, first_row
+
+    def mixed(self) -> dict[str, str]:
+        """For each topic with pictures of several sizes what they are, the first of them listed."""
+        return {
+            topic: ", ".join(
+                f"{counted(count, 'picture')} of {width}x{height} (first: row {row})"
+                for (width, height), (count, row) in sizes.items()
+            )
+            for topic, sizes in sorted(self._found.items())
+            if len(sizes) > 1
+        }
+
+    def notices(self) -> list[str]:
+        """What to tell of a recording whose pictures are not all of one size, on whatever camera."""
+        counts: Counter[tuple[int, int]] = Counter()
+        for sizes in self._found.values():
+            counts.update({size: count for size, (count, _) in sizes.items()})
+        if len(counts) < 2:
+            return []
+        parts = [
+            f"{width:,} x {height:,} px ({count:,})"
+            for (width, height), count in sorted(counts.items(), reverse=True)
+        ]
+        return [
+            "pictures of different sizes:"
+            f" {', '.join(parts)}. A network sees the same share of each: they should show"
+            " the same part of the world"
+        ]
 
 
 def _frame(jpeg: bytes) -> int:

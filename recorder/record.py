@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,7 +32,7 @@ class Imported:
     rows: int
     pictures: int
     skipped: Skipped
-    notice: str = ""  # what a person should know of what is in it
+    notices: Sequence[str] = ()  # what a person should know of what is in it
 
 
 class SkippedEvents:
@@ -84,7 +85,7 @@ def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, ove
                     pictures += 1
             writer.vehicle(row.time_ns, row_count, vehicle_state(row))
             row_count += 1
-    return Imported(log, row_count, pictures, events.skipped, writer.notice)
+    return Imported(log, row_count, pictures, events.skipped, writer.notices)
 
 
 def udacity_metadata(folder: Path, rate_hz: float | None) -> dict[str, str]:

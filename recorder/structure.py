@@ -10,7 +10,6 @@ import io
 import itertools
 import re
 import struct
-import zlib
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -45,7 +44,7 @@ _CHUNK_START: Final = re.compile(
     rb"\x06.{3}\x00{5}.{16}.{3}\x00{5}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)", re.DOTALL
 )
 _SEARCH_BYTES: Final = 1 << 16
-_MOST_WASTE: Final = 16  # times the file's size that a search may read or unpack in vain
+_MOST_WASTE: Final = 16  # times the file's size
 _LEAST_BUDGET: Final = 1 << 24
 
 
@@ -109,7 +108,7 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
     damaged all over.
     """
     is_there = file.grow()
-    wasted, most_waste = 0, _MOST_WASTE * file.size + _LEAST_BUDGET
+    wasted, most_waste = 0, search_budget(file)
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
         end = position + RECORD.size + length
@@ -120,12 +119,12 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
         try:
             if end > file.size:
                 raise file.damaged("no record")
-            _take(file, opcode, position, end, found)
+            take(file, opcode, position, end, found)
         except LogError:
             wasted += min(end, file.size) - position
             if wasted > most_waste:
                 raise
-            end = _next_chunk(file, position + 1)
+            end = next_chunk(file, position + 1)
             if end == file.size:
                 break  # the next chunk may still come
             found.lost.append((position, end))
@@ -145,7 +144,7 @@ def _summary(file: McapFile) -> Structure | None:
     if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
         return None
     summary = file.read(start, file.size - start)
-    if crc and zlib.crc32(summary[: len(summary) - len(MAGIC) - 4]) != crc:
+    if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
         return None
     found = Structure()
     try:
@@ -180,7 +179,7 @@ def _summary(file: McapFile) -> Structure | None:
 
 def _walk(file: McapFile) -> Structure:
     found = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
-    position, wasted, most_waste = len(MAGIC), 0, _MOST_WASTE * file.size + _LEAST_BUDGET
+    position, wasted, most_waste = len(MAGIC), 0, search_budget(file)
     unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
@@ -192,11 +191,11 @@ def _walk(file: McapFile) -> Structure:
                 found.problem = "its end is damaged"
                 found.has_end = True
                 break
-            _take(file, opcode, position, end, found)
+            take(file, opcode, position, end, found)
         except LogError:
-            following = _next_chunk(file, unsure + 1) if wasted < most_waste else file.size
+            following = next_chunk(file, unsure + 1) if wasted < most_waste else file.size
             if following == position:
-                following = _next_chunk(file, position + 1)
+                following = next_chunk(file, position + 1)
             wasted += following - unsure + _SEARCH_BYTES + _cost(file, position, end)
             lost_from = position if following > position else unsure
             if found.lost and found.lost[-1][1] == lost_from:
@@ -213,7 +212,8 @@ def _walk(file: McapFile) -> Structure:
     return found
 
 
-def _take(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
+def take(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
+    """Add to `found` the record of a data section from `start` to `end`. Raises LogError where it is none."""
     if opcode == Opcode.CHUNK:
         definitions(file, file.records(Chunk(start, end)), found)
         compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
@@ -233,8 +233,8 @@ def _take(file: McapFile, opcode: int, start: int, end: int, found: Structure) -
 
 
 def _is_message(file: McapFile, start: int, end: int, found: Structure) -> bool:
-    """Files without chunks exist; no file has both, and a damaged chunk may look like a message."""
-    if end - start < MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
+    """Files without chunks exist, not of ours; no file has both, and a damaged chunk may look like a message."""
+    if file.promises_crcs or end - start < MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
         return False
     return MESSAGE.unpack(file.read(start, MESSAGE.size))[2] in found.channels
 
@@ -254,7 +254,12 @@ def _is_index(file: McapFile, start: int, end: int) -> bool:
     return length >= 6 and struct.unpack("<I", file.read(start + RECORD.size + 2, 4))[0] == length - 6
 
 
-def _next_chunk(file: McapFile, position: int) -> int:
+def search_budget(file: McapFile) -> int:
+    """How many bytes a search for what is whole may read or unpack in vain."""
+    return _MOST_WASTE * file.size + _LEAST_BUDGET
+
+
+def next_chunk(file: McapFile, position: int) -> int:
     """Where the next bytes are that look like a chunk; the file's size if nowhere."""
     while position < file.size:
         block = file.read(position, min(_SEARCH_BYTES + 64, file.size - position))

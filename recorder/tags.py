@@ -21,6 +21,7 @@ from recorder.errors import LogError
 
 EXCLUDE: Final = "exclude"
 """Rows with this tag are never trained on."""
+_ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
 _MOST_BYTES: Final = 1 << 24
 
@@ -35,7 +36,7 @@ class Tag:
 
 
 def tags_path(log: Path) -> Path:
-    return log.with_name(f"{log.name.removesuffix('.mcap')}.tags.jsonl")
+    return log.with_name(f"{log.name.removesuffix('.mcap')}{_ENDING}")
 
 
 def read_tags(log: Path, fingerprint: str) -> list[Tag]:
@@ -46,6 +47,16 @@ def read_tags(log: Path, fingerprint: str) -> list[Tag]:
 def stale_tags(log: Path, fingerprint: str) -> int:
     """How many tags beside the log are for another content of it. Raises what `read_tags` does."""
     return sum(len(tags) for content, tags in _by_content(log).items() if content != fingerprint)
+
+
+def names_used(folder: Path) -> set[str]:
+    """The names of the tags of all logs in a folder; EXCLUDE is always among them."""
+    names = {EXCLUDE}
+    for path in folder.glob(f"*{_ENDING}"):
+        with contextlib.suppress(LogError):  # whoever needs that one is told
+            tagged = _by_content(path.with_name(path.name.removesuffix(_ENDING)))
+            names |= {tag.name for tags in tagged.values() for tag in tags}
+    return names
 
 
 def add_tag(log: Path, fingerprint: str, tag: Tag) -> None:

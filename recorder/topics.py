@@ -8,6 +8,7 @@ Camera = Literal["center", "left", "right"]
 CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
 
 PROFILE: Final = "bc"
+LIBRARY: Final = "behavioural-cloning-toolkit"  # what an MCAP file says that it was written by, before the version
 SESSION_METADATA: Final = "bc.session"
 QUALITY_METADATA: Final = "bc.quality"
 DRIVE_METADATA: Final = "bc.drive"  # a drive's own summary
@@ -30,3 +31,15 @@ def camera_topic(camera: Camera) -> str:
 def prediction_topic(run: str) -> str:
     """Where it is kept what the network of a run says of recorded pictures."""
     return f"{PREDICTIONS}{run}"
+
+
+ROW_TOPICS: Final = frozenset(
+    (
+        *map(camera_topic, CAMERAS),
+        VEHICLE,
+        PILOT_INPUT,
+        PILOT_COMMAND,
+        POSE,
+    )
+)
+"""Their messages carry their row's number as sequence number."""

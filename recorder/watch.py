@@ -90,7 +90,7 @@ def watch_udacity(
         watched.finish()
         if not watched.rows:
             raise RecordingError(watched.why_nothing())
-    return Imported(log, watched.rows, watched.pictures, watched.skipped, writer.notice)
+    return Imported(log, watched.rows, watched.pictures, watched.skipped, writer.notices)
 
 
 class _Watched:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import time
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -29,12 +29,15 @@ from common.locks import lock
 from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.picture_size import PNG_START, different_sizes, width_and_height
+from recorder.compressed_image import SCHEMA, image_data
+from recorder.picture_size import PNG_START, PictureSizes
 from recorder.quality import StatesWritten, summary
-from recorder.topics import Camera, camera_topic, prediction_topic
+from recorder.topics import CAMERAS, Camera, camera_topic, prediction_topic
 
 CHUNK_BYTES: Final = 256 * 1024
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
+
+_CAMERA_TOPICS: Final = frozenset(map(camera_topic, CAMERAS))
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
 
@@ -74,7 +77,6 @@ class LogWriter:
         """
         files.refuse_existing(path, overwrite)
         self.path = path
-        self._sizes_px: Counter[tuple[int, int] | None] = Counter()  # width and height of the cameras' pictures
         self.part = files.part_path(path)
         self._overwrite = overwrite
         self._live = False  # until its beginning is written, nothing of it is worth keeping
@@ -87,6 +89,7 @@ class LogWriter:
         self._copied_channels: dict[tuple[object, ...], int] = {}
         self._copied_schemas: dict[tuple[str, str, bytes], int] = {}
         self._states = StatesWritten()
+        self._sizes = PictureSizes()
         self._sync: files.BackgroundSync | None = None
         self._folders: list[Path] = []
         try:
@@ -110,14 +113,14 @@ class LogWriter:
         self._mcap = McapWriter(
             self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
         )
-        self._to_disk(self._mcap.start, profile=profile, library=f"behavioural-cloning-toolkit {version_of()}")
+        self._to_disk(self._mcap.start, profile=profile, library=f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
 
     def picture(self, camera: Camera, time_ns: int, sequence: int, picture: bytes) -> None:
         """A camera's JPEG or PNG, byte for byte."""
-        self._sizes_px[width_and_height(picture)] += 1
         kind = "png" if picture.startswith(PNG_START) else "jpeg"
+        self._sizes.add(camera_topic(camera), sequence, picture)
         self._image(camera_topic(camera), time_ns, sequence, picture, kind)
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
@@ -160,6 +163,10 @@ class LogWriter:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+        elif channel.topic in _CAMERA_TOPICS and schema is not None and schema.name == SCHEMA:
+            at, length = image_data(message.data, 0, len(message.data))
+            if at >= 0:
+                self._sizes.add(channel.topic, sequence, message.data[at : at + length])
 
     def copy_attachment(self, attachment: Attachment) -> None:
         self._to_disk(
@@ -177,9 +184,9 @@ class LogWriter:
         return self._stream.tell()
 
     @property
-    def notice(self) -> str:
-        """What a person should know of the cameras' pictures until now, "" if nothing."""
-        return different_sizes(self._sizes_px)
+    def notices(self) -> list[str]:
+        """What a person should know of the cameras' pictures until now."""
+        return self._sizes.notices()
 
     def flush_if_due(self) -> None:
         """Close the chunk if the last flush is long enough ago (call it also while nothing arrives)."""
@@ -211,7 +218,9 @@ class LogWriter:
     def finish(self) -> None:
         """Write the summary; the log still has its temporary name (`part`)."""
         if len(self._states):
-            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()))
+            sizes = self._sizes.mixed()
+            told = {"picture_sizes": json.dumps(sizes)} if sizes else {}
+            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | told)
         self._to_disk(self._finish)
 
     def publish(self) -> None:

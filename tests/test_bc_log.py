@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
 
-from driving import run
+from driving import PATIENCE_S, command, environment, run
 from logs import START_NS, STEP_NS, read_messages, write_log
+from plain_mcap import contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.check import check
@@ -215,7 +220,9 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
         "exclude: rows 40 to 45",
     ]
     assert call(main, "tag", path, "exclude", "--rows", 40, 45, "--remove") == 0
-    assert capsys.readouterr().out.splitlines() == ["whole drive: rows 0 to 49", "exclude: rows 10 to 20"]
+    said = capsys.readouterr()
+    assert said.out.splitlines() == ["whole drive: rows 0 to 49", "exclude: rows 10 to 20"]
+    assert said.err == "removed exclude: rows 40 to 45\n"
     assert call(main, "tag", path, "exclude", "--remove") == 0
     assert capsys.readouterr().out.splitlines() == ["whole drive: rows 0 to 49"]
     assert call(main, "tag", path, "exclude", "--remove") == 1
@@ -273,6 +280,115 @@ def test_trim_merge_split_and_recover_write_new_logs(
     Path("a.mcap").rename("k.mcap.0a1b2c.part")
     assert call(main, "recover", "k.mcap.0a1b2c.part") == 0
     assert "k.mcap: 50 rows, 200 messages" in capsys.readouterr().out
+
+
+def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    assert call(main, "recover", path) == 0
+    assert capsys.readouterr().out == f"{path}: whole, nothing to recover; nothing was written\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
+    assert call(main, "recover", path, "--to", tmp_path / "b.mcap") == 0
+    assert "a.mcap: whole, nothing to recover\n" in capsys.readouterr().out
+    assert read_messages(tmp_path / "b.mcap").keys() == read_messages(path).keys()
+
+
+@pytest.mark.parametrize("what", ["chunk", "index", "summary", "metadata"])
+def test_what_is_not_whole_in_every_byte_is_recovered(
+    tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    data = bytearray(path.read_bytes())
+    chunk = contents(path).chunks[0]
+    place = {"chunk": chunk.end - 1, "index": chunk.end + 20, "summary": -60, "metadata": data.index(b"toolkit")}
+    data[place[what]] ^= 1
+    path.write_bytes(data)
+    assert call(main, "recover", path) == (1 if what == "chunk" else 0)  # its only chunk
+    assert (tmp_path / "a.recovered.mcap").exists() == (what != "chunk")
+    assert "whole, nothing to recover" not in capsys.readouterr().out
+
+
+def test_a_new_tag_is_said_with_what_may_have_been_meant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    told: list[tuple[str, str]] = [
+        ("exclud", "new tag 'exclud'; did you mean exclude?\n"),
+        ("recovery", "new tag 'recovery'\n"),
+        ("recovery", ""),
+        ("exclude", ""),
+    ]
+    for name, line in told:
+        assert call(main, "tag", path, name, "--rows", 1, 2) == 0
+        assert capsys.readouterr().err == line
+    other = write_log(tmp_path / "b.mcap", [0.2] * 5)  # names of the logs beside it are known, too
+    assert call(main, "tag", other, "recovery", "--rows", 1, 2) == 0
+    assert capsys.readouterr().err == ""
+    assert call(main, "tag", other, "recovry", "--rows", 1, 2) == 0
+    assert "did you mean recovery?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("answer", ["y", "n"])
+def test_a_terminal_is_asked_back(tmp_path: Path, answer: str) -> None:
+    pty = pytest.importorskip("pty")
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    ours, theirs = pty.openpty()
+    try:
+        process = subprocess.Popen(
+            command("bc-log", "tag", path, "exclud", "--rows", 1, 2),
+            stdin=theirs,
+            stdout=subprocess.PIPE,
+            stderr=theirs,
+            env=environment(),
+        )
+        said = b""
+        while b"all the same?" not in said:
+            said += os.read(ours, 1000)
+        os.write(ours, answer.encode() + b"\n")
+        out, _ = process.communicate(timeout=PATIENCE_S)
+    finally:
+        os.close(theirs)
+        os.close(ours)
+    assert (process.returncode, out) == ((0, b"exclud: rows 1 to 2\n") if answer == "y" else (1, b""))
+
+
+def test_info_of_a_drive_in_which_nothing_was_driven(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {"source": "drive"}) as writer:
+        writer.event(START_NS, "connected")
+    assert call(main, "info", path) == 0
+    told = capsys.readouterr().out
+    assert "no rows: nothing was driven" in told
+    assert "another program" not in told
+
+
+def test_pictures_of_several_sizes_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ok, small = cv2.imencode(".png", np.zeros((60, 80, 3), np.uint8))
+    assert ok
+    rows: list[tuple[float, float, float, bytes | None]] = [
+        (row / 10, 0.1, 0.0, small.tobytes() if row in (3, 4) else jpeg(50)) for row in range(6)
+    ]
+    path = log_with(tmp_path / "a.mcap", rows)
+    told = "4 pictures of 320x160 (first: row 0), 2 pictures of 80x60 (first: row 3)"
+    assert found_in(path) == [("cameras with pictures of several sizes", f"/camera/center: {told}")]
+    trimmed = tmp_path / "b.mcap"
+    assert call(main, "trim", path, "--to", trimmed, "--start", 0) == 0
+    capsys.readouterr()
+    for log in (path, trimmed):
+        assert info_of(log, capsys)["picture_sizes"] == {"/camera/center": told}
+        assert call(main, "info", log) == 0
+        assert "pictures of several sizes on /camera/center" in capsys.readouterr().out
+    assert call(main, "trim", path, "--to", tmp_path / "c.mcap", "--rows", 0, 2) == 0
+    capsys.readouterr()
+    assert info_of(tmp_path / "c.mcap", capsys)["picture_sizes"] == {}
+
+
+def test_one_is_not_said_as_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = log_with(tmp_path / "a.mcap", [(0.0, 0.1, 0.0, jpeg(50))])
+    for line in (["check", path], ["info", path], ["trim", path, "--to", tmp_path / "b.mcap", "--end", 1]):
+        assert call(main, *line) == 0
+        assert not re.search(r"\b1 (drives|rows|messages|pictures|findings)\b", capsys.readouterr().out)
 
 
 # What a review found

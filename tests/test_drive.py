@@ -36,7 +36,7 @@ from driving import PATIENCE_S, DriveProcess, Process, one_line_of, road_jpeg, r
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.edit import recover, recovered_name
+from recorder.recover import recover, recovered_name
 from recorder.telemetry import MAX_IMAGE_BYTES
 from rrd import contents, free_ports
 from serving import wait_until

@@ -31,8 +31,8 @@ from recorder import Log, LogWriter
 from recorder.bad_telemetry import MOST_OF_EACH
 from recorder.bc_pb2 import PilotCommand
 from recorder.check import check
-from recorder.edit import recover
 from recorder.green import GreenHost
+from recorder.recover import recover
 from recorder.telemetry import Telemetry, World
 from simulator.client import Answer, SimulatorClient, Told
 from simulator.client import Telemetry as SimulatorTelemetry

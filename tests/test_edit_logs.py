@@ -21,9 +21,11 @@ from logs import START_NS, STEP_NS, not_a_picture, write_log
 from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.edit import ROW_TOPICS, check_rows, merge, recover, rows_between, split, trim, trim_times
+from recorder.check import check
+from recorder.edit import check_rows, merge, rows_between, split, trim, trim_times
+from recorder.recover import recover
 from recorder.tags import Tag, add_tag, read_tags, tags_path
-from recorder.topics import CAMERAS
+from recorder.topics import CAMERAS, ROW_TOPICS
 from udacity import jpeg
 from waiting import PATIENCE_S
 
@@ -102,11 +104,36 @@ def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> N
 def test_an_unfinished_log_is_recovered_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
     part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
     done = recover(part, tmp_path / "b.mcap")
-    assert contents(done.path).messages == complete
-    assert done.rows == sum(message.topic == "/vehicle" for message in complete)
-    [(reason, where)] = done.skipped
+    rows = [message.sequence for message in complete if message.topic == "/vehicle"]
+    begun = [m for m in complete if m.topic in ROW_TOPICS and m.sequence > max(rows)]
+    assert begun
+    assert contents(done.path).messages == [message for message in complete if message not in begun]
+    assert done.rows == len(rows)
+    *unfinished, (reason, where) = done.skipped
+    assert unfinished == [
+        ("messages of a row that was never finished", f"{m.topic} row {m.sequence}") for m in begun
+    ]
     assert reason.startswith("stretches of bytes")
     assert where.endswith(f" to {part.stat().st_size:,}")
+
+
+def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
+    """Its last row may have a picture, and no steering yet."""
+    whole = drive(tmp_path / "a.mcap", range(20))
+    chunks = contents(whole).chunks
+    part, to = tmp_path / "a.mcap.0a1b2c.part", tmp_path / "b.mcap"
+    for chunk in chunks:
+        part.write_bytes(whole.read_bytes()[: chunk.end])
+        recover(part, to, overwrite=True)
+        assert check(to, look=False).findings == [], chunk.start
+
+
+def test_without_any_row_every_picture_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        for row in range(9):
+            writer.picture("center", START_NS + row, row, b"picture")
+    assert contents(recover(path, tmp_path / "b.mcap").path).messages == contents(path).messages
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])

@@ -16,7 +16,8 @@ from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, fin
 from dataset.cli import main
 from logs import START_NS, STEP_NS, write_log
 from recorder import Log
-from recorder.edit import merge, recover, trim
+from recorder.edit import merge, trim
+from recorder.recover import recover
 from recorder.tags import Tag, add_tag, remove_tag
 from recorder.topics import Camera
 from udacity import call, jpeg

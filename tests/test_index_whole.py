@@ -20,7 +20,7 @@ from dataset.cli import main
 from disk import files_of_at_most
 from logs import write_log
 from recorder import Log, LogError
-from recorder.edit import recover
+from recorder.recover import recover
 from udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(40)]  # 4 s

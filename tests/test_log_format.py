@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
+import cv2
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Chunk, DataEnd, Footer, Header
@@ -24,8 +26,9 @@ from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.donkeycar import import_tub
-from recorder.edit import merge, recover, split, trim
+from recorder.edit import merge, split, trim
 from recorder.foreign import import_foreign
+from recorder.recover import recover
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.tags import Tag, read_tags
 from recorder.topics import CAMERAS, Camera
@@ -230,6 +233,12 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     )
     assert evaluated.returncode == 0, evaluated.stderr
     path["drive"] = folder / "pilot-lake-10mph.mcap"
+
+    path["two sizes"] = folder / "two sizes.mcap"
+    with LogWriter(path["two sizes"], {"source": "udacity"}) as writer:
+        for row, size in enumerate([(160, 320), (60, 80)]):
+            writer.picture("center", row, row, cv2.imencode(".jpg", np.zeros(size, np.uint8))[1].tobytes())
+            writer.vehicle(row, row, VehicleState())
 
     recover(path["udacity"], path["recovered"])
     trim(path["simulator"], path["trimmed"], (1, 2))

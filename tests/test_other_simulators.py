@@ -149,10 +149,10 @@ def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: 
     assert callable(record)
     folder = tmp_path / "torcs"
     make_folder(folder)
-    assert record(folder, tmp_path / "one.mcap", 20).notice == ""
+    assert record(folder, tmp_path / "one.mcap", 20).notices == []
     (folder / "IMG" / "2.jpg").write_bytes(picture_of(640, 480))
     (folder / "IMG" / "3.jpg").write_bytes(picture_of(640, 480))
-    notice = record(folder, tmp_path / "two.mcap", 20).notice
+    (notice,) = record(folder, tmp_path / "two.mcap", 20).notices
     assert notice.startswith("pictures of different sizes: 640 x 480 px (2), 320 x 160 px (2).")
 
 

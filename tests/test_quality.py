@@ -16,8 +16,8 @@ from logs import START_NS
 from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.edit import recover
 from recorder.quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, stretches, summary
+from recorder.recover import recover
 
 SECOND_NS = 1_000_000_000
 

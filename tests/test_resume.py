@@ -22,7 +22,7 @@ from safetensors.numpy import load_file, save_file
 
 from dataset import IndexConfig, build_index
 from disk import files_of_at_most
-from driving import PATIENCE_S, Process, command, environment
+from driving import Process, command, environment
 from logs import write_log
 from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main

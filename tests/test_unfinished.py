@@ -29,7 +29,7 @@ from logs import START_NS, STEP_NS, write_log
 from plain_mcap import Contents, StoredChunk, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.edit import recover, recovered_name
+from recorder.recover import recover, recovered_name
 from recorder.topics import CAMERAS, Camera
 from simulator.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
 from udacity import make_recording, paths

@@ -24,7 +24,7 @@ from common.files import refuse_existing
 from common.progress import progress_bar, track
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.edit import recover
+from recorder.recover import recover
 from recorder.topics import PILOT_COMMAND, POSE, VEHICLE, camera_topic
 from viz.clock import Times, log_clock, on_clock
 from viz.drawing import Drawing, Values, curve_values, frame_size

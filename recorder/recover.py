@@ -1,0 +1,129 @@
+"""Making a finished log out of one that is unfinished or damaged."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+from common import Skipped
+from common.errors import counted
+from common.files import final_path
+from common.locks import is_being_written
+from common.progress import track
+from recorder import topics
+from recorder.chunks import Chunk
+from recorder.errors import LogError
+from recorder.log import Log
+from recorder.new_log import LAST_ROW, Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
+from recorder.tags import Tag, read_tags
+from recorder.topics import ROW_TOPICS
+
+
+def recovered_name(path: Path) -> Path:
+    """Where a recovered log goes unless told otherwise: what was being written gets the name it would have had,
+    unless its recording still goes on, and will take that name itself."""
+    meant = final_path(path)
+    if meant != path and not meant.exists() and not is_being_written(path):
+        return meant
+    return meant.with_name(f"{meant.name.removesuffix('.mcap')}.recovered.mcap")
+
+
+def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
+    """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
+
+    A chunk is taken if its CRC holds, wherever it lies. In a log of ours, chunks come in the order of their rows,
+    and what belongs to a row that was never finished is left out; all that is left out is in `skipped`.
+
+    Raises LogError if nothing is whole, or if `to` is the name that the recording will take, which still goes on.
+    """
+    skipped = Skipped()
+    refuse_taken(to, [path], overwrite)  # before a long log is read
+    goes_on = is_being_written(path)
+    if goes_on and to == final_path(path):
+        raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
+    with Log(path, salvages=True) as log:
+        chunks, last_row = _in_order_of_rows(log)
+        records = _sound_metadata(log, skipped)
+        session = dict(records).get(topics.SESSION_METADATA, {})
+        tags = _sound_tags(log, skipped)
+        count, unfinished, rows = 0, 0, list[int]()
+        with new_log(to, session, {"recovered_from": path.name}, overwrite) as writer:
+            for chunk in track(chunks, f"recovering {path.name}", len(chunks)):
+                try:
+                    for schema, channel, message in log.messages_of(chunk, skipped):
+                        if channel.topic in ROW_TOPICS and message.sequence > last_row:
+                            unfinished += 1
+                            skipped.add(
+                                "messages of a row that was never finished",
+                                f"{channel.topic} row {message.sequence}",
+                            )
+                            continue
+                        writer.copy(schema, channel, message, message.sequence)
+                        count += 1
+                        if channel.topic == topics.VEHICLE:
+                            rows.append(message.sequence)
+                except LogError:
+                    skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
+            if not count:
+                raise LogError(f"{path}: not one whole message in it: there is nothing to recover")
+            copy_rest(log, records, writer, skipped)
+            close_with_tags(writer, tags_of_rows(tags, rows))
+    for start, end in log.lost:
+        if log.problem:
+            skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
+        else:
+            skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
+    lost = (log.told_messages or 0) - count - unfinished
+    if lost > 0:
+        skipped.add("losses in all", f"{lost:,} of {counted(log.told_messages or 0, 'message')}")
+    if goes_on:
+        skipped.add("recordings' ends, because they still go on", path.name)
+    return Written(to, count, len(rows), skipped)
+
+
+def _in_order_of_rows(log: Log) -> tuple[list[Chunk], int]:
+    """A log's chunks in the order in which they were written, wherever they lie now, and its last row.
+
+    The rows tell, unless several chunks claim the same ones. Another program's log stays as it is.
+    """
+    rows = [_rows_in(log, chunk) for chunk in log.chunks] if log.is_ours else []
+    driven = [row for its_rows in rows for topic, row in its_rows if topic == topics.VEHICLE]
+    if not driven:
+        return log.chunks, LAST_ROW
+    spans = [(min(numbers), max(numbers)) for numbers in ([row for _, row in its] for its in rows) if numbers]
+    firsts, first = [], -1
+    for its_rows in rows:
+        first = min((row for _, row in its_rows), default=first)  # without any, it stays behind the one before
+        firsts.append(first)
+    order = sorted(range(len(firsts)), key=firsts.__getitem__)
+    is_clear = all(earlier[1] <= later[0] for earlier, later in itertools.pairwise(sorted(spans)))
+    return [log.chunks[at] for at in order] if is_clear else log.chunks, max(driven)
+
+
+def _rows_in(log: Log, chunk: Chunk) -> list[tuple[str, int]]:
+    """Topic and number of every message that belongs to a row."""
+    try:
+        messages = log.messages_of(chunk, Skipped())
+        return [
+            (channel.topic, message.sequence) for _, channel, message in messages if channel.topic in ROW_TOPICS
+        ]
+    except LogError:
+        return []
+
+
+def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str]]]:
+    records = []
+    for offset in log.metadata_records:
+        try:
+            records.append(log.metadata_record(offset))
+        except LogError:
+            skipped.add("damaged metadata records", f"at byte {offset:,}")
+    return records
+
+
+def _sound_tags(log: Log, skipped: Skipped) -> list[Tag]:
+    try:
+        return read_tags(log.path, log.fingerprint)
+    except LogError as error:
+        skipped.add("damaged files of tags", str(error))
+        return []
