@@ -66,6 +66,7 @@ class Driver:
         self._nonsense_since_s: float | None = None
         self._gave_number = True
         self._said_size = False
+        self._said_of_world: set[str] = set()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
         """The command for what the simulator told.
@@ -85,10 +86,20 @@ class Driver:
         else:
             parsed_s = time.perf_counter()
             decision = self._answer(told, parsed_s, self._clock.at(now_s, told.world))
-            if told.world is not None:
-                decision = replace(decision, events=(*self._course.after(told.world), *decision.events))
+            events = self._of_world(told)
+            if events:
+                decision = replace(decision, events=(*events, *decision.events))
         self._steering = decision.steering
         return replace(decision, parse_ms=(parsed_s - received_s) * 1e3)
+
+    def _of_world(self, told: Telemetry) -> list[str]:
+        """What has happened on the course, and, once, what of the world cannot be used."""
+        events = [] if told.world is None else self._course.after(told.world)
+        for problem in told.world_problems:
+            if problem not in self._said_of_world:
+                self._said_of_world.add(problem)
+                events.append(f"the simulator's world is not used whole: {problem}")
+        return events
 
     def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
         """The answer to a telemetry; whether its picture can be used is found out here."""
@@ -129,8 +140,9 @@ class Driver:
         wanted = min(max(predicted, -1.0), 1.0)
         if self._takeover is not None:
             events += self._takeover.after(time_s, told.world, wanted)
-        if self._takeover is not None and self._takeover.expert_drives and told.world is not None:
-            steering, throttle = told.world.expert_steering, told.world.expert_throttle
+        expert = None if told.world is None else told.world.expert
+        if self._takeover is not None and self._takeover.expert_drives and expert is not None:
+            steering, throttle = expert
             self._filter.note(time_s, steering)
         else:
             steering = self._filter.at(time_s, wanted)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from common.errors import counted
 from drive.clock import DriveClock
 from drive.latency import Latency
 from recorder.quality import GAP_S
-from recorder.telemetry import World
+from recorder.world import World
 from simulator.course import INTERVENTION_COST_S
 from simulator.vehicle import MPS_PER_MPH
 
@@ -61,8 +61,10 @@ class DriveSummary:
         self._told_s = 0.0  # of `elapsed_s`, with a telemetry that told the speed
         self._speed_mph = 0.0
         self._world: World | None = None
-        self._frames_with_world = 0
+        self._frames_with_laps = 0
+        self._frames_with_interventions = 0
         self._laps = 0.0  # as far as they were told
+        self._simulated_s = 0.0  # of `elapsed_s`, by the simulator's clock
         self._driver = "pilot"  # who drove last: pilot, expert or human
         self._steering = 0.0
         self._telemetries = 0
@@ -109,7 +111,7 @@ class DriveSummary:
     @property
     def laps(self) -> float | None:
         """Driven, with the part of the present one; None where a simulator that does not tell drove some of it."""
-        return self._laps if self.frames and self._frames_with_world == self.frames else None
+        return self._laps if self.frames and self._frames_with_laps == self.frames else None
 
     @property
     def interventions(self) -> int:
@@ -122,6 +124,14 @@ class DriveSummary:
             return 100.0
         lost_s = INTERVENTION_COST_S * self.interventions
         return 100.0 * (1.0 - lost_s / self.elapsed_s) if self.elapsed_s > lost_s else 0.0
+
+    @property
+    def clock(self) -> Literal["simulator", "computer", "both"]:
+        """Whose seconds `elapsed_s` holds."""
+        if not self._simulated_s:
+            return "computer"
+        # what is no more than rounding is nobody's
+        return "simulator" if self.elapsed_s - self._simulated_s < 1e-3 else "both"
 
     @property
     def mean_speed_mph(self) -> float:
@@ -153,13 +163,14 @@ class DriveSummary:
             numbers[f"{stage}_p50_ms"] = latency.percentile_ms(50)
             numbers[f"{stage}_p99_ms"] = latency.percentile_ms(99)
             numbers[f"{stage}_max_ms"] = latency.max_ms
-        return counts | {name: f"{number:.3f}" for name, number in numbers.items()}
+        return counts | {"clock": self.clock} | {name: f"{number:.3f}" for name, number in numbers.items()}
 
     def lines(self) -> list[str]:
         """For people, at the end of a drive."""
         laps = "" if self.laps is None else f"{self.laps:.2f} laps, "
         lines = [
-            f"{self.frames:,} frames in {self.elapsed_s:,.1f} s: {laps}{self.distance_m:,.0f} m,"
+            f"{counted(self.frames, 'frame')} in {self.elapsed_s:,.1f} s{self._clock_told()}: {laps}"
+            f"{self.distance_m:,.0f} m,"
             f" {self.mean_speed_mph:.1f} mph on average",
             f"autonomy {self.autonomy_percent:.1f} %, {self._interventions_told()}{self._untold()}"
             if self.frames
@@ -212,26 +223,39 @@ class DriveSummary:
         time_s = self._clock.at(now_s, world)
         passed_s = time_s - self._time_s
         self._time_s = time_s
-        if world is None and passed_s > GAP_S:
+        if self._clock.is_simulated:
+            self._simulated_s += passed_s
+        elif passed_s > GAP_S:
             return 0.0
         self.elapsed_s += passed_s
         return passed_s
 
     def _course(self, world: World) -> None:
-        self._frames_with_world += 1
         before = self._world
         self._world = world
-        if before is None or world.time_s < before.time_s:  # another simulator, or another drive of it
+        if before is None or _is_another_drive(before, world):
             before = world
-        self._laps += world.laps - before.laps
-        self.put_back += max(0, world.interventions - before.interventions)
+        if world.laps is not None:
+            self._frames_with_laps += 1
+            if before.laps is not None:
+                self._laps += world.laps - before.laps
+        if world.interventions is not None:
+            self._frames_with_interventions += 1
+            if before.interventions is not None:
+                self.put_back += max(0, world.interventions - before.interventions)
 
     def _untold(self) -> str:
         """What the interventions leave out."""
-        frames = self.frames - self._frames_with_world
+        frames = self.frames - self._frames_with_interventions
         if frames == self.frames:
             return " (this simulator does not tell when the car leaves the road)"
         return f" (for {counted(frames, 'frame')} nobody told when the car left the road)" if frames else ""
+
+    def _clock_told(self) -> str:
+        """Whose seconds those of the drive are, where it is not this computer's alone."""
+        if self.clock == "both":
+            return f" ({self._simulated_s:,.1f} s by the simulator's clock)"
+        return " by the simulator's clock" if self.clock == "simulator" else ""
 
     def _interventions_told(self) -> str:
         whose = (
@@ -241,3 +265,8 @@ class DriveSummary:
         )
         told = ", ".join(f"{number:,} {who}" for number, who in whose if number)
         return counted(self.interventions, "intervention") + (f": {told}" if told else "")
+
+
+def _is_another_drive(before: World, world: World) -> bool:
+    """Of another simulator, or of the same one, begun anew."""
+    return before.time_s is not None and world.time_s is not None and world.time_s < before.time_s

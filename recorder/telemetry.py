@@ -9,13 +9,13 @@ import base64
 import binascii
 import math
 import re
-from dataclasses import dataclass, fields
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 from recorder.topics import MAX_STEERING_DEG
+from recorder.world import World, parse_world
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
-MAX_WORLD_NUMBER: Final = 1e9  # of any unit: 31 years, a million kilometres; what is beyond is no world
 
 MAX_SPEED_MPH: Final = 1e7  # what is beyond makes distances that nobody can read
 
@@ -27,24 +27,6 @@ class TelemetryError(ValueError):
 
 
 @dataclass(frozen=True)
-class World:
-    """What only the built-in simulator knows of the moment, and tells if asked to (`bc-sim --tell-world`)."""
-
-    time_s: float  # the simulated clock, 0 at the start; never negative
-    x_m: float  # of the ground under the middle of the rear axle: east, north, up
-    y_m: float
-    z_m: float
-    heading_rad: float  # counter-clockwise from +x
-    pitch_rad: float  # nose up is positive
-    roll_rad: float  # right side down is positive
-    offset: float  # from the centre line, as a share of the road's half width, positive to the left
-    laps: float  # driven
-    interventions: int  # how often the simulator has put the car back on the road; never negative
-    expert_steering: float  # -1 (left) .. 1 (right): what its expert would command now
-    expert_throttle: float  # -1 .. 1
-
-
-@dataclass(frozen=True)
 class Telemetry:
     """One moment as the simulator tells it."""
 
@@ -53,7 +35,8 @@ class Telemetry:
     speed_mph: float
     jpeg: bytes
     decimal_comma: bool  # the simulator's machine writes 0,5 for a half, and wants to read it
-    world: World | None = None  # None unless the built-in simulator tells it
+    world: World | None = None  # None unless the simulator tells more than the real one does
+    world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
 
 
 def parse_telemetry(data: object) -> Telemetry:
@@ -67,13 +50,15 @@ def parse_telemetry(data: object) -> Telemetry:
     speed_mph = _number(data, "speed", decimal_comma)
     if abs(speed_mph) > MAX_SPEED_MPH:
         raise TelemetryError(f"speed is beyond {MAX_SPEED_MPH:,.0f} mph")
+    world, world_problems = parse_world(data.get("world"), decimal_comma)
     return Telemetry(
         steering=min(max(degrees / MAX_STEERING_DEG, -1.0), 1.0),
         throttle=min(max(_number(data, "throttle", decimal_comma), 0.0), 1.0),
         speed_mph=speed_mph,
         jpeg=_image(data.get("image")),
         decimal_comma=decimal_comma,
-        world=_world(data.get("world")),
+        world=world,
+        world_problems=world_problems,
     )
 
 
@@ -105,25 +90,6 @@ def _number(data: dict[object, object], field: str, decimal_comma: bool) -> floa
     if not math.isfinite(number):
         raise TelemetryError(f"{field} is not finite")
     return number
-
-
-_WORLD: Final = tuple(field.name for field in fields(World))
-
-
-def _world(value: object) -> World | None:
-    """None for anything else than an object with all of a world's names, each a JSON number that can be."""
-    if not isinstance(value, dict):
-        return None
-    told: dict[str, Any] = {name: value.get(name) for name in _WORLD}
-    for number in told.values():
-        # neither NaN, nor what overflows where somebody calculates with it
-        if type(number) not in (float, int) or not -MAX_WORLD_NUMBER <= number <= MAX_WORLD_NUMBER:
-            return None
-    if type(told["interventions"]) is not int or told["interventions"] < 0 or told["time_s"] < 0:
-        return None
-    for name in ("expert_steering", "expert_throttle"):
-        told[name] = min(max(told[name], -1.0), 1.0)
-    return World(**told)
 
 
 def _image(value: object) -> bytes:

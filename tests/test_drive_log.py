@@ -32,7 +32,8 @@ from recorder.bc_pb2 import PilotCommand
 from recorder.check import check
 from recorder.edit import recover
 from recorder.green import GreenHost
-from recorder.telemetry import Telemetry, World
+from recorder.telemetry import Telemetry
+from recorder.world import World
 from simulator.client import Answer, SimulatorClient, Told
 from simulator.client import Telemetry as SimulatorTelemetry
 
