@@ -63,6 +63,8 @@ class DriveSummary:
         self._world: World | None = None
         self._frames_with_laps = 0
         self._frames_with_interventions = 0
+        self.has_expert = False
+        """Whether the simulator told, at least once, what an expert needs to take over."""
         self._laps = 0.0  # as far as they were told
         self._simulated_s = 0.0  # of `elapsed_s`, by the simulator's clock
         self._driver = "pilot"  # who drove last: pilot, expert or human
@@ -235,6 +237,7 @@ class DriveSummary:
         self._world = world
         if before is None or _is_another_drive(before, world):
             before = world
+        self.has_expert |= world.offset is not None and world.expert is not None
         if world.laps is not None:
             self._frames_with_laps += 1
             if before.laps is not None:
