@@ -46,7 +46,7 @@ class Course:
         try:
             load_track(self.track)
         except ValueError as error:
-            raise DriveError(str(error)) from None
+            raise DriveError(f"--simulator {self.track}: {error}") from None
 
     @property
     def name(self) -> str:
