@@ -25,7 +25,7 @@ from common.command import (
     warn,
     warn_skipped,
 )
-from common.errors import shown
+from common.errors import counted, shown
 from recorder.check import Checked, check
 from recorder.edit import (
     Written,
@@ -92,6 +92,33 @@ class Check:
         else:
             _print_checked(checked)
         return DONE_BUT_SKIPPED if checked.findings else DONE
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """How far the side cameras are from the centre one, measured in their pictures, and the `bc-index
+    --side-correction` that goes with it: 0.2 is that of Udacity's."""
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    """Logs with pictures of all three cameras."""
+
+    def run(self) -> int:
+        return _each(self.logs, self._one)
+
+    def _one(self, path: Path) -> int:
+        from recorder.side_cameras import UDACITY_SPACING, side_cameras  # OpenCV
+
+        code = _noted(path)
+        with Log(path) as log:
+            found = side_cameras(log)
+        print(
+            shown(
+                f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
+                f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
+                f" `bc-index --side-correction {found.side_correction:g}`"
+            )
+        )
+        return code
 
 
 @dataclass(frozen=True)
@@ -236,6 +263,7 @@ class NameRows:
 Command = (
     Annotated[ShowInfo, tyro.conf.subcommand("info")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Cameras, tyro.conf.subcommand("cameras")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Trim, tyro.conf.subcommand("trim")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
