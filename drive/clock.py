@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
-
+from recorder.log_time import LONGEST_STEP_S
 from recorder.world import World
-
-LONGEST_STEP_S: Final = 60.0
-"""Simulated time that jumps farther than this from one telemetry to the next is another clock."""
 
 
 class DriveClock:

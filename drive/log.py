@@ -13,9 +13,9 @@ import cv2
 from common import UserError
 from common.closing import Closing
 from drive.log_thread import LogThread
-from drive.log_time import LogClock
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log_time import LogClock
 from recorder.pose import pose_message
 from recorder.telemetry import Telemetry
 from recorder.writer import EventLevel

@@ -24,7 +24,6 @@ from common import UserError
 from disk import files_of_at_most
 from drive.driver import Decision
 from drive.log import MOST_OF_EACH, MOST_REASONS, DriveLog
-from drive.log_time import LogClock
 from driving import PATIENCE_S, DriveProcess, environment, road_jpeg, run, untrained_run
 from logs import read_messages
 from recorder import Log, LogWriter
@@ -32,6 +31,7 @@ from recorder.bc_pb2 import PilotCommand
 from recorder.check import check
 from recorder.edit import recover
 from recorder.green import GreenHost
+from recorder.log_time import LogClock
 from recorder.telemetry import Telemetry
 from recorder.world import World
 from simulator.client import Answer, SimulatorClient, Told
