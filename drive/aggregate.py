@@ -16,8 +16,9 @@ from typing import Final
 import torch
 
 from dataset import DatasetError, build_index, find_logs
-from drive.closed_loop import Course, drive_course
+from drive.closed_loop import Course
 from drive.config import DriveConfig
+from drive.connecting import Connecting
 from drive.errors import DriveError
 from model import TrainConfig, load_pilot, train
 from model.like import data_of_run
@@ -34,7 +35,7 @@ class Round:
 
     run: str  # the run that drove
     log: Path
-    laps: float
+    laps: float | None  # None where the simulator does not tell them
     interventions: int  # the expert took over, or the simulator put the car back
     autonomy_percent: float | None
 
@@ -52,13 +53,14 @@ class Aggregation:
     """`rounds` times: drive `course`, index the takeovers with what `run` was trained on, train its weights on.
 
     Everything is named after the run and the track: drives/RUN-TRACK-0.mcap, the index index-RUN-TRACK, and
-    runs/RUN-TRACK-1 and so on. Raises UserError at once if one of these exists, or a log of the run is gone.
+    runs/RUN-TRACK-1 and so on; with a simulator that connects by itself, TRACK is "connected". Raises UserError
+    at once if one of these exists, or a log of the run is gone.
     """
 
     def __init__(
         self,
         run: Path,
-        course: Course,
+        course: Course | Connecting,
         config: DriveConfig,
         rounds: int,
         places: Places,
@@ -72,7 +74,7 @@ class Aggregation:
         self._threads = torch.get_num_threads()  # a pilot drives on one
         self._settings, fingerprints = data_of_run(run)
         self._sessions = _sessions(run, fingerprints, places)
-        name = f"{run_name(run)}-{course.track.replace(':', '-')}"
+        name = f"{run_name(run)}-{course.name}"
         self._index = places.runs.parent / f"index-{name}"
         self._logs = [places.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
         self._runs = [run, *(places.runs / f"{name}-{number}" for number in range(1, rounds + 1))]
@@ -91,7 +93,7 @@ class Aggregation:
                     said(f"training {run}")
                     self._train(run, self._runs[trained], self._logs[:number])
                     trained = number
-                said(f"{run_name(run)} drives {self._course.track}, the expert takes over where it has to")
+                said(f"{run_name(run)} drives {self._course.where}, the expert takes over where it has to")
                 done = self._drive(run, log, mode)
             except KeyboardInterrupt:
                 said(self._way_on(number, trained))
@@ -117,7 +119,7 @@ class Aggregation:
         if not trained:
             left = self._left()
             return f"{told}to begin again, move away {left}" if left else "nothing was driven yet"
-        drive = shlex.join(("bc-drive", str(self._runs[trained]), "--simulator", self._course.track))
+        drive = shlex.join(("bc-drive", str(self._runs[trained]), *self._course.flags))
         more = len(self._runs) - 1 - trained
         aggregate = f"{drive} --aggregate {more}" if more else f"{drive} --takeover"
         return f"{told}go on with `{aggregate}` and the other flags as before"
@@ -134,8 +136,8 @@ class Aggregation:
     def _drive(self, run: Path, log: Path, mode: ServerMode) -> Round:
         pilot = load_pilot(run)
         pilot.get_ready()
-        _, summary = drive_course(pilot, self._course, self._config, log, mode=mode)
-        return Round(run_name(run), log, summary.laps or 0.0, summary.interventions, summary.autonomy_percent)
+        summary = self._course.drive(pilot, self._config, log, mode)
+        return Round(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
 
 
 def _sessions(run: Path, fingerprints: dict[str, str], places: Places) -> list[Path]:

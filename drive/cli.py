@@ -43,14 +43,15 @@ class Drive:
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
     """Start the built-in simulator on a track (lake, mountain, random:SEED), and end when it has driven."""
     laps: float = 1.0
-    """How far the built-in simulator drives."""
+    """How far the built-in simulator drives; with --aggregate, each round of any simulator that tells its laps."""
     real_time: bool = False
     """The built-in simulator goes no faster than the clock; otherwise it hurries from answer to answer."""
     takeover: bool = False
-    """The built-in simulator's expert takes over where the network leaves the lane; `bc-index --sessions drives
-    --drives takeovers` makes samples of that."""
+    """The simulator's expert takes over where the network leaves the lane, if the simulator tells of one, as the
+    built-in one does; `bc-index --sessions drives --drives takeovers` makes samples of that."""
     aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
-    """So often, train on what the expert did where it took over, and drive again (dataset aggregation)."""
+    """So often, train on what the expert did where it took over, and drive again (dataset aggregation). Without
+    --simulator, each round drives the simulator that connects."""
     epochs: int = 5
     """Epochs of each training of --aggregate."""
     sessions: Path = Path("sessions")
@@ -145,15 +146,15 @@ def drive(config: Drive) -> int:
 
 def _refuse_contradictions(config: Drive) -> None:
     """Raise UserError for flags that would be passed over."""
-    if config.simulator is None and (flags := flags_given(config, "laps", "real_time", "aggregate")):
+    if config.simulator is None and (flags := flags_given(config, "real_time")):
         raise UserError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
+    if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):
+        raise UserError(f"{flags}: only with --simulator TRACK or --aggregate N: else it drives until Ctrl-C")
     if config.simulator is not None and (flags := flags_given(config, "host", "port")):
         raise UserError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
     if config.aggregate is None and (flags := flags_given(config, "epochs", "sessions")):
         raise UserError(f"{flags}: only with --aggregate N")
-    if config.aggregate is not None and (
-        flags := flags_given(config, "log", "viewer", "precision", "port", "force")
-    ):
+    if config.aggregate is not None and (flags := flags_given(config, "log", "viewer", "precision", "force")):
         raise UserError(
             f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"
             " fastest arithmetic; leave it out"
@@ -197,6 +198,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     """Drive and train by turns."""
     from drive.aggregate import Aggregation, Places, Round
     from drive.closed_loop import Course
+    from drive.connecting import Connecting
     from model import TrainConfig, find_run
 
     rounds: list[Round] = []
@@ -205,9 +207,10 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     def say(text: str) -> None:
         console.print(f"bc-drive: {text}", markup=False)
 
-    assert config.simulator is not None  # noqa: S101
     assert config.aggregate is not None  # noqa: S101
-    course = Course(config.simulator, config.laps, config.real_time)
+    course: Course | Connecting = Connecting(config.laps, config.host, config.port)
+    if config.simulator is not None:
+        course = Course(config.simulator, config.laps, config.real_time)
     places = Places(config.sessions, Path("drives"), config.runs)
     try:
         training = TrainConfig(epochs=config.epochs)
@@ -226,7 +229,8 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
             for each in rounds:
                 percent = each.autonomy_percent
                 autonomy = "unknown" if percent is None else f"{percent:.1f} %"
-                table.add_row(each.run, f"{each.laps:.2f}", str(each.interventions), autonomy, str(each.log))
+                laps = "unknown" if each.laps is None else f"{each.laps:.2f}"
+                table.add_row(each.run, laps, f"{each.interventions:,}", autonomy, str(each.log))
             stdout().print(table)
     return DONE
 

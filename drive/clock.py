@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-from recorder.telemetry import World
-
-LONGEST_STEP_S: Final = 60.0
-"""Simulated time that jumps farther than this from one telemetry to the next is another clock."""
+from recorder.log_time import LONGEST_STEP_S
+from recorder.world import World
 
 
 class DriveClock:
@@ -22,13 +18,16 @@ class DriveClock:
         self._time_s = 0.0
         self._now_s: float | None = None
         self._world_s: float | None = None
+        self.is_simulated = False
+        """Whether what passed before the last telemetry is by the simulator's own clock."""
 
     def at(self, now_s: float, world: World | None) -> float:
         """The time of a telemetry that came at `now_s` of a monotonic clock."""
         world_s = None if world is None else world.time_s
         passed_s = 0.0 if self._now_s is None else now_s - self._now_s
+        self.is_simulated = False
         if world_s is not None and self._world_s is not None and world_s - self._world_s <= LONGEST_STEP_S:
-            passed_s = world_s - self._world_s
+            passed_s, self.is_simulated = world_s - self._world_s, True
         self._now_s, self._world_s = now_s, world_s
         self._time_s += max(0.0, passed_s)
         return self._time_s

@@ -42,12 +42,35 @@ class Course:
 
     def __post_init__(self) -> None:
         """Raises DriveError for a course that nobody can drive."""
-        if not 0 < self.laps < math.inf:
-            raise DriveError(f"--laps {self.laps:g}: how far to drive is a number above 0")
+        check_laps(self.laps)
         try:
             load_track(self.track)
         except ValueError as error:
-            raise DriveError(str(error)) from None
+            raise DriveError(f"--simulator {self.track}: {error}") from None
+
+    @property
+    def name(self) -> str:
+        """What logs and runs are called after it."""
+        return self.track.replace(":", "-")
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """What of a command line chooses it."""
+        return "--simulator", self.track
+
+    @property
+    def where(self) -> str:
+        return self.track
+
+    def drive(self, pilot: Pilot, config: DriveConfig, log: Path, mode: ServerMode) -> DriveSummary:
+        """As `drive_course`: what the log says in the end."""
+        return drive_course(pilot, self, config, log, mode=mode)[1]
+
+
+def check_laps(laps: float) -> None:
+    """Raises DriveError for what nobody can drive."""
+    if not 0 < laps < math.inf:
+        raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0")
 
 
 @dataclass(frozen=True)
@@ -88,7 +111,7 @@ def evaluate(
 
 
 def _log_path(pilot: Pilot, course: Course, config: DriveConfig, logs: Path) -> Path:
-    return logs / f"{pilot.run}-{course.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
+    return logs / f"{pilot.run}-{course.name}-{config.set_speed_mph:g}mph.mcap"
 
 
 def drive_course(

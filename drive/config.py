@@ -17,7 +17,7 @@ class DriveConfig:
     slow_in_curves: bool = False  # drive slower where the steering that is sent would throw the car outwards
     smooth_s: float = 0.0  # time constant of the steering's smoothing; 0: off
     max_steering_per_s: float = 0.0  # how fast the steering may change; 0: no limit
-    takeover: bool = False  # the built-in simulator's expert drives where the network leaves the lane
+    takeover: bool = False  # the simulator's expert drives where the network leaves the lane
 
     def __post_init__(self) -> None:
         check_set_speed(self.set_speed_mph)

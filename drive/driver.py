@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -19,6 +20,7 @@ from drive.takeover import Takeover
 from model import Pilot
 from recorder.locale_numbers import POINT
 from recorder.telemetry import Telemetry, TelemetryError, parse_telemetry
+from recorder.world import World
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 NONSENSE_S: Final = 1.0
@@ -71,6 +73,7 @@ class Driver:
         self._nonsense_since_s: float | None = None
         self._gave_number = True
         self._said_size = False
+        self._said_of_world: set[str] = set()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
         """The command for what the simulator told.
@@ -86,18 +89,18 @@ class Driver:
             told = parse_telemetry(data)
         except TelemetryError as error:
             parsed_s = time.perf_counter()
-            world, speed_mph = error.world, error.speed_mph
+            world, problems, speed_mph = error.world, error.world_problems, error.speed_mph
             self._note(speed_mph, error.decimal_separator)
             time_s = self._clock.at(now_s, world)
             decision = self._without(error, time_s)
         else:
             parsed_s = time.perf_counter()
-            world, speed_mph = told.world, told.speed_mph
+            world, problems, speed_mph = told.world, told.world_problems, told.speed_mph
             self._note(speed_mph, told.decimal_separator)
             time_s = self._clock.at(now_s, world)
             decision = self._answer(told, parsed_s, time_s)
-        if world is not None:
-            decision = replace(decision, events=(*self._course.after(world), *decision.events))
+        if events := self._of_world(world, problems):
+            decision = replace(decision, events=(*events, *decision.events))
         if self._last_brake is not None:
             throttle = self._last_brake.throttle(time_s, self._speed_mph)
             decision = replace(decision, throttle=throttle, driver="brake")
@@ -113,6 +116,15 @@ class Driver:
             self._speed_mph = speed_mph
         if decimal_separator is not None:
             self._decimal_separator = decimal_separator
+
+    def _of_world(self, world: World | None, problems: Sequence[str]) -> list[str]:
+        """What has happened on the course, and, once, what of the world cannot be used."""
+        events = [] if world is None else self._course.after(world)
+        for problem in problems:
+            if problem not in self._said_of_world:
+                self._said_of_world.add(problem)
+                events.append(f"the simulator's world is not used whole: {problem}")
+        return events
 
     def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
         """The answer to a telemetry; whether its picture can be used is found out here."""
@@ -152,8 +164,9 @@ class Driver:
         wanted = min(max(predicted, -1.0), 1.0)
         if self._takeover is not None:
             events += self._takeover.after(time_s, told.world, wanted)
-        if self._takeover is not None and self._takeover.expert_drives and told.world is not None:
-            steering, throttle = told.world.expert_steering, told.world.expert_throttle
+        expert = None if told.world is None else told.world.expert
+        if self._takeover is not None and self._takeover.expert_drives and expert is not None:
+            steering, throttle = expert
             self._filter.note(time_s, steering)
         else:
             steering = self._filter.at(time_s, wanted)

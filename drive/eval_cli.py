@@ -175,7 +175,7 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
         (Course(track, laps), DriveConfig(set_speed_mph=speed))
         for speed in config.speed or (10.0,)
         for track in tracks
-    ]
+    ]  # before the seconds that a network takes to load: a track may be misspelt
     pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
     pilot.get_ready()
     console = stderr()

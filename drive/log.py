@@ -12,10 +12,10 @@ import cv2
 from common import UserError
 from common.closing import Closing
 from drive.log_thread import LogThread
-from drive.log_time import LogClock
 from recorder import LogWriter
 from recorder.bad_telemetry import BadTelemetry
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log_time import LogClock
 from recorder.pose import pose_message
 from recorder.telemetry import Telemetry
 from recorder.writer import EventLevel
@@ -146,11 +146,12 @@ class DriveLog(Closing):
             network_ms=decision.network_ms,
             total_ms=total_ms,
         )
-        if told.world is not None:
+        if told.world is not None and told.world.expert_steering is not None:
             command.expert_steering = told.world.expert_steering
         self._writer.command(time_ns, row, command)
-        if told.world is not None:
-            self._writer.pose(time_ns, row, pose_message(told.world, time_ns))
+        pose = None if told.world is None else told.world.pose
+        if pose is not None:
+            self._writer.pose(time_ns, row, pose_message(pose, time_ns))
 
 
 def _ago_ns(ms: float) -> int:

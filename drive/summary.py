@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from common.errors import counted
 from drive.clock import DriveClock
 from drive.latency import Latency
 from recorder.quality import GAP_S
-from recorder.telemetry import World
+from recorder.world import World
 from simulator.course import INTERVENTION_COST_S
 from simulator.vehicle import MPS_PER_MPH
 
@@ -66,8 +66,12 @@ class DriveSummary:
         self._told_s = 0.0  # of `elapsed_s`, with a telemetry that told the speed
         self._speed_mph: float | None = None  # as the last telemetry told it
         self._world: World | None = None
-        self._frames_with_world = 0
+        self._frames_with_laps = 0
+        self._frames_with_interventions = 0
+        self.has_expert = False
+        """Whether the simulator told, at least once, what an expert needs to take over."""
         self._laps = 0.0  # as far as they were told
+        self._simulated_s = 0.0  # of `elapsed_s`, by the simulator's clock
         self._driver = "pilot"  # who drove last: pilot, expert or human
         self._is_braked = False
         self._steering = 0.0
@@ -141,7 +145,7 @@ class DriveSummary:
     @property
     def laps(self) -> float | None:
         """Driven, with the part of the present one; None where a simulator that does not tell drove some of it."""
-        return self._laps if self.frames and self._frames_with_world == self.frames else None
+        return self._laps if self.frames and self._frames_with_laps == self.frames else None
 
     @property
     def interventions(self) -> int:
@@ -160,6 +164,14 @@ class DriveSummary:
     def mean_speed_mph(self) -> float | None:
         """While the simulator told the speed; it does not while a human drives. None if it never did."""
         return self.distance_m / self._told_s / MPS_PER_MPH if self._told_s else None
+
+    @property
+    def clock(self) -> Literal["simulator", "computer", "both"]:
+        """Whose seconds `elapsed_s` holds."""
+        if not self._simulated_s:
+            return "computer"
+        # what is no more than rounding is nobody's
+        return "simulator" if self.elapsed_s - self._simulated_s < 1e-3 else "both"
 
     def connected(self) -> None:
         """From here on another simulator tells, or the same one another drive."""
@@ -187,7 +199,8 @@ class DriveSummary:
             numbers[f"{stage}_p50_ms"] = latency.percentile_ms(50)
             numbers[f"{stage}_p99_ms"] = latency.percentile_ms(99)
             numbers[f"{stage}_max_ms"] = latency.max_ms
-        return counts | {name: f"{number:.3f}" for name, number in numbers.items() if number is not None}
+        measured = {name: f"{number:.3f}" for name, number in numbers.items() if number is not None}
+        return counts | {"clock": self.clock} | measured
 
     def lines(self) -> list[str]:
         """For people, at the end of a drive."""
@@ -199,7 +212,7 @@ class DriveSummary:
             else f"{laps}{self.distance_m:,.0f} m, {speed_mph:.1f} mph on average"
         )
         lines = [
-            f"{counted(self.frames, 'frame')} in {self.elapsed_s:,.1f} s: {far}",
+            f"{counted(self.frames, 'frame')} in {self.elapsed_s:,.1f} s{self._clock_told()}: {far}",
             f"autonomy {self._autonomy_told()}, {self._interventions_told()}{self._untold()}",
         ]
         if self.frames:
@@ -256,19 +269,27 @@ class DriveSummary:
         time_s = self._clock.at(now_s, world)
         passed_s = time_s - self._time_s
         self._time_s = time_s
-        if world is None and passed_s > GAP_S:
+        if self._clock.is_simulated:
+            self._simulated_s += passed_s
+        elif passed_s > GAP_S:
             return 0.0
         self.elapsed_s += passed_s
         return passed_s
 
     def _course(self, world: World) -> None:
-        self._frames_with_world += 1
         before = self._world
         self._world = world
-        if before is None or world.time_s < before.time_s:  # another simulator, or another drive of it
+        if before is None or _is_another_drive(before, world):
             before = world
-        self._laps += world.laps - before.laps
-        self.put_back += max(0, world.interventions - before.interventions)
+        self.has_expert |= world.offset is not None and world.expert is not None
+        if world.laps is not None:
+            self._frames_with_laps += 1
+            if before.laps is not None:
+                self._laps += world.laps - before.laps
+        if world.interventions is not None:
+            self._frames_with_interventions += 1
+            if before.interventions is not None:
+                self.put_back += max(0, world.interventions - before.interventions)
 
     def _autonomy_told(self) -> str:
         autonomy = self.autonomy_percent
@@ -279,12 +300,18 @@ class DriveSummary:
 
     def _untold(self) -> str:
         """What the interventions leave out."""
-        frames = self.frames - self._frames_with_world
         if not self.frames:
             return ""
+        frames = self.frames - self._frames_with_interventions
         if frames == self.frames:
             return " (this simulator does not tell when the car leaves the road)"
         return f" (for {counted(frames, 'frame')} nobody told when the car left the road)" if frames else ""
+
+    def _clock_told(self) -> str:
+        """Whose seconds those of the drive are, where it is not this computer's alone."""
+        if self.clock == "both":
+            return f" ({self._simulated_s:,.1f} s by the simulator's clock)"
+        return " by the simulator's clock" if self.clock == "simulator" else ""
 
     def _interventions_told(self) -> str:
         whose = (
@@ -294,3 +321,8 @@ class DriveSummary:
         )
         told = ", ".join(f"{number:,} {who}" for number, who in whose if number)
         return counted(self.interventions, "intervention") + (f": {told}" if told else "")
+
+
+def _is_another_drive(before: World, world: World) -> bool:
+    """Of another simulator, or of the same one, begun anew."""
+    return before.time_s is not None and world.time_s is not None and world.time_s < before.time_s

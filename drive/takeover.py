@@ -1,10 +1,10 @@
-"""Who drives the built-in simulator's car: the network, or the expert where the network leaves the lane."""
+"""Who drives: the network, or the simulator's expert where the network leaves the lane."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from recorder.telemetry import World
+from recorder.world import World
 
 # Tried with networks that fail for seconds at a time, on three tracks: no takeover came too late at 10 and 15 mph,
 # one in thirteen at 20. By the offset alone, from 0.7 of the half width on, it was one in eight at 15, half at 20.
@@ -22,6 +22,9 @@ HAND_BACK_STEERING: Final = 0.2
 HAND_BACK_S: Final = 1.0
 """Both for so long without a break: a car that only crosses the middle is through sooner."""
 
+NEEDED: Final = ("offset", "expert_steering", "expert_throttle")
+"""What a simulator's world must tell, that an expert can take over."""
+
 PILOT_DRIVES: Final = "the pilot drives again"
 _LONGEST_GAP_S: Final = 0.5  # between two telemetries that tell a sideways speed
 
@@ -31,36 +34,37 @@ class Takeover:
 
     def __init__(self) -> None:
         self.expert_drives = False
-        self._last_world: World | None = None
+        self._last: tuple[float, float, int | None] | None = None  # time, offset, interventions
         self._well_since_s: float | None = None
         self._said_missing = False
 
     def after(self, time_s: float, world: World | None, predicted_steering: float) -> list[str]:
-        """Decide who drives on from `time_s`; what there is to say of it. Without a world the network drives."""
-        ahead = 0.0 if world is None else world.offset + TAKE_OVER_AHEAD_S * self._sideways_per_s(world)
-        self._last_world = world
-        if world is None:
-            return self._without_world()
+        """Decide who drives on from `time_s`, by the simulator's clock where it tells one; what there is to say of
+        it. Where nobody tells where the car is, or what an expert would do, the network drives."""
+        if world is None or world.offset is None or world.expert is None:
+            self._last = None
+            return self._without_expert(world)
+        ahead = world.offset + TAKE_OVER_AHEAD_S * self._sideways_per_s(time_s, world.offset, world.interventions)
+        self._last = time_s, world.offset, world.interventions
         if self.expert_drives:
-            return self._hand_back(time_s, world, predicted_steering)
+            return self._hand_back(time_s, world.offset, abs(predicted_steering - world.expert[0]))
         if abs(ahead) <= TAKE_OVER_OFFSET:
             return []
         self.expert_drives, self._well_since_s = True, None
         side = "left" if ahead > 0 else "right"
         return [f"the expert takes over: {abs(world.offset):.2f} of the half width, and going off to the {side}"]
 
-    def _sideways_per_s(self, world: World) -> float:
+    def _sideways_per_s(self, time_s: float, offset: float, interventions: int | None) -> float:
         """How fast the offset grows to the left; 0 where the last telemetry does not tell it."""
-        last = self._last_world
-        # a car that was put back has not driven there
-        if last is None or last.interventions != world.interventions:
+        if self._last is None:
             return 0.0
-        passed_s = world.time_s - last.time_s
-        return (world.offset - last.offset) / passed_s if 0 < passed_s <= _LONGEST_GAP_S else 0.0
+        last_s, last_offset, last_interventions = self._last
+        if last_interventions != interventions:  # a car that was put back has not driven there
+            return 0.0
+        return (offset - last_offset) / (time_s - last_s) if 0 < time_s - last_s <= _LONGEST_GAP_S else 0.0
 
-    def _hand_back(self, time_s: float, world: World, predicted_steering: float) -> list[str]:
-        disagreement = abs(predicted_steering - world.expert_steering)
-        if abs(world.offset) > HAND_BACK_OFFSET or disagreement > HAND_BACK_STEERING:
+    def _hand_back(self, time_s: float, offset: float, disagreement: float) -> list[str]:
+        if abs(offset) > HAND_BACK_OFFSET or disagreement > HAND_BACK_STEERING:
             self._well_since_s = None
         elif self._well_since_s is None:
             self._well_since_s = time_s
@@ -69,9 +73,14 @@ class Takeover:
             return [PILOT_DRIVES]
         return []
 
-    def _without_world(self) -> list[str]:
+    def _without_expert(self, world: World | None) -> list[str]:
         events = [PILOT_DRIVES] if self.expert_drives else []
         if not self._said_missing:
-            events.append("nobody can take over: the simulator tells no world (`bc-sim --tell-world` does)")
+            told = world or World()
+            missing = [name for name in NEEDED if getattr(told, name) is None]
+            events.append(
+                f"nobody can take over: the simulator does not tell {', '.join(missing)} (`bc-sim --tell-world`"
+                " does); in Udacity's, a human takes over by holding a key"
+            )
         self.expert_drives, self._said_missing = False, True
         return events

@@ -14,6 +14,8 @@ from common.progress import StatusLine
 from recorder.bad_telemetry import BadTelemetry
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.log_time import LogClock
+from recorder.pose import pose_message
 from recorder.record import Imported
 from recorder.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
 from recorder.telemetry_server import QUIET_S, Answer, Steer, TelemetryServer
@@ -69,7 +71,8 @@ class _Session:
         self._first_connected_s: float | None = None  # until it has told something, or nothing for too long
         self._telemetries = 0
         self._manuals = 0
-        self._last_ns = 0
+        self._clock = LogClock(from_wall_clock=True)
+        self._said_of_world: set[str] = set()
         self._last_s = 0.0
         self._rate_from = (time.monotonic(), 0)
         self._rate = 0.0
@@ -114,7 +117,7 @@ class _Session:
         self._status.show(self._text)
 
     def warn(self, text: str) -> None:
-        """Something else than a simulator has connected."""
+        """Something else than a simulator has connected, or it tells what cannot be used."""
         self._event(time.time_ns(), text, "WARNING")
         self.say(text)
 
@@ -161,15 +164,21 @@ class _Session:
             if (text := self._bad.take(error.kind, str(error))) is not None:
                 self._event(received_ns, text, "WARNING")
             return
-        time_ns = self._unique_ns(received_ns)
+        self._warn_of_world(told.world_problems)
+        time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
         self._writer.picture("center", time_ns, self.rows, told.jpeg)
         state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
         self._writer.vehicle(time_ns, self.rows, state)
+        pose = None if told.world is None else told.world.pose
+        if pose is not None:
+            self._writer.pose(time_ns, self.rows, pose_message(pose, time_ns))
         self.rows += 1
 
     def _event(self, time_ns: int, text: str, level: EventLevel = "INFO") -> None:
-        self._writer.event(self._unique_ns(time_ns), text, level, "recorder")
+        self._writer.event(self._clock.event(time_ns), text, level, "recorder")
 
-    def _unique_ns(self, time_ns: int) -> int:
-        self._last_ns = max(time_ns, self._last_ns + 1)
-        return self._last_ns
+    def _warn_of_world(self, problems: tuple[str, ...]) -> None:
+        for problem in problems:
+            if problem not in self._said_of_world:
+                self._said_of_world.add(problem)
+                self.warn(f"the simulator's world is not used whole: {problem}")

@@ -94,6 +94,33 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Cameras:
+    """How far the side cameras are from the centre one, measured in their pictures, and the `bc-index
+    --side-correction` that goes with it: 0.2 is that of Udacity's."""
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    """Logs with pictures of all three cameras."""
+
+    def run(self) -> int:
+        return _each(self.logs, self._one)
+
+    def _one(self, path: Path) -> int:
+        from recorder.side_cameras import UDACITY_SPACING, side_cameras  # OpenCV
+
+        code = _noted(path)
+        with Log(path) as log:
+            found = side_cameras(log)
+        print(
+            shown(
+                f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
+                f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
+                f" `bc-index --side-correction {found.side_correction:g}`"
+            )
+        )
+        return code
+
+
+@dataclass(frozen=True)
 class Recover:
     """Make a finished log out of one that is not (its recording was killed), or out of a damaged one. The original
     stays. Everything is kept whose CRC holds; what is lost is named, with exit code 3. A log that is
@@ -259,6 +286,7 @@ class NameRows:
 Command = (
     Annotated[ShowInfo, tyro.conf.subcommand("info")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Cameras, tyro.conf.subcommand("cameras")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Trim, tyro.conf.subcommand("trim")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]

@@ -6,12 +6,11 @@ import math
 
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from recorder.telemetry import World
 from recorder.writer import timestamp
 from simulator.pose import Pose
 
 
-def pose_message(pose: Pose | World, time_ns: int) -> PoseInFrame:
+def pose_message(pose: Pose, time_ns: int) -> PoseInFrame:
     """Metres, x east, y north, z up; attitude a quaternion (yaw, pitch, roll)."""
     message = PoseInFrame(timestamp=timestamp(time_ns), frame_id="world")
     message.pose.position.x, message.pose.position.y, message.pose.position.z = pose.x_m, pose.y_m, pose.z_m

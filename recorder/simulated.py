@@ -20,7 +20,7 @@ from recorder.record import Imported
 from recorder.topics import CAMERAS
 from recorder.writer import LogWriter
 from simulator.expert import Expert
-from simulator.recovery import drive_for_recording
+from simulator.recovery import MOST_RECOVERY, drive_for_recording
 from simulator.simulation import Simulation
 from simulator.udacity_folder import UdacityFolder
 
@@ -56,10 +56,12 @@ def record_simulated(
     Raises RecordingError for a drive that cannot be, UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)  # before the folder is begun
-    if not math.isfinite(drive.laps):
-        raise RecordingError(f"laps must be a finite number, not {drive.laps:g}")
+    _refuse_nonsense(drive)
     try:
         simulation = Simulation(drive.track)
+    except ValueError as error:
+        raise RecordingError(f"--track {drive.track}: {error}") from None
+    try:
         expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)
         steps = drive_for_recording(simulation.course, expert, drive.laps, drive.rate, drive.recovery, drive.seed)
     except ValueError as error:
@@ -109,3 +111,16 @@ def record_simulated(
         if folder is not None:
             folder.finish()
     return Imported(log, rows, rows * len(CAMERAS), Skipped())
+
+
+def _refuse_nonsense(drive: SimulatedDrive) -> None:
+    """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
+    for flag, value, is_good, expected in (
+        ("--laps", drive.laps, 0 < drive.laps < math.inf, "a number above 0"),
+        ("--speed", drive.speed, 0 < drive.speed < math.inf, "a set speed above 0 mph"),
+        ("--recovery", drive.recovery, 0 <= drive.recovery <= MOST_RECOVERY, f"a share of 0 .. {MOST_RECOVERY:g}"),
+        ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),
+        ("--seed", drive.seed, drive.seed >= 0, "a whole number from 0 on"),
+    ):
+        if not is_good:
+            raise RecordingError(f"{flag} {value:g}: {expected} was expected")

@@ -8,16 +8,16 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from dataclasses import dataclass, fields
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 from common.errors import counted, shown
 from recorder.jpeg import is_whole_jpeg
 from recorder.locale_numbers import POINT, decimal_separator, read_number, written
 from recorder.topics import MAX_STEERING_DEG
+from recorder.world import World, parse_world
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
-MAX_WORLD_NUMBER: Final = 1e9  # of any unit: 31 years, a million kilometres; what is beyond is no world
 
 MAX_SPEED_MPH: Final = 1e7  # what is beyond makes distances that nobody can read
 
@@ -48,24 +48,7 @@ class TelemetryError(ValueError):
         """What could be read all the same; None where that could not."""
         self.decimal_separator: str | None = None
         self.world: World | None = None
-
-
-@dataclass(frozen=True)
-class World:
-    """What only the built-in simulator knows of the moment, and tells if asked to (`bc-sim --tell-world`)."""
-
-    time_s: float  # the simulated clock, 0 at the start; never negative
-    x_m: float  # of the ground under the middle of the rear axle: east, north, up
-    y_m: float
-    z_m: float
-    heading_rad: float  # counter-clockwise from +x
-    pitch_rad: float  # nose up is positive
-    roll_rad: float  # right side down is positive
-    offset: float  # from the centre line, as a share of the road's half width, positive to the left
-    laps: float  # driven
-    interventions: int  # how often the simulator has put the car back on the road; never negative
-    expert_steering: float  # -1 (left) .. 1 (right): what its expert would command now
-    expert_throttle: float  # -1 .. 1
+        self.world_problems: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,7 +60,8 @@ class Telemetry:
     speed_mph: float
     jpeg: bytes
     decimal_separator: str = POINT  # as the simulator's machine writes numbers, and wants to read them
-    world: World | None = None  # None unless the built-in simulator tells it
+    world: World | None = None  # None unless the simulator tells more than the real one does
+    world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
 
 
 def parse_telemetry(data: object) -> Telemetry:
@@ -100,10 +84,11 @@ def parse_telemetry(data: object) -> Telemetry:
         jpeg = _image(data["image"]) if "image" not in missing else b""
     except TelemetryError as error:
         problems.append(error)
+    world, world_problems = parse_world(data.get("world"), decimal)
     if problems:
         problem = problems[0]
         problem.speed_mph, problem.decimal_separator = numbers.get("speed"), told
-        problem.world = _world(data.get("world"))
+        problem.world, problem.world_problems = world, world_problems
         raise problem
     return Telemetry(
         steering=numbers["steering_angle"] / MAX_STEERING_DEG,
@@ -111,7 +96,8 @@ def parse_telemetry(data: object) -> Telemetry:
         speed_mph=numbers["speed"],
         jpeg=jpeg,
         decimal_separator=decimal,
-        world=_world(data.get("world")),
+        world=world,
+        world_problems=world_problems,
     )
 
 
@@ -176,25 +162,6 @@ def _short(value: object) -> str:
     """Of a client's text, enough to find it by."""
     text = str(value)
     return shown(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
-
-
-_WORLD: Final = tuple(field.name for field in fields(World))
-
-
-def _world(value: object) -> World | None:
-    """None for anything else than an object with all of a world's names, each a JSON number that can be."""
-    if not isinstance(value, dict):
-        return None
-    told: dict[str, Any] = {name: value.get(name) for name in _WORLD}
-    for number in told.values():
-        # neither NaN, nor what overflows where somebody calculates with it
-        if type(number) not in (float, int) or not -MAX_WORLD_NUMBER <= number <= MAX_WORLD_NUMBER:
-            return None
-    if type(told["interventions"]) is not int or told["interventions"] < 0 or told["time_s"] < 0:
-        return None
-    for name in ("expert_steering", "expert_throttle"):
-        told[name] = min(max(told[name], -1.0), 1.0)
-    return World(**told)
 
 
 def _image(value: object) -> bytes:

@@ -156,6 +156,8 @@ class UdacityFolder:
                 if name and path is None:
                     self._skipped.add(MISSING, name)
         if not row_count:
+            if not self.csv.stat().st_size:
+                raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
             raise RecordingError(f"{self.csv}: no usable row{because(self._skipped)}")
         if not found:
             with _told(self.folder):

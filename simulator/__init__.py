@@ -1,6 +1,6 @@
 """The built-in simulator: tracks, a vehicle, cameras, an expert driver; and the client that speaks the real one's
 protocol. It is handed frames and gives frames; it reads no logs."""
 
-from simulator.client import SimulatorClient, Steer, Telemetry, WaitTimeoutError
+from simulator.client import NoHostError, SimulatorClient, Steer, Telemetry, WaitTimeoutError
 
-__all__ = ["SimulatorClient", "Steer", "Telemetry", "WaitTimeoutError"]
+__all__ = ["NoHostError", "SimulatorClient", "Steer", "Telemetry", "WaitTimeoutError"]

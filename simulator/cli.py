@@ -13,9 +13,10 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, FAILED, flags_given, refuse_no_port, run_command, stderr
+from common.command import DONE, FAILED, flags_given, refuse_no_port, run_command, stderr
+from common.errors import counted
 from common.progress import progress_bar, track
-from simulator.client import SimulatorClient, WaitTimeoutError
+from simulator.client import NoHostError, SimulatorClient, WaitTimeoutError
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ def sim(config: Sim) -> int:
         return _replay(config, client) if config.replay is not None else _drive(config, client)
     except WaitTimeoutError as error:
         raise UserError(f"{error}; start `bc-drive` first, or wait longer with --wait") from None
+    except NoHostError as error:
+        raise UserError(f"--host {error}; give the machine where `bc-drive` runs, such as 127.0.0.1") from None
 
 
 def _drive(config: Sim, client: SimulatorClient) -> int:
@@ -85,8 +88,7 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
     try:
         simulation = Simulation(config.track)
     except ValueError as error:
-        stderr().print(f"bc-sim: --track: {error}")
-        return BAD_USAGE
+        raise UserError(f"--track {config.track}: {error}") from None
     if not config.json:  # else a program has started it, as bc-drive and bc-eval do
         stderr().print(f"bc-sim: connecting to {client.url}")
     if not config.real_time and not config.tell_world:
@@ -115,8 +117,8 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
     else:
         measures = driven.measures
         print(
-            f"{driven.track}: {measures.laps:.2f} laps in {measures.elapsed_s:.0f} s of simulated time,"
-            f" {measures.interventions} interventions, autonomy {measures.autonomy_percent:.1f} %,"
+            f"{driven.track}: {measures.laps:.2f} laps in {measures.elapsed_s:,.0f} s of simulated time,"
+            f" {counted(measures.interventions, 'intervention')}, autonomy {measures.autonomy_percent:.1f} %,"
             f" distance from the centre line {measures.mean_offset:.2f} (largest {measures.max_offset:.2f})"
             f" of the half width, {measures.mean_speed_mph:.1f} mph"
         )
@@ -124,7 +126,7 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
 
 
 def _replay(config: Sim, client: SimulatorClient) -> int:
-    from simulator.replay import replay
+    from simulator.replay import pictures_of, replay
 
     assert config.replay is not None  # noqa: S101
     if config.tell_world:
@@ -132,10 +134,7 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
     driven = ("track", "laps", "rate", "real_time", "leave_off_road", "expert_speed")
     if flags := flags_given(config, *driven):
         raise UserError(f"{flags}: of driving, and --replay only tells pictures; leave them out")
-    images = config.replay / "IMG" if (config.replay / "IMG").is_dir() else config.replay
-    pictures = sorted(images.glob("center_*.jpg"))[: config.count]
-    if not pictures:
-        raise UserError(f"{images}: no center_*.jpg in it; give a folder that the simulator recorded into")
+    pictures = pictures_of(config.replay)[: config.count]
     stderr().print(f"bc-sim: connecting to {client.url}")
     start_s = 0.0
 
@@ -154,7 +153,13 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
         "unreadable": client.bad_steers,
         "answers_per_s": round(answers / seconds),
     }
-    print(json.dumps(result) if config.json else ", ".join(f"{value:,} {name}" for name, value in result.items()))
+    if config.json:
+        print(json.dumps(result))
+    else:
+        print(
+            f"{counted(client.telemetries, 'telemetry', 'telemetries')}, {counted(answers, 'answer')}"
+            f" ({client.bad_steers:,} unreadable), {result['answers_per_s']:,} a second"
+        )
     return DONE if answers == client.telemetries else FAILED
 
 

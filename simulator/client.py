@@ -58,6 +58,10 @@ class WaitTimeoutError(Exception):
     """No server within the time that was given."""
 
 
+class NoHostError(Exception):
+    """What is no name or address of a machine, or a name that nobody knows: to wait would not help."""
+
+
 class SimulatorClient:
     """Runs the simulator's loop against a server; a reconnection happens by itself, as in the real one."""
 
@@ -66,7 +70,8 @@ class SimulatorClient:
     ) -> None:
         """``wait_s`` limits the wait for a server that is not there. ``decimal_comma`` writes (and reads) numbers
         as a machine with such a locale does."""
-        host = f"[{host}]" if ":" in host else host  # IPv6
+        self._address = host.strip("[]"), port
+        host = f"[{self._address[0]}]" if ":" in host else host  # IPv6
         self.url = f"ws://{host}:{port}/socket.io/?EIO=4&transport=websocket"
         self.wait_s = wait_s
         self.decimal_comma = decimal_comma
@@ -81,13 +86,19 @@ class SimulatorClient:
 
         It is called twice when a connection opens, and then once for each command.
 
-        Raises WaitTimeoutError where no server answers for `wait_s`.
+        Raises NoHostError at once where there is no such machine, WaitTimeoutError where no server answers for
+        `wait_s`.
         """
         while self._one_connection(self._connect(), next_telemetry):
             lost()
 
     def _connect(self) -> websocket.WebSocket:
         deadline_s = time.monotonic() + self.wait_s
+        try:
+            socket.getaddrinfo(*self._address, type=socket.SOCK_STREAM)
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else "no name of a machine"
+            raise NoHostError(f"{self._address[0]}: {why}") from None
         while True:
             try:
                 connection = websocket.create_connection(
@@ -97,7 +108,7 @@ class SimulatorClient:
                     sockopt=((socket.IPPROTO_TCP, socket.TCP_NODELAY, 0),),
                 )
             except (ValueError, websocket.WebSocketAddressException) as error:  # of an address that is none
-                raise WaitTimeoutError(f"{self.url}: {error}") from None
+                raise NoHostError(f"{self._address[0]}: {error}") from None
             except (OSError, websocket.WebSocketException):
                 if time.monotonic() > deadline_s:
                     raise WaitTimeoutError(f"no server at {self.url} within {self.wait_s:g} s") from None

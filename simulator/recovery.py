@@ -26,6 +26,8 @@ MAX_TURN_RAD = math.radians(25.0)
 _REACTION_S = 1.0
 _ROOM = 0.9  # of the half width
 
+MOST_RECOVERY = 0.9  # share of the rows
+
 # Back on the line: this near and this well aligned (the middle of a car is 6 degrees askew in a bend of 12 m
 # even when its rear axle is not), or after this time.
 _BACK_OFFSET = 0.2
@@ -66,9 +68,9 @@ def drive_for_recording(
     """
     steps_each = round(1.0 / (rate_hz * STEP_S)) if rate_hz > 0 else 0
     if steps_each < 1 or abs(steps_each * STEP_S * rate_hz - 1.0) > 1e-6:
-        raise ValueError(f"rate_hz must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do), not {rate_hz:g}")
-    if not 0.0 <= recovery_share <= 0.9:
-        raise ValueError(f"recovery_share must be within 0 .. 0.9, not {recovery_share:g}")
+        raise ValueError(f"--rate {rate_hz:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
+    if not 0.0 <= recovery_share <= MOST_RECOVERY:
+        raise ValueError(f"recovery_share must be within 0 .. {MOST_RECOVERY:g}, not {recovery_share:g}")
     if laps <= 0:
         raise ValueError(f"laps must be above 0, not {laps:g}")
     return _drive(course, expert, laps * course.line.length_m, steps_each, recovery_share, seed)

@@ -3,8 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
+from common import UserError
 from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told
+
+
+def pictures_of(recording: Path) -> list[Path]:
+    """The centre camera's pictures of a recording, in their order.
+
+    Raises UserError, which says what `recording` is instead, if it has none.
+    """
+    if not recording.exists():
+        raise UserError(f"--replay {recording}: no such folder; give the one that the simulator recorded into")
+    if not recording.is_dir():
+        raise UserError(f"--replay {recording}: a file; give the folder that holds driving_log.csv and IMG/")
+    images = recording / "IMG" if (recording / "IMG").is_dir() else recording
+    pictures = sorted(images.glob("center_*.jpg"))
+    if not pictures:
+        csv = recording / "driving_log.csv"
+        what = "driving_log.csv is empty and there is" if csv.is_file() and not csv.stat().st_size else "there is"
+        raise UserError(
+            f"--replay {recording}: {what} no center_*.jpg in {images}; give a folder that has"
+            " pictures, which the simulator renders them once a recording is stopped"
+        )
+    return pictures
 
 
 def replay(client: SimulatorClient, jpegs: Iterable[bytes], speed_mph: float = 9.0) -> list[Steer]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from model.checkpoint import checkpoint_path, read_position
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.simulated import SimulatedDrive, record_simulated
+from recorder.topics import DRIVE_METADATA
 
 TRACK, LAPS, SPEED = "random:3", 0.04, 20
 SETTINGS = IndexConfig(cameras=("center",), balance=False, flip=False, block_s=1.0, gap_s=0.0)
@@ -151,10 +153,55 @@ def test_a_drive_that_is_stopped_says_what_is_left(aggregated: Aggregated) -> No
         assert not opened.problem
 
 
+def simulate(port: str, *flags: object) -> Process:
+    """A simulator that connects by itself, and tells where its car is and what its expert would do."""
+    arguments = ("--port", port, "--track", TRACK, "--tell-world", "--leave-off-road", "--expert-speed", SPEED)
+    return Process(command("bc-sim", *arguments, *flags))
+
+
+def test_a_simulator_that_connects_by_itself_is_waited_for_in_every_round(aggregated: Aggregated) -> None:
+    """It disconnects after the first one, and is stopped by the laps that it tells in the second."""
+    aggregate = ("first", "--port", 0, "--speed", SPEED, "--aggregate", 1, "--epochs", 1, "--laps", LAPS)
+    with Process(command("bc-drive", *aggregate), aggregated.folder) as process:
+        port = process.wait_for(r"first is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        with simulate(port, "--laps", 0.9 * LAPS) as short:
+            process.wait_for("training runs/first-connected-1")
+            assert short.join() == 0
+        port = process.wait_for(r"first-connected-1 is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        with simulate(port, "--laps", 50):
+            assert process.join() == 0, process.stderr
+    _, first, second = process.stdout.splitlines()
+    assert (first.split()[0], second.split()[0]) == ("first", "first-connected-1")
+    assert second.split()[-1] == "drives/first-connected-1.mcap"
+    laps, drivers = [], []
+    for log in sorted((aggregated.folder / "drives").glob("first-connected-*.mcap")):
+        drivers.append({each.driver for each in commands(log)})
+        with Log(log) as opened:
+            laps.append(float(opened.read_metadata(DRIVE_METADATA)["laps"]))
+    assert laps[0] < LAPS <= laps[1] < 2 * LAPS
+    assert PilotCommand.EXPERT in drivers[0]
+    learnt = json.loads((aggregated.folder / "runs" / "first-connected-1" / "config.json").read_text())
+    assert set(learnt["data"]["logs"]) == {"lake", "first-connected-0"}
+
+
+def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregated: Aggregated) -> None:
+    runs = aggregated.folder / "runs"
+    shutil.copytree(runs / "first", runs / "alone")
+    with Process(command("bc-drive", "alone", "--port", 0, "--aggregate", 1), aggregated.folder) as process:
+        port = process.wait_for(r"alone is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        with Process(command("bc-sim", "--port", port, "--laps", 50)):
+            assert process.join() == 1
+    log = "drives/alone-connected-0.mcap"
+    process.wait_for(f"{log}: nobody could take over, .* never tells offset, expert_steering, expert_throttle ")
+    with Log(aggregated.folder / log) as opened:
+        assert not opened.problem
+
+
 @pytest.mark.parametrize(
     ("flags", "told"),
     [
-        (("--aggregate", "1"), "--simulator TRACK"),
+        (("--aggregate", "1", "--real-time"), "--simulator TRACK"),
+        (("--aggregate", "1", "--laps", "0"), "--laps 0: how far"),
         (("--aggregate", "-1", "--simulator", "lake"), "--aggregate -1"),
         (("--aggregate", "1", "--simulator", "lake", "--log", "x.mcap"), "--log: not with --aggregate"),
         (("--aggregate", "1", "--simulator", "lake", "--force"), "--force: not with --aggregate, which"),

@@ -535,7 +535,7 @@ def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("flags", "told"),
     [
-        (("--laps", "2"), "--laps: only with the built-in simulator"),
+        (("--laps", "2"), "--laps: only with --simulator TRACK or --aggregate N"),
         (("--real-time",), "--real-time: only with the built-in simulator"),
         (("--simulator", "lake", "--host", "::1"), "--host: the built-in simulator"),
         (("--epochs", "3", "--sessions", "x"), "--epochs, --sessions: only with --aggregate"),

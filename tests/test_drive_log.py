@@ -24,7 +24,6 @@ from common import UserError
 from disk import files_of_at_most
 from drive.driver import Decision
 from drive.log import DriveLog
-from drive.log_time import LogClock
 from driving import PATIENCE_S, DriveProcess, environment, road_jpeg, run, untrained_run
 from logs import read_messages
 from recorder import Log, LogWriter
@@ -32,8 +31,10 @@ from recorder.bad_telemetry import MOST_OF_EACH
 from recorder.bc_pb2 import PilotCommand
 from recorder.check import check
 from recorder.green import GreenHost
+from recorder.log_time import LogClock
 from recorder.recover import recover
-from recorder.telemetry import Telemetry, World
+from recorder.telemetry import Telemetry
+from recorder.world import World
 from simulator.client import Answer, SimulatorClient, Told
 from simulator.client import Telemetry as SimulatorTelemetry
 

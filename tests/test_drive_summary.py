@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from drive.driver import Decision
 from drive.latency import LARGEST_MS, RESOLUTION, SMALLEST_MS, Latency
 from drive.summary import DriveSummary
-from recorder.telemetry import Telemetry, World
+from recorder.telemetry import Telemetry
+from recorder.world import World
 from simulator.course import Course
 from simulator.expert import Expert
 from simulator.track import load_track
@@ -160,6 +161,52 @@ def test_a_simulated_clock_counts_and_not_ours() -> None:
     assert summary.laps == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize("clocks_s", [0.004, 0.4])
+def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float) -> None:
+    """Faster or slower than the clock: 20 mph for 60 of its seconds are a third of a mile."""
+    summary = DriveSummary()
+    for i in range(1501):
+        summary.decision(decided(20.0, World(time_s=i / 25)), 2.0, now_s=i * clocks_s)
+    assert summary.distance_m == pytest.approx(1609.344 / 3, rel=1e-3)
+    assert summary.mean_speed_mph == pytest.approx(20.0)
+    summary.manual(2.0, now_s=1500 * clocks_s + 0.5)  # 0.5 s of ours, at 20 mph nobody knows
+    assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 60.5))
+    assert summary.laps is None
+    assert "this simulator does not tell when the car leaves the road" in " ".join(summary.lines())
+
+
+def test_it_is_said_whose_seconds_they_are() -> None:
+    def first_line(*worlds: World | None) -> str:
+        summary = DriveSummary()
+        for i, world in enumerate(worlds):
+            summary.decision(decided(0.0, world), 2.0, now_s=i * 0.5)
+        return summary.lines()[0].partition(":")[0]
+
+    times = [World(time_s=i * 2.0) for i in range(3)]
+    assert first_line(None, None, None) == "3 frames in 1.0 s"
+    assert first_line(None) == "1 frame in 0.0 s"
+    assert first_line(*times) == "3 frames in 4.0 s by the simulator's clock"
+    assert first_line(*times, None) == "4 frames in 4.5 s (4.0 s by the simulator's clock)"
+
+
+def test_a_pause_counts_by_no_clock_but_the_simulators() -> None:
+    """In its menu for a minute: the first telemetry after it tells a time, but the last one before it did not."""
+    summary = DriveSummary()
+    for now_s, world in ((0.0, None), (0.5, None), (60.0, World(time_s=1.0)), (60.1, World(time_s=1.5))):
+        summary.decision(decided(world=world), 2.0, now_s)
+    assert summary.elapsed_s == pytest.approx(1.0)
+
+
+def test_laps_and_interventions_may_be_told_without_each_other() -> None:
+    laps, put_back = DriveSummary(), DriveSummary()
+    for i in range(3):
+        laps.decision(decided(world=World(laps=i / 2)), 2.0, now_s=i / 10)
+        put_back.decision(decided(world=World(interventions=i)), 2.0, now_s=i / 10)
+    assert (laps.laps, laps.put_back) == (1.0, 0)
+    assert (put_back.laps, put_back.put_back) == (None, 2)
+    assert "nobody told" not in " ".join(put_back.lines())
+
+
 def test_a_lap_of_the_expert_is_what_the_simulators_own_book_says() -> None:
     track = load_track("lake")
     course, expert = Course(track), Expert(track.line, 10.0, 0.0, 0)
@@ -281,6 +328,7 @@ def test_the_metadata_has_a_unit_in_every_name_that_needs_one() -> None:
     summary.dropped_pictures, summary.dropped_rows = 4, 1
     found = summary.as_metadata()
     assert all(isinstance(value, str) for value in found.values())
+    assert found.pop("clock") == "simulator"
     assert {name: float(value) for name, value in found.items()} == pytest.approx(
         {
             "frames": 26,
@@ -316,7 +364,7 @@ def test_the_lines_for_people() -> None:
     summary.decision(decided(driver="expert", world=replace(WORLD, time_s=120.0, laps=1.2)), 2.0, now_s=0.0)
     summary.dropped_pictures = 12
     distance, autonomy, latency, malformed, dropped = summary.lines()
-    assert distance == "1,202 frames in 120.0 s: 1.20 laps, 536 m, 10.0 mph on average"
+    assert distance == "1,202 frames in 120.0 s by the simulator's clock: 1.20 laps, 536 m, 10.0 mph on average"
     assert autonomy == "autonomy 95.0 %, 1 intervention: 1 by the expert"
     assert latency.startswith("latency p50/p99/max in ms: parse 0.10/0.10/0.10, decode ")
     assert malformed == "1 telemetry could not be used: 1 not an object"

@@ -23,7 +23,7 @@ from drive.speed import fastest_mph
 from driving import road_jpeg
 from model import Pilot
 from model.network import SteeringNetwork
-from recorder.telemetry import World
+from recorder.world import World
 from simulator.expert import BEND_MPS2
 from simulator.vehicle import STEP_S, VehicleState, step
 

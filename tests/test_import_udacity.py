@@ -525,3 +525,9 @@ def test_a_file_that_only_begins_and_ends_like_a_jpeg_is_left_out(tmp_path: Path
     broken = picture_name("left", 2)
     (tmp_path / "IMG" / broken).write_bytes(b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9")
     assert [name for _, name in imported(tmp_path).skipped] == [broken]
+
+
+def test_an_empty_csv_is_called_empty(tmp_path: Path) -> None:
+    (tmp_path / "driving_log.csv").touch()
+    with pytest.raises(RecordingError, match=r"driving_log\.csv: an empty file: no drive was recorded"):
+        import_udacity(tmp_path, tmp_path / "x.mcap")

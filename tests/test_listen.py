@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import contextlib
 import itertools
+import math
 import signal
 import socket
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -381,6 +382,29 @@ def test_a_log_says_that_it_comes_from_telemetry(tmp_path: Path, capsys: pytest.
     with log.open("rb") as stream:
         (session,) = (m for m in make_reader(stream).iter_metadata() if m.name == "bc.session")
     assert session.metadata["source"] == "telemetry"
+
+
+def test_a_simulator_that_tells_its_clock_and_place_is_recorded_by_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten simulated seconds in however little time; what of its world cannot be used is said once."""
+    pose = {"x_m": 1.0, "y_m": 2.0, "z_m": 0.0, "heading_rad": 0.0, "pitch_rad": 0.0, "roll_rad": 0.0}
+    told = [replace(DRIVEN[i], world={"time_s": i / 4, **pose, "laps": math.inf}) for i in range(40)]
+
+    def tell_all(port: int) -> None:
+        try:
+            tell(port, told)
+        finally:
+            signal.raise_signal(signal.SIGINT)  # heard by the main thread, which listens
+
+    listen_here(tmp_path / "live.mcap", capsys, tell_all)
+    messages = read_messages(tmp_path / "live.mcap")
+    times_ns = [message.log_time for message, _ in messages["/vehicle"]]
+    assert [time_ns - times_ns[0] for time_ns in times_ns] == [round(i / 4 * 1e9) for i in range(40)]
+    assert [message.log_time for message, _ in messages["/pose"]] == times_ns
+    assert messages["/pose"][0][1].pose.position.y == 2.0
+    said = [event.message for _, event in messages["/events"] if "world" in event.message]
+    assert said == ["the simulator's world is not used whole: laps is beyond 1e+09, or no number"]
 
 
 def test_times_grow_even_if_the_clock_is_set_back(

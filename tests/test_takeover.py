@@ -9,7 +9,7 @@ import pytest
 
 from drive.course_events import CourseEvents
 from drive.takeover import HAND_BACK_S, Takeover
-from recorder.telemetry import World
+from recorder.world import World
 from simulator.course import Course
 from simulator.expert import Expert
 from simulator.track import load_track
@@ -122,12 +122,29 @@ def test_a_car_that_was_put_back_has_not_driven_to_the_middle() -> None:
 
 def test_without_a_world_the_network_drives_and_that_is_said_once() -> None:
     takeover = Takeover()
-    missing = ["nobody can take over: the simulator tells no world (`bc-sim --tell-world` does)"]
+    missing = [
+        "nobody can take over: the simulator does not tell offset, expert_steering, expert_throttle"
+        " (`bc-sim --tell-world` does); in Udacity's, a human takes over by holding a key"
+    ]
     assert [takeover.after(time_s, None, 0.0) for time_s in (0.0, 0.1, 0.2)] == [missing, [], []]
     takeover.after(0.3, replace(MIDDLE, offset=0.95), 0.0)
     assert takeover.expert_drives
     assert takeover.after(0.4, None, 0.0) == ["the pilot drives again"]
     assert not takeover.expert_drives
+
+
+def test_a_simulator_without_poses_laps_or_a_clock_of_its_own_has_an_expert_all_the_same() -> None:
+    takeover = Takeover()
+    told = World(offset=0.0, expert_steering=0.3, expert_throttle=0.5)
+    # half of the half width a second to the left: at 0.7 s from 0.9
+    taken = [takeover.after(k / 10, replace(told, offset=k / 20), 0.0) for k in range(13)]
+    assert [k for k, said in enumerate(taken) if said] == [12]
+    assert takeover.expert_drives
+
+
+def test_what_an_expert_needs_and_is_not_told_is_named() -> None:
+    (said,) = Takeover().after(0.0, World(time_s=1.0, offset=0.95), 0.0)
+    assert "does not tell expert_steering, expert_throttle (" in said
 
 
 def test_laps_and_cars_that_were_put_back_are_events() -> None:

@@ -13,14 +13,13 @@ from hypothesis import strategies as st
 from drive.speed import SpeedController
 from recorder.telemetry import (
     MAX_IMAGE_BYTES,
-    MAX_WORLD_NUMBER,
     Telemetry,
     TelemetryError,
-    World,
     check_whole_jpeg,
     format_command,
     parse_telemetry,
 )
+from recorder.world import World
 
 PICTURE = bytes(range(256))
 
@@ -149,9 +148,9 @@ def test_what_can_be_read_of_a_bad_telemetry_is_told(
     changed: dict[str, object], speed_mph: float | None, separator: str | None
 ) -> None:
     with pytest.raises(TelemetryError) as found:
-        parse_telemetry(telemetry(world=world(), **changed))
+        parse_telemetry(telemetry(world={"time_s": 1.5}, **changed))
     assert (found.value.speed_mph, found.value.decimal_separator) == (speed_mph, separator)
-    assert found.value.world is not None
+    assert found.value.world == World(time_s=1.5)
 
 
 @pytest.mark.parametrize(
@@ -231,56 +230,6 @@ def test_what_is_not_an_object_with_the_fields_is_refused(data: object) -> None:
         parse_telemetry(data)
 
 
-def world(**values: Any) -> dict[str, Any]:
-    """What the built-in simulator tells of its world, with some values replaced (or left out: ...)."""
-    told = {
-        "time_s": 12.5,
-        "x_m": -3.0,
-        "y_m": 4.25,
-        "z_m": 0.5,
-        "heading_rad": 1.5,
-        "pitch_rad": -0.01,
-        "roll_rad": 0.02,
-        "offset": -1.25,
-        "laps": 0.75,
-        "interventions": 2,
-        "expert_steering": -0.5,
-        "expert_throttle": 0.25,
-    }
-    return {name: value for name, value in {**told, **values}.items() if value is not ...}
-
-
-def test_the_world_is_taken_where_it_is_told() -> None:
-    expected = World(12.5, -3.0, 4.25, 0.5, 1.5, -0.01, 0.02, -1.25, 0.75, 2, -0.5, 0.25)
-    assert parse_telemetry(telemetry(world=world())).world == expected
-    assert parse_telemetry(telemetry(world=world(more=["of", "it"]))).world == expected
-    whole = parse_telemetry(telemetry(world=world(time_s=12, laps=0))).world  # JSON knows one kind of number
-    assert whole is not None
-    assert (whole.time_s, whole.laps) == (12.0, 0.0)
-    assert parse_telemetry(telemetry()).world is None
-
-
-def test_an_experts_command_stays_within_its_bounds() -> None:
-    for told, expected in ((1.5, 1.0), (-7, -1.0), (1e8, 1.0), (-1.0, -1.0)):
-        given = parse_telemetry(telemetry(world=world(expert_steering=told, expert_throttle=told))).world
-        assert given is not None
-        assert (given.expert_steering, given.expert_throttle) == (expected, expected)
-
-
-NO_WORLDS: list[object] = [None, True, 1, 1.5, "world", [], {}, [world()], [*world().values()], {"world": world()}]
-NO_WORLDS += [world(**{name: ...}) for name in world()]
-NO_NUMBERS = (None, "", "12.5", True, [1.0], {"value": 1.0}, math.nan, math.inf, -math.inf, 10**400, 1e300)
-NO_WORLDS += [world(**{name: value}) for name in world() for value in NO_NUMBERS]
-NO_WORLDS += [world(time_s=-0.1), world(interventions=-1), world(interventions=1.0)]
-NO_WORLDS += [world(x_m=2 * MAX_WORLD_NUMBER), world(expert_steering=-2 * MAX_WORLD_NUMBER)]
-
-
-def test_what_is_no_world_is_none_and_the_telemetry_good_all_the_same() -> None:
-    expected = parse_telemetry(telemetry())
-    for value in NO_WORLDS:
-        assert parse_telemetry(telemetry(world=value)) == expected, value
-
-
 SCALARS = (
     st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.text("0123456789.,-eE '", max_size=12)
 )
@@ -288,8 +237,8 @@ JSON = st.recursive(
     SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3)
 )
 TOLD = st.fixed_dictionaries(
-    {}, optional={name: JSON | st.just(value) for name, value in telemetry(world=world()).items()}
-)  # fmt: skip
+    {}, optional={name: JSON | st.just(value) for name, value in telemetry(world={"time_s": 1.0}).items()}
+)
 
 
 @given(JSON | TOLD)
@@ -299,16 +248,6 @@ def test_anything_is_either_a_telemetry_or_a_telemetry_error(data: object) -> No
     except TelemetryError:
         return
     assert all(math.isfinite(number) for number in (told.steering, told.throttle, told.speed_mph))
-
-
-@given(JSON | st.fixed_dictionaries({name: SCALARS | st.just(value) for name, value in world().items()}))
-def test_any_world_is_one_of_finite_numbers_or_none(value: object) -> None:
-    told = parse_telemetry(telemetry(world=value)).world
-    if told is None:
-        return
-    assert all(math.isfinite(number) for number in vars(told).values())
-    assert -1 <= told.expert_steering <= 1
-    assert -1 <= told.expert_throttle <= 1
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.sampled_from(".,/\u066b"))

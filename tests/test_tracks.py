@@ -84,5 +84,15 @@ def test_a_seed_is_a_road() -> None:
 
 @pytest.mark.parametrize("name", ["", "sea", "Lake", "random", "random:", "random:-1", "random:x", "random:1.5"])
 def test_an_unknown_name_is_explained(name: str) -> None:
-    with pytest.raises(ValueError, match="choose lake, mountain or random:SEED"):
+    with pytest.raises(ValueError, match="Choose lake, mountain or random:SEED"):
         load_track(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("lkae", "lake"), ("Lake", "lake"), ("mountian", "mountain"), ("random7", "random:7")]
+)
+def test_a_misspelt_name_is_asked_about(name: str, meant: str) -> None:
+    with pytest.raises(ValueError, match=f"no such track; did you mean {meant}\\?"):
+        load_track(name)
+    with pytest.raises(ValueError, match=r"no such track\."):
+        load_track("sea")

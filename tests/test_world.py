@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from bare_server import OPEN, BareServer, Wire, steer
-from recorder.telemetry import Telemetry, World, parse_telemetry
+from recorder.telemetry import Telemetry, parse_telemetry
+from recorder.world import World
 from simulator.autonomous import Driven, drive_autonomously
 from simulator.cli import main
 from simulator.client import SimulatorClient
@@ -56,13 +57,16 @@ def driven(
     return heard, book
 
 
-def world_of(told: Telemetry) -> World:
+def world_of(told: Telemetry) -> Any:
+    """A `World` of which nothing is None: the built-in simulator tells all of it."""
     assert told.world is not None
+    assert None not in vars(told.world).values()
     return told.world
 
 
 def as_the_expert(told: Telemetry) -> tuple[float, float]:
-    return world_of(told).expert_steering, world_of(told).expert_throttle
+    steering, throttle = world_of(told).expert
+    return steering, throttle
 
 
 def weaving(told: Telemetry) -> tuple[float, float]:

@@ -1,13 +1,14 @@
-"""The log times of a drive: never the same, never back."""
+"""The log times of what comes live: never the same, never back."""
 
 from __future__ import annotations
 
 import time
 from typing import Final
 
-from drive.clock import LONGEST_STEP_S
 from recorder.quality import GAP_S
 
+LONGEST_STEP_S: Final = 60.0
+"""Simulated time that jumps farther than this from one telemetry to the next is another clock."""
 BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # rows that far apart belong to two drives
 
 
@@ -19,11 +20,11 @@ class LogClock:
     anew, are so far apart that nobody takes them for neighbours.
 
     Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is looked at once, so that setting it while
-    the car drives moves no row.
+    the car drives moves no row. With `from_wall_clock` they are those of `time.time_ns`.
     """
 
-    def __init__(self) -> None:
-        self._wall_ns = time.time_ns() - time.perf_counter_ns()
+    def __init__(self, *, from_wall_clock: bool = False) -> None:
+        self._wall_ns = 0 if from_wall_clock else time.time_ns() - time.perf_counter_ns()
         self._shift_ns = self._wall_ns  # from the clock in use to log time
         self._simulated_ns: int | None = None  # of the last row; None: the clock in use is ours
         self._last_ns = 0
