@@ -120,7 +120,7 @@ def test_a_finding_ends_with_3_and_json_tells_each(tmp_path: Path, capsys: pytes
     assert call(main, "check", path) == 3
     assert capsys.readouterr().out.splitlines() == [
         f"{path}: 12 messages, 9 pictures decoded: 1 finding",
-        "  1 values out of range: row 1",
+        "  1 stretch of values out of range: row 1",
     ]
     assert call(main, "check", path, "--json") == 3
     told = json.loads(capsys.readouterr().out)
