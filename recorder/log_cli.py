@@ -43,6 +43,29 @@ from recorder.topics import VEHICLE
 LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 MOST_PLACES = 6
 
+_ONE = {
+    "cameras with pictures of several sizes": "camera with pictures of several sizes",
+    "chunks that are not where the summary says": "chunk that is not where the summary says",
+    "chunks without an index of their messages": "chunk without an index of its messages",
+    "chunks of other times than they tell": "chunk of other times than it tells",
+    "damaged chunks": "damaged chunk",
+    "frozen pictures": "stretch of frozen pictures",
+    "gaps in time": "gap in time",
+    "indexes that do not fit their chunk": "index that does not fit its chunk",
+    "messages of unknown channels": "message of an unknown channel",
+    "messages that are not what their schema says": "message that is not what its schema says",
+    "other numbers of messages than told": "other number of messages than told",
+    "pictures that do not decode": "picture that does not decode",
+    "records of a wrong length": "record of a wrong length",
+    "rows out of order": "row out of order",
+    "stretches of pictures without a row": "stretch of pictures without a row",
+    "stretches of rows without a picture": "stretch of rows without a picture",
+    "stuck steering": "stretch of stuck steering",
+    "times that no clock shows": "time that no clock shows",
+    "values out of range": "stretch of values out of range",
+}
+"""What a single finding of a kind is called."""
+
 
 @dataclass(frozen=True)
 class ShowInfo:
@@ -426,8 +449,10 @@ def _print_checked(checked: Checked) -> None:
     by_kind = Skipped()
     for finding in checked.findings:
         by_kind.add(finding.kind, finding.where)
-    for line in by_kind.lines(MOST_PLACES):
-        print(f"  {line}")
+    for kind, count in by_kind.counts.items():
+        places = [where for other, where in by_kind if other == kind][:MOST_PLACES]
+        more = f", and {count - len(places):,} more" if count > len(places) else ""
+        print(f"  {counted(count, _ONE.get(kind, kind), kind)}: {', '.join(places)}{more}")
 
 
 def _verdict(checked: Checked) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import mmap
+import os
 from array import array
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import Executor, Future
 from typing import Final
 
-import cv2
 import numpy as np
 
 from recorder.picture_size import can_be_decoded
@@ -21,6 +22,8 @@ _PICTURES_A_JOB: Final = 32  # one by one, handing them over would cost a tenth 
 _JOB_BYTES: Final = 1 << 20
 _MOST_WAITING_BYTES: Final = 1 << 24
 _OVERHEAD_BYTES: Final = 256  # of a picture that waits, besides its own
+
+_DECODER_BYTES: Final = (224 + 64 * (os.cpu_count() or 1)) << 20  # of addresses: what OpenCV and its threads take
 
 _Place = tuple[str, int]  # topic, and position among its pictures
 
@@ -64,6 +67,8 @@ class Look:
 
     def __init__(self, pool: Executor | None, on_decoded: Callable[[int], object] = lambda count: None) -> None:
         """Decodes on `pool`, and tells `on_decoded` how many more it has; without a pool nothing is decoded."""
+        if pool is not None:
+            _load_decoder()
         self._pool = pool
         self._on_decoded = on_decoded
         self._job: list[tuple[_Place, bytes]] = []
@@ -110,11 +115,22 @@ class Look:
         self._on_decoded(len(places))
 
 
+def _load_decoder() -> None:
+    """Raises MemoryError where there is no room for OpenCV, which would end the process without a word."""
+    try:
+        mmap.mmap(-1, _DECODER_BYTES).close()
+    except OSError:
+        raise MemoryError from None
+    import cv2  # noqa: F401
+
+
 def decodes(picture: bytes) -> bool:
     """Whether it is a JPEG or PNG, not too large, that OpenCV decodes to its end. Wrong bytes within the coded
     picture that end where they should decode to a wrong picture, which nothing can tell from a right one."""
     if not can_be_decoded(picture):
         return False
+    import cv2  # what looks at no picture needs none of its memory
+
     try:
         # at an eighth of the size: a fraction of the time, and the whole picture is still read through
         return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
