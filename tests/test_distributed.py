@@ -101,7 +101,7 @@ def test_a_run_that_exists_is_said_and_ends_all(index: Path, tmp_path: Path) -> 
     (tmp_path / "run").mkdir()
     done = torchrun("--name", "run", *FLAGS, "--index", index, "--sessions", index.parent, "--runs", tmp_path)
     assert done.returncode != 0
-    assert "run: exists already; give another --name" in done.stderr
+    assert "run: exists already, and is no run; give another --name" in done.stderr
     assert "Traceback" not in done.stderr.split("torch/distributed/elastic")[0]
 
 
