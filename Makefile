@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := common recorder dataset model drive viz simulator tests benchmarks docs
+SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator tests benchmarks docs
 
 .PHONY: install demo test check pictures proto clean
 

@@ -1,4 +1,10 @@
-"""What Ctrl-C and `kill` do: they are noted, or put off, so that what must happen together does."""
+"""What Ctrl-C and `kill` do: they are noted, or put off, so that what must happen together does.
+
+Who presses Ctrl-C a second time wants no more tidying up. The process then ends as by `kill -9`, also in the
+middle of what is otherwise `uninterrupted`: whatever is written is made for that (a temporary name, one rename in
+the end), because a power cut does the same. Other signals come several times by themselves (a closed terminal
+sends SIGHUP, its shell another one), so that only a Ctrl-C counts as a second wish.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +12,8 @@ import contextlib
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from types import FrameType
-from typing import Final
+from types import FrameType, TracebackType
+from typing import ClassVar, Final, Self
 
 HANG_UP: Final = getattr(signal, "SIGHUP", None)  # None on Windows
 STOPPING: Final[tuple[signal.Signals, ...]] = (
@@ -16,6 +22,51 @@ STOPPING: Final[tuple[signal.Signals, ...]] = (
     *([] if HANG_UP is None else [HANG_UP]),
 )
 """What asks a command to end."""
+
+SLOW_S: Final = 2.0
+"""What takes longer to end says how it is ended at once."""
+
+
+class Stopping:
+    """In this block, which is a whole command, the first signal that `signals_to` hears asks for the end, and a
+    Ctrl-C after it calls `at_once`, which must not return."""
+
+    current: ClassVar[Stopping | None] = None
+
+    def __init__(self, at_once: Callable[[], object], on_slow: Callable[[], object]) -> None:
+        """`on_slow` is called, in a thread, if the block has not ended `SLOW_S` after the first signal."""
+        self.is_asked = False
+        self._at_once = at_once
+        self._slow = threading.Timer(SLOW_S, on_slow)
+        self._slow.daemon = True
+        self._is_repeated = False
+
+    def heard(self, number: int) -> bool:
+        """Whether a handler is to be told of this signal."""
+        if self._is_repeated:
+            self._is_repeated = False
+            return True
+        if self.is_asked:
+            if number == signal.SIGINT:
+                self._at_once()
+            return False
+        self.is_asked = True
+        self._slow.start()
+        return True
+
+    def repeat(self) -> None:
+        """The next signal is one that was heard before, and put off."""
+        self._is_repeated = True
+
+    def __enter__(self) -> Self:
+        Stopping.current = self
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        Stopping.current = None
+        self._slow.cancel()
 
 
 @contextlib.contextmanager
@@ -26,6 +77,11 @@ def signals_to(handler: Callable[[int, FrameType | None], object]) -> Iterator[N
 
     Outside the main thread, which alone hears signals, nothing is changed.
     """
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        if Stopping.current is None or Stopping.current.heard(number):
+            handler(number, frame)
+
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -37,7 +93,7 @@ def signals_to(handler: Callable[[int, FrameType | None], object]) -> Iterator[N
     }  # None: not Python's
     try:
         for number in before:
-            signal.signal(number, handler)
+            signal.signal(number, hear)
         yield
     finally:
         for number, previous in before.items():
@@ -66,4 +122,6 @@ def uninterrupted() -> Iterator[None]:
     with signals_to(lambda number, frame: came.append(number)):
         yield
     if came:
+        if Stopping.current is not None:
+            Stopping.current.repeat()
         signal.raise_signal(came[0])

@@ -10,7 +10,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tyro
 
-from common.command import DONE, FAILED, run_command, stderr, stdout, warn
+from common.command import DONE, FAILED, run_command, warn
+from common.output import print_message, print_result, print_table
 from dataset.config import IndexConfig
 from dataset.frames import session_name
 from dataset.index import Indexed, build_index, find_logs, unfinished_recordings
@@ -63,25 +64,24 @@ def index(config: Index) -> int:
         *unfinished_recordings(config.folder, config.sessions),
     ]:
         code = warn(notice)
-    console = stdout()
-    console.print(sessions_table(indexed))
-    console.print(balance_table(indexed.balance))
+    print_table(sessions_table(indexed))
+    print_table(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
     counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
     frames = sum(session.frames for session in indexed.counts.values())
-    print(f"{indexed.path}: {frames:,} frames, {len(split):,} samples ({counts})")
+    print_result(f"{indexed.path}: {frames:,} frames, {len(split):,} samples ({counts})")
     if config.figures is not None:
         from dataset.figures import write_figures
 
         for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
-            print(path)
+            print_result(str(path))
     if config.report:
         print_report(report(config.index))
     if config.check:
         leaks = find_leaks(config.index)
         for leak in leaks:
-            stderr().print(leak, markup=False)
-        print("no leak between training and validation" if not leaks else f"{len(leaks)} leaks")
+            print_message(leak)
+        print_result("no leak between training and validation" if not leaks else f"{len(leaks)} leaks")
         code = FAILED if leaks else code
     return code
 

@@ -12,9 +12,10 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, flags_given, run_command, stderr, stdout, warn
+from common.command import DONE, flags_given, run_command, warn
 from common.files import refuse_existing
 from common.interrupts import stop_signals
+from common.output import print_message, print_result, print_table
 from common.preview import preview
 from common.progress import StatusLine
 from drive.config import DriveConfig
@@ -161,9 +162,9 @@ def _told(server: DriveServer) -> int:
     code = DONE
     for session in server.sessions:
         log = session.writer.path
-        print(f"{log}: {session.log.frames:,} frames; look at it with `bc-play {log}`")
+        print_result(f"{log}: {session.log.frames:,} frames; look at it with `bc-play {log}`")
         for line in session.summary.lines():
-            print(f"  {line}")
+            print_result(f"  {line}")
         if session.log.dropped_pictures or session.log.dropped_rows:
             code = warn(
                 f"{log}: the disk was too slow: {session.log.dropped_pictures:,} pictures and"
@@ -179,10 +180,9 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     from model import TrainConfig, find_run
 
     rounds: list[Round] = []
-    console = stderr()
 
     def say(text: str) -> None:
-        console.print(f"bc-drive: {text}", markup=False)
+        print_message(f"bc-drive: {text}")
 
     assert config.simulator is not None  # noqa: S101
     assert config.aggregate is not None  # noqa: S101
@@ -205,7 +205,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
             for each in rounds:
                 autonomy = f"{each.autonomy_percent:.1f} %"
                 table.add_row(each.run, f"{each.laps:.2f}", str(each.interventions), autonomy, str(each.log))
-            stdout().print(table)
+            print_table(table)
     return DONE
 
 

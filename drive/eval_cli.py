@@ -11,8 +11,8 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, flags_given, run_command, stderr, stdout, warn, warn_skipped
-from common.errors import shown
+from common.command import DONE, flags_given, run_command, warn, warn_skipped
+from common.output import print_message, print_result, print_table
 
 if TYPE_CHECKING:
     from drive.closed_loop import Result
@@ -114,7 +114,7 @@ def _measure(config: Eval) -> int:
         what = {"index": None, "split": None}
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
     if config.json:
-        print(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
+        print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
     else:
         from drive.eval_report import print_evaluation
 
@@ -135,7 +135,7 @@ def _told(found: Evaluation, *, is_training: bool) -> int:
     elif found.learnt:
         line = f"{run} has learnt from {found.learnt:,} of these {count:,} frames"
         if is_training:
-            stderr().print(shown(f"bc-eval: {line}"), markup=False)
+            print_message(f"bc-eval: {line}")
         else:
             code = warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
     return code
@@ -156,7 +156,6 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
         for speed in config.speed or (10.0,)
         for track in tracks
     ]
-    console = stderr()
     results = []
     try:
         for result in evaluate_run(
@@ -164,15 +163,15 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
             drives,
             config.logs or Path("drives"),
             overwrite=config.force,
-            said=lambda text: console.print(f"bc-eval: {text}"),
+            said=lambda text: print_message(f"bc-eval: {text}"),
         ):
             results.append(result)
             if config.json:
-                print(json.dumps(result.as_dict()), flush=True)
+                print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
-            stdout().print(_table(results))
-            print(f"look at a drive with `bc-play {results[-1].log}`", flush=True)
+            print_table(_table(results))
+            print_result(f"look at a drive with `bc-play {results[-1].log}`")
     return DONE
 
 

@@ -11,8 +11,8 @@ from rich.bar import Bar
 from rich.markup import escape
 from rich.table import Table
 
-from common.command import stdout
 from common.errors import shown
+from common.output import print_result, print_table
 from model.evaluation import Evaluation
 from model.measures import Measures
 from model.run import run_name
@@ -29,10 +29,10 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> Non
     if worst:
         tables.append(_worst_table(worst))
     for table in tables:
-        stdout().print(table, "")
+        print_table(table, "")
     if worst:
         log = shlex.quote(shown(str(_short(evaluation.logs[worst[0].session]))))
-        print(f"look at the worst with `bc-play {log}`, at {_clock(worst[0])} UTC")
+        print_result(f"look at the worst with `bc-play {log}`, at {_clock(worst[0])} UTC")
 
 
 def _measures_table(evaluation: Evaluation) -> Table:

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 import tyro
 
 from common import UserError
-from common.command import DONE, FAILED, run_command, stderr, warn, warn_skipped
+from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import counted
+from common.output import print_message, print_result
 from model.config import TrainConfig
 
 if TYPE_CHECKING:
@@ -70,18 +71,15 @@ def train(config: Train) -> int:
         begin = read_position(run) if config.resume is not None else None
         going_on = f", going on in epoch {begin.epoch} after batch {begin.batch}" if begin is not None else ""
         epochs = counted(settings.epochs, "epoch")
-        print(
-            f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}{going_on}",
-            flush=True,
-        )
+        print_result(f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}{going_on}")
     try:
         with _listeners(config, run, is_first=is_first) as listeners:
             is_resumed = config.resume is not None
             trained = train_network(index, run, settings, listeners, init=init, resume=is_resumed)
     except KeyboardInterrupt:
         if is_first and run.exists():
-            command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... -m model.train"
-            stderr().print(f"bc-train: what is learnt is kept; go on with `{command} --resume {run.name}`")
+            command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
+            print_message(f"bc-train: what is learnt is kept; go on with `{command} --resume {run.name}`")
         raise
     except FirstRankError:
         return FAILED  # the first one says why
@@ -90,13 +88,13 @@ def train(config: Train) -> int:
         return code
     code = max([code, *map(warn, trained.notices)])
     for remark in trained.remarks:
-        stderr().print(remark, markup=False)
+        print_message(remark)
     if trained.is_stopped_early:
-        print(f"{run}: stopped early: {settings.patience} epochs were no better than the best (--patience)")
+        print_result(f"{run}: stopped early: {settings.patience} epochs were no better than the best (--patience)")
     elif not trained.epochs:
-        print(f"{run}: all its epochs are learnt; give more --epochs to go on")
+        print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    print(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run.name}`")
+    print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run.name}`")
     return code
 
 
@@ -112,7 +110,7 @@ class Printer:
     def epoch(self, epoch: Epoch) -> None:
         measures = epoch.measures
         if measures.frames and not self._has_begun:
-            print(
+            print_result(
                 f"errors of {measures.frames:,} frames held out, in degrees; always the mean: RMSE"
                 f" {measures.mean.rmse_deg:.2f}, always zero: {measures.zero.rmse_deg:.2f}"
             )
@@ -123,10 +121,9 @@ class Printer:
             if measures.frames
             else " nothing held out,"
         )
-        print(
+        print_result(
             f"epoch {epoch.epoch:>2}: loss {epoch.training_loss:.4f},{validation}"
-            f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}",
-            flush=True,
+            f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
         )
 
     def close(self) -> None:
@@ -181,10 +178,10 @@ def _index_of(config: Train, *, is_first: bool) -> Path:
     if not (config.index / SAMPLES_NAME).exists():
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
-        stderr().print(f"{config.index}: no index yet; building it from {config.sessions}")
+        print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         build_index(find_logs((), config.sessions), config.index)
     elif is_first and (absent := sessions_not_indexed(config.index, config.sessions)):
-        stderr().print(
+        print_message(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )
     return config.index

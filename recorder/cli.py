@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from common.command import run_command, warn_skipped
+from common.output import print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.record import Imported
@@ -57,7 +58,7 @@ def record(config: Record) -> int:
     done = _recorded(config, config.sessions / f"{config.name}.mcap")
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
-    print(f"{done.path}: {done.rows:,} rows, {done.pictures:,} pictures, {size_mb:.1f} MB")
+    print_result(f"{done.path}: {done.rows:,} rows, {done.pictures:,} pictures, {size_mb:.1f} MB")
     return code
 
 

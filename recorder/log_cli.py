@@ -20,12 +20,11 @@ from common.command import (
     FAILED,
     complain,
     run_command,
-    stderr,
-    stdout,
     warn,
     warn_skipped,
 )
 from common.errors import shown
+from common.output import print_message, print_result, print_table
 from recorder.check import Checked, check
 from recorder.edit import (
     Written,
@@ -61,7 +60,7 @@ class ShowInfo:
     def _one(self, path: Path) -> int:
         info = describe(path)
         if self.json:
-            print(json.dumps(dataclasses.asdict(info), allow_nan=False))
+            print_result(json.dumps(dataclasses.asdict(info), allow_nan=False))
         else:
             _print_info(info)
         code = _warn_stale(path, info.stale_tags)
@@ -88,7 +87,7 @@ class Check:
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
             told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            print(json.dumps({**told, "findings": found}))
+            print_result(json.dumps({**told, "findings": found}))
         else:
             _print_checked(checked)
         return DONE_BUT_SKIPPED if checked.findings else DONE
@@ -109,10 +108,10 @@ class Recover:
     def run(self) -> int:
         with Log(self.log) as log:
             if log.problem:
-                stderr().print(f"{self.log}: {log.problem}; all that is whole in it is recovered", markup=False)
+                print_message(f"{self.log}: {log.problem}; all that is whole in it is recovered")
         to = _named(self.to) if self.to is not None else recovered_name(self.log)
         code = _written(recover(self.log, to, overwrite=self.force))
-        stderr().print(f"{self.log} is as it was; once {to} is checked it can be removed", markup=False)
+        print_message(f"{self.log} is as it was; once {to} is checked it can be removed")
         return code
 
 
@@ -208,7 +207,7 @@ class NameRows:
         if self.tag is not None:
             tags = self._change(self.tag, tags, fingerprint)
         for tag in tags:
-            print(f"{tag.name}: rows {tag.first_row} to {tag.last_row}")
+            print_result(f"{tag.name}: rows {tag.first_row} to {tag.last_row}")
         return code
 
     def _is_everywhere(self) -> bool:
@@ -303,37 +302,36 @@ def _times(start_s: float | None, end_s: float | None) -> tuple[float, float]:
 def _written(written: Written) -> int:
     code = warn_skipped(written.skipped)
     size_mb = written.path.stat().st_size / 1e6
-    print(f"{written.path}: {written.rows:,} rows, {written.messages:,} messages, {size_mb:.1f} MB")
+    print_result(f"{written.path}: {written.rows:,} rows, {written.messages:,} messages, {size_mb:.1f} MB")
     return code
 
 
 def _print_info(info: Info) -> None:
-    console = stdout()
     driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
     size = f"{info.size_bytes / 1e6:,.1f} MB"
-    console.print(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
+    print_table(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
     table = Table("topic", "schema", "messages", "a second")
     for topic in info.topics:
         table.add_row(_plain(topic.topic), _plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:.1f}")
-    console.print(table)
+    print_table(table)
     for name, value in sorted(info.session.items()):
-        console.print(f"  {_plain(name)}: {_plain(value)}")
+        print_table(f"  {_plain(name)}: {_plain(value)}")
     if info.drives is None or info.flags is None:
         if info.session.get("source") != "prediction":
-            console.print("  written by another program: `bc-log check` looks at what is in it")
+            print_table("  written by another program: `bc-log check` looks at what is in it")
     elif info.drives:
         odd = ", ".join(f"{count:,} rows {flag}" for flag, count in info.flags.items() if count and flag != "gap")
-        console.print(f"  {info.drives} drive{'s' if info.drives > 1 else ''}; {odd or 'no odd rows'}")
+        print_table(f"  {info.drives} drive{'s' if info.drives > 1 else ''}; {odd or 'no odd rows'}")
     for stretch in info.stretches[:MOST_PLACES]:
         goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
-        console.print(
+        print_table(
             f"    {_plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
             f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
         )
     if len(info.stretches) > MOST_PLACES:
-        console.print(f"    and {len(info.stretches) - MOST_PLACES} more stretches (--json lists them)")
+        print_table(f"    and {len(info.stretches) - MOST_PLACES} more stretches (--json lists them)")
     for tag in info.tags:
-        console.print(f"  tag {_plain(tag.name)}: rows {tag.first_row} to {tag.last_row}")
+        print_table(f"  tag {_plain(tag.name)}: rows {tag.first_row} to {tag.last_row}")
 
 
 def _plain(text: str) -> str:
@@ -342,12 +340,12 @@ def _plain(text: str) -> str:
 
 def _print_checked(checked: Checked) -> None:
     looked = f", {checked.pictures:,} pictures decoded" if checked.pictures else ""
-    print(f"{shown(str(checked.path))}: {checked.messages:,} messages{looked}: {_verdict(checked)}")
+    print_result(f"{checked.path}: {checked.messages:,} messages{looked}: {_verdict(checked)}")
     by_kind = Skipped()
     for finding in checked.findings:
         by_kind.add(finding.kind, finding.where)
     for line in by_kind.lines(MOST_PLACES):
-        print(f"  {line}")
+        print_result(f"  {line}")
 
 
 def _verdict(checked: Checked) -> str:

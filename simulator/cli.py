@@ -13,7 +13,8 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, FAILED, flags_given, refuse_no_port, run_command, stderr
+from common.command import BAD_USAGE, DONE, FAILED, flags_given, refuse_no_port, run_command
+from common.output import print_message, print_result
 from common.progress import progress_bar, track
 from simulator.client import SimulatorClient, WaitTimeoutError
 
@@ -85,12 +86,12 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
     try:
         simulation = Simulation(config.track)
     except ValueError as error:
-        stderr().print(f"bc-sim: --track: {error}")
+        print_message(f"bc-sim: --track: {error}")
         return BAD_USAGE
     if not config.json:  # else a program has started it, as bc-drive and bc-eval do
-        stderr().print(f"bc-sim: connecting to {client.url}")
+        print_message(f"bc-sim: connecting to {client.url}")
     if not config.real_time and not config.tell_world:
-        stderr().print(
+        print_message(
             "bc-sim: time passes faster here than by the clock, which bc-drive goes by: give --real-time or"
             " --tell-world where distances and times of its log shall be right"
         )
@@ -106,15 +107,15 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
             expert=expert,
             leave_off_road=config.leave_off_road,
             progress=lambda laps: bar.update(task, completed=round(laps * 1000)),
-            lost=lambda: bar.console.print(f"bc-sim: disconnected; waiting for a server for {config.wait:g} s"),
+            lost=lambda: print_message(f"bc-sim: disconnected; waiting for a server for {config.wait:g} s"),
         )
     if driven.gave_up:
-        stderr().print(f"bc-sim: the car did not get on for {GIVE_UP_S:g} s of simulated time: given up")
+        print_message(f"bc-sim: the car did not get on for {GIVE_UP_S:g} s of simulated time: given up")
     if config.json:
-        print(json.dumps(driven.as_dict()))
+        print_result(json.dumps(driven.as_dict()))
     else:
         measures = driven.measures
-        print(
+        print_result(
             f"{driven.track}: {measures.laps:.2f} laps in {measures.elapsed_s:.0f} s of simulated time,"
             f" {measures.interventions} interventions, autonomy {measures.autonomy_percent:.1f} %,"
             f" distance from the centre line {measures.mean_offset:.2f} (largest {measures.max_offset:.2f})"
@@ -136,7 +137,7 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
     pictures = sorted(images.glob("center_*.jpg"))[: config.count]
     if not pictures:
         raise UserError(f"{images}: no center_*.jpg in it; give a folder that the simulator recorded into")
-    stderr().print(f"bc-sim: connecting to {client.url}")
+    print_message(f"bc-sim: connecting to {client.url}")
     start_s = 0.0
 
     def jpegs() -> Iterator[bytes]:
@@ -154,7 +155,9 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
         "unreadable": client.bad_steers,
         "answers_per_s": round(answers / seconds),
     }
-    print(json.dumps(result) if config.json else ", ".join(f"{value:,} {name}" for name, value in result.items()))
+    print_result(
+        json.dumps(result) if config.json else ", ".join(f"{value:,} {name}" for name, value in result.items())
+    )
     return DONE if answers == client.telemetries else FAILED
 
 
