@@ -18,7 +18,7 @@ import tyro
 from common.errors import Skipped, UserError
 from common.interrupts import Stopping, signals_to
 from common.output import end_bar, print_message
-from common.streams import end_process, unhurried_streams
+from common.streams import drain, end_process, unhurried_streams, why_results_are_lost
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -76,16 +76,16 @@ def run_command(
     second one ends the process, as `kill -9` would: no file is ever half-written under its own name.
     """
     say_how = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
-    with unhurried_streams() as streams, Stopping(partial(_end_at_once, prog), say_how) as stopping:
+    with unhurried_streams(), Stopping(partial(_end_at_once, prog), say_how) as stopping:
         with signals_to(_interrupt):
             code = _run(prog, config, action, description or config.__doc__, default)
             try:
-                streams.drain(is_patient=not stopping.is_asked)
+                drain(is_patient=not stopping.is_asked)
             except KeyboardInterrupt:
                 code = INTERRUPTED
-        if streams.failure is not None:
-            code = complain(prog, UserError(f"standard output: {streams.failure}"))
-            streams.drain(is_patient=False)
+        if why := why_results_are_lost():
+            code = complain(prog, UserError(f"standard output: {why}"))
+            drain(is_patient=False)
     sys.exit(code)
 
 

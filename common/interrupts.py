@@ -29,29 +29,34 @@ SLOW_S: Final = 2.0
 
 class Stopping:
     """In this block, which is a whole command, the first signal that `signals_to` hears asks for the end, and a
-    Ctrl-C after it calls `at_once`, which must not return."""
+    Ctrl-C that no handler takes any more calls `at_once`, which must not return."""
 
     current: ClassVar[Stopping | None] = None
 
     def __init__(self, at_once: Callable[[], object], on_slow: Callable[[], object]) -> None:
         """`on_slow` is called, in a thread, if the block has not ended `SLOW_S` after the first signal."""
-        self.is_asked = False
+        self._heard = 0
         self._at_once = at_once
         self._slow = threading.Timer(SLOW_S, on_slow)
         self._slow.daemon = True
         self._is_repeated = False
 
-    def heard(self, number: int) -> bool:
-        """Whether a handler is to be told of this signal."""
+    @property
+    def is_asked(self) -> bool:
+        return self._heard > 0
+
+    def heard(self, number: int, most: int) -> bool:
+        """Whether a handler that takes `most` signals is to be told of this one."""
         if self._is_repeated:
             self._is_repeated = False
             return True
-        if self.is_asked:
-            if number == signal.SIGINT:
-                self._at_once()
+        if self.is_asked and number != signal.SIGINT:
             return False
-        self.is_asked = True
-        self._slow.start()
+        if self._heard >= most:
+            self._at_once()
+        if not self.is_asked:
+            self._slow.start()
+        self._heard += 1
         return True
 
     def repeat(self) -> None:
@@ -70,8 +75,10 @@ class Stopping:
 
 
 @contextlib.contextmanager
-def signals_to(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
+def signals_to(handler: Callable[[int, FrameType | None], object], most: int = 1) -> Iterator[None]:
     """SIGINT, SIGTERM and SIGHUP call `handler` in the block, and afterwards again what they did before.
+
+    In a command (`Stopping`), it is called `most` times; a Ctrl-C after that ends the process.
 
     SIGHUP (the terminal is closed) stays ignored where it was, as under `nohup`.
 
@@ -79,7 +86,7 @@ def signals_to(handler: Callable[[int, FrameType | None], object]) -> Iterator[N
     """
 
     def hear(number: int, frame: FrameType | None) -> None:
-        if Stopping.current is None or Stopping.current.heard(number):
+        if Stopping.current is None or Stopping.current.heard(number, most):
             handler(number, frame)
 
     if threading.current_thread() is not threading.main_thread():

@@ -21,7 +21,7 @@ from typing import Any, Final, NoReturn, TextIO
 
 from common.errors import counted
 
-MOST_WAITING: Final = 1000
+MOST_WAITING: Final = 10_000
 """Texts that wait for their reader. Messages beyond it are lost, and counted; a result waits for room."""
 _POLL_S: Final = 0.01
 _PATIENCE_S: Final = 2.0  # in the end, for a reader who takes nothing
@@ -96,7 +96,7 @@ class OutletStream(io.TextIOBase):
 
     def __init__(self, outlet: Outlet, stream: TextIO, *, is_result: bool, is_trusted: bool = False) -> None:
         """In place of `stream`."""
-        self._outlet = outlet
+        self.outlet = outlet
         self._stream = stream
         self._is_result = is_result
         self._is_trusted = is_trusted
@@ -114,14 +114,11 @@ class OutletStream(io.TextIOBase):
         safe = text if self._is_trusted or text.isprintable() else _COLOUR_OR_OTHER.sub(_escaped, text)
         if os.linesep != "\n":
             safe = safe.replace("\n", os.linesep)
-        self._outlet.put(safe.encode(self.encoding, self.errors), is_result=self._is_result)
+        self.outlet.put(safe.encode(self.encoding, self.errors), is_result=self._is_result)
         return len(text)
 
     def flush(self) -> None:
         """Nothing is kept back, and nobody is waited for."""
-
-    def drain(self, *, is_patient: bool) -> None:
-        self._outlet.drain(is_patient=is_patient)
 
     def writable(self) -> bool:
         return True
@@ -133,34 +130,15 @@ class OutletStream(io.TextIOBase):
         return self._stream.fileno()
 
 
-class Streams:
-    """Standard output and error, as long as they are written by threads."""
-
-    def __init__(self, outlets: list[Outlet]) -> None:
-        """`outlets`: standard output's, then standard error's; where both lead to one place, only that one."""
-        self._outlets = outlets
-
-    def drain(self, *, is_patient: bool = True) -> None:
-        """Have all lines written, see `Outlet.drain`."""
-        for outlet in self._outlets:
-            outlet.drain(is_patient=is_patient)
-
-    @property
-    def failure(self) -> str | None:
-        """Why results were lost, if not because their reader has gone: the disk is full."""
-        error = self._outlets[0].error if self._outlets else None
-        return None if error is None or error.errno in _GONE else error.strerror
-
-
 @contextlib.contextmanager
-def unhurried_streams() -> Iterator[Streams]:
-    """`sys.stdout` and `sys.stderr` never wait in this block; drain them before it is left.
+def unhurried_streams() -> Iterator[None]:
+    """`sys.stdout` and `sys.stderr` never wait in this block; `drain` them before it is left.
 
     Where they are no files of the system (a test has taken their place), they stay as they are.
     """
     before = sys.stdout, sys.stderr
     if any(stream is not None and not _is_of_system(stream) for stream in before):
-        yield Streams([])
+        yield
         return
     out, err = (stream or open(os.devnull, "w", encoding="utf-8") for stream in before)  # noqa: SIM115, PTH123
     outlet = Outlet(_raw(out))
@@ -169,20 +147,32 @@ def unhurried_streams() -> Iterator[Streams]:
     sys.stdout = OutletStream(outlet, out, is_result=True)
     sys.stderr = OutletStream(other, err, is_result=False)
     try:
-        yield Streams([outlet] if other is outlet else [outlet, other])
+        yield
     finally:
         sys.stdout, sys.stderr = before
+
+
+def drain(*, is_patient: bool = True) -> None:
+    """Have all lines written, see `Outlet.drain`."""
+    for stream in (sys.stdout, sys.stderr):
+        beneath = trusted(stream)
+        if isinstance(beneath, OutletStream):
+            beneath.outlet.drain(is_patient=is_patient)
+        else:
+            beneath.flush()
+
+
+def why_results_are_lost() -> str | None:
+    """Where it is not that their reader has gone: the disk is full."""
+    beneath = trusted(sys.stdout)
+    error = beneath.outlet.error if isinstance(beneath, OutletStream) else None
+    return None if error is None or error.errno in _GONE else error.strerror
 
 
 def end_process(code: int) -> NoReturn:
     """End at once, as `os._exit` does, but with all lines written that somebody takes."""
     try:
-        for stream in (sys.stdout, sys.stderr):
-            beneath = trusted(stream)
-            if isinstance(beneath, OutletStream):
-                beneath.drain(is_patient=False)
-            else:
-                beneath.flush()
+        drain(is_patient=False)
     finally:
         os._exit(code)
 

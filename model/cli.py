@@ -18,6 +18,7 @@ from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import counted
 from common.output import print_message, print_result
+from common.streams import end_process
 from model.config import TrainConfig
 
 if TYPE_CHECKING:
@@ -212,4 +213,10 @@ def main() -> None:
         from model.export_cli import main as export
 
         export()
-    run_command("bc-train", Train, train, default=_defaults)
+    try:
+        run_command("bc-train", Train, train, default=_defaults)
+    except SystemExit as ended:
+        if "WORLD_SIZE" not in os.environ:
+            raise
+        # A thread of torchrun's process group that came back while Python ended was seen to abort the process.
+        end_process(ended.code if isinstance(ended.code, int) else int(ended.code is not None))
