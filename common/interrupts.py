@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from queue import Empty, SimpleQueue
 from types import FrameType, TracebackType
 from typing import ClassVar, Final, Self
 
@@ -27,6 +29,13 @@ SLOW_S: Final = 2.0
 """What takes longer to end says how it is ended at once."""
 
 
+def leave_signals_to_main_thread() -> None:
+    """To be called in a thread that waits a lot: a signal that the system gives to it would not wake the main one,
+    which alone runs handlers."""
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+
+
 class Stopping:
     """In this block, which is a whole command, the first signal that `signals_to` hears asks for the end, and a
     Ctrl-C that no handler takes any more calls `at_once`, which must not return."""
@@ -37,8 +46,8 @@ class Stopping:
         """`on_slow` is called, in a thread, if the block has not ended `SLOW_S` after the first signal."""
         self._heard = 0
         self._at_once = at_once
-        self._slow = threading.Timer(SLOW_S, on_slow)
-        self._slow.daemon = True
+        self._on_slow = on_slow
+        self._told: SimpleQueue[bool] = SimpleQueue()  # a handler may take no lock: whom it interrupts may have it
         self._is_repeated = False
 
     @property
@@ -55,7 +64,7 @@ class Stopping:
         if self._heard >= most:
             self._at_once()
         if not self.is_asked:
-            self._slow.start()
+            self._told.put(True)
         self._heard += 1
         return True
 
@@ -65,13 +74,22 @@ class Stopping:
 
     def __enter__(self) -> Self:
         Stopping.current = self
+        threading.Thread(target=self._watch, name="stopping", daemon=True).start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         Stopping.current = None
-        self._slow.cancel()
+        self._told.put(False)
+
+    def _watch(self) -> None:
+        leave_signals_to_main_thread()
+        if self._told.get():
+            try:
+                self._told.get(timeout=SLOW_S)
+            except Empty:
+                self._on_slow()
 
 
 @contextlib.contextmanager

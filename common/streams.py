@@ -20,6 +20,7 @@ from queue import SimpleQueue
 from typing import Any, Final, NoReturn, TextIO
 
 from common.errors import counted
+from common.interrupts import leave_signals_to_main_thread
 
 MOST_WAITING: Final = 10_000
 """Texts that wait for their reader. Messages beyond it are lost, and counted; a result waits for room."""
@@ -65,6 +66,7 @@ class Outlet:
                 return
 
     def _run(self) -> None:
+        leave_signals_to_main_thread()
         while True:
             item = self._waiting.get()
             if isinstance(item, threading.Event):

@@ -179,13 +179,21 @@ from common.interrupts import stop_signals, uninterrupted
 class Nothing:
     pass
 
+def sleep():
+    while True:  # a signal that comes just before a long sleep would be heard after it
+        time.sleep(0.01)
+
+def noted(stopped):
+    while not stopped.wait(0.01):
+        pass
+
 def begun():
     print("begun", file=sys.stderr)
 
 def slow(work):
     try:
         begun()
-        time.sleep(600)
+        sleep()
     finally:
         begun()
         work()
@@ -197,14 +205,12 @@ def act(config):
 run_command("bc-test", Nothing, act)
 """
 WAYS = {
-    "tidying up": "slow(lambda: time.sleep(600))",
-    "uninterrupted": "slow(lambda: uninterrupted().__enter__() or time.sleep(600))",
-    "a stop that is noted": (
-        "with stop_signals() as stopped:\n        begun(); stopped.wait(); begun(); time.sleep(600)"
-    ),
+    "tidying up": "slow(lambda: sleep())",
+    "uninterrupted": "slow(lambda: uninterrupted().__enter__() or sleep())",
+    "a stop that is noted": ("with stop_signals() as stopped:\n        begun(); noted(stopped); begun(); sleep()"),
     "a file half written": (
         "with whole_file(Path('whole'), overwrite=False) as part:\n"
-        "        part.write_bytes(b'half'); slow(lambda: time.sleep(600))"
+        "        part.write_bytes(b'half'); slow(lambda: sleep())"
     ),
 }
 
