@@ -55,8 +55,7 @@ class _Bar(Progress):
             for task in self.tasks:
                 if task.total and not task.finished:
                     left = f", about {time_text(task.time_remaining)} left" if task.time_remaining else ""
-                    note = f", {task.fields['note']}" if task.fields["note"] else ""
-                    print_message(f"{task.description}: {task.percentage:.0f} %{left}{note}")
+                    print_message(f"{task.description}: {task.percentage:.0f} %{left}")
 
 
 def time_text(seconds: float) -> str:
