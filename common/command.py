@@ -78,8 +78,8 @@ def run_command(
     say_how = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
     with unhurried_streams(), Stopping(partial(_end_at_once, prog), say_how) as stopping:
         with signals_to(_interrupt):
-            code = _run(prog, config, action, description or config.__doc__, default)
             try:
+                code = _run(prog, config, action, description or config.__doc__, default)
                 drain(is_patient=not stopping.is_asked)
             except KeyboardInterrupt:
                 code = INTERRUPTED
