@@ -25,7 +25,9 @@ from rich.text import Text
 from common.errors import shown
 from common.streams import trusted
 
-_COMMAND: Final = re.compile(r"`(bc-(?:record|log|index|train|drive|play|sim|eval|demo))(?![\w-])")
+_COMMAND: Final = re.compile(
+    r"(`|--no-python )(bc-(?:record|log|index|train|drive|play|sim|eval|demo)|rerun|torchrun|pip)(?![\w-])"
+)
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
 )
@@ -63,7 +65,7 @@ def end_bar() -> None:
 
 
 def as_typed(command: str) -> str:
-    """A `bc-` command as it can be typed in the current folder: with its path, unless the shell finds it."""
+    """A command of this environment as it can be typed in the current folder: its path, if its name is not enough."""
     script = Path(sysconfig.get_path("scripts")) / command
     found = shutil.which(command)
     if not script.exists() or (found is not None and script.samefile(found)):
@@ -85,4 +87,4 @@ class _SafeConsole(Console):
 
 def safe_line(text: str) -> str:
     """One line that can be printed, whatever is in `text`; `print_result` and `print_message` do it themselves."""
-    return shown(_COMMAND.sub(lambda match: f"`{as_typed(match[1])}", text))
+    return shown(_COMMAND.sub(lambda match: match[1] + as_typed(match[2]), text))

@@ -133,7 +133,7 @@ def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
     )
     monkeypatch.setenv("PATH", str(scripts))
     assert as_typed("bc-play") == "bc-play"
-    assert as_typed("bc-log") == "bc-log"  # of a toolkit that is not installed
+    assert as_typed("rerun") == "rerun"  # of a toolkit that is not installed
 
 
 def test_what_libraries_print_keeps_its_colours_and_loses_the_rest() -> None:
