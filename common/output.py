@@ -65,7 +65,7 @@ def end_bar() -> None:
 
 
 def as_typed(command: str) -> str:
-    """A command of this environment as it can be typed in the current folder: its path, if its name is not enough."""
+    """A command of this environment as it can be typed here: with its path, if its name is not enough."""
     script = Path(sysconfig.get_path("scripts")) / command
     found = shutil.which(command)
     if not script.exists() or (found is not None and script.samefile(found)):
