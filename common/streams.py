@@ -160,7 +160,7 @@ def drain(*, is_patient: bool = True) -> None:
         beneath = trusted(stream)
         if isinstance(beneath, OutletStream):
             beneath.outlet.drain(is_patient=is_patient)
-        else:
+        elif beneath is not None:  # closed from the start
             beneath.flush()
 
 
