@@ -2,16 +2,20 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := common recorder dataset model drive viz simulator tests benchmarks docs
+SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator tests benchmarks docs
 
 .PHONY: install demo test check pictures proto clean
 
 install: $(VENV)/installed
 
 $(VENV)/installed: pyproject.toml constraints.txt
+	@echo "Installing into $(VENV): PyTorch, Rerun and what else is needed; some minutes, and 3 GB of disk, several more"
+	@echo "where PyTorch comes with its GPU libraries (on Linux, unless CPU-only wheels are asked for)."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
-	touch $@
+	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@
+	@echo "Installed, $$(du -sh $(VENV) | cut -f1). The commands are in $(BIN): type $(BIN)/bc-demo,"
+	@echo "or 'source $(BIN)/activate' once in a terminal, and then bc-demo."
 
 demo: install
 	$(BIN)/bc-demo

@@ -5,53 +5,46 @@ Exit codes: 0 done, 1 failed, 2 bad usage, 3 done but something was skipped or l
 
 from __future__ import annotations
 
-import io
-import os
-import signal
+import re
 import sys
+import traceback
 from collections.abc import Callable
+from functools import partial
 from types import FrameType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, Final, NoReturn, TypeVar
 
 import tyro
-from rich.console import Console
-from rich.markup import escape
 
-from common.errors import Skipped, UserError, shown
-from common.interrupts import STOPPING, signals_to
+from common.errors import Skipped, UserError
+from common.interrupts import Stopping, signals_to
+from common.output import end_bar, print_message
+from common.streams import drain, end_process, unhurried_streams, why_results_are_lost
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
 Config = TypeVar("Config")
 
-
-def stderr() -> Console:
-    """Progress and warnings go here; results go to stdout."""
-    return Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
-
-
-def stdout() -> Console:
-    """For tables; `:car:` in a name is no emoji."""
-    return Console(highlight=False, emoji=False)
+_NO_MEMORY: Final = re.compile(  # PyTorch, OpenCV, C++, Python's threads
+    r"can't allocate memory|out of memory|Insufficient memory|bad_alloc|can't start new thread"
+)
 
 
 def warn(text: str) -> int:
     """Print what a person should know before the result is used; the exit code that says so."""
-    stderr().print(f"[yellow]{escape(shown(text))}[/]")
+    print_message(text, style="yellow")
     return DONE_BUT_SKIPPED
 
 
 def complain(prog: str, error: UserError) -> int:
     """Print what went wrong, in one line; the exit code that says so."""
-    stderr().print(f"[red]{prog}:[/] {escape(shown(str(error)))}")
+    print_message(str(error), heading=f"{prog}:", style="red")
     return FAILED
 
 
 def warn_skipped(skipped: Skipped) -> int:
     """Print what was left out; the exit code that says so."""
-    console = stderr()
     for line in skipped.lines():
-        console.print(f"[yellow]skipped[/] {escape(line)}")
+        print_message(line, heading="skipped", style="yellow")
     return DONE_BUT_SKIPPED if len(skipped) else DONE
 
 
@@ -67,13 +60,6 @@ def refuse_no_port(flag: str, port: int) -> None:
         raise UserError(f"{flag} {port}: a port is a number from 1 to 65535")
 
 
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """`kill` cleans up as Ctrl-C does. A second signal must not interrupt the cleaning up."""
-    for other in STOPPING:
-        signal.signal(other, signal.SIG_IGN)
-    raise KeyboardInterrupt
-
-
 def run_command(
     prog: str,
     config: type[Config],
@@ -85,10 +71,35 @@ def run_command(
 
     `description` is what `--help` begins with; by default what `config` says of itself. `default` gives what holds
     where there is no flag, if that is not known before.
+
+    Whoever reads the output may stop reading, or go away: it costs the lines alone. Ctrl-C ends the action; a
+    second one ends the process, as `kill -9` would: no file is ever half-written under its own name.
     """
-    with signals_to(_interrupt):
-        code = _run(prog, config, action, description or config.__doc__, default)
+    say_how = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
+    with unhurried_streams(), Stopping(partial(_end_at_once, prog), say_how) as stopping:
+        with signals_to(_interrupt):
+            try:
+                code = _run(prog, config, action, description or config.__doc__, default)
+                drain(is_patient=not stopping.is_asked)
+            except KeyboardInterrupt:
+                code = INTERRUPTED
+        if why := why_results_are_lost():
+            code = complain(prog, UserError(f"standard output: {why}"))
+            drain(is_patient=False)
     sys.exit(code)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    """`kill` cleans up as Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
+def _end_at_once(prog: str) -> NoReturn:
+    try:
+        end_bar()
+        print_message("ended at once; files that were not finished end in .part", heading=f"{prog}:")
+    finally:
+        end_process(INTERRUPTED)
 
 
 def _run(
@@ -98,31 +109,37 @@ def _run(
     about: str | None,
     default: Callable[[], Config] | None,
 ) -> int:
-    for stream in (sys.stdout, sys.stderr):  # a name of any file system can be printed, if escaped
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
     try:
         given: dict[str, Any] = {} if default is None else {"default": default()}
         flags = (tyro.conf.FlagCreatePairsOff,)
-        code = action(tyro.cli(config, prog=prog, description=about, config=flags, **given))
-        sys.stdout.flush()
-        return code
+        return action(tyro.cli(config, prog=prog, description=about, config=flags, **given))
     except UserError as error:
         why: str | None = str(error)
+    except SystemExit as ended:  # of tyro: help, or bad usage
+        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except KeyboardInterrupt:
         why = None
-    except BrokenPipeError:  # `bc-... | head`: the reader has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
-    except MemoryError:
-        why = "not enough memory; close other programs, or allow it more (`ulimit -v`)"
+    except MemoryError as error:
+        why = _no_memory(error)
     except OSError as error:
         if error.strerror is None:
-            raise
+            traceback.print_exc()
+            return FAILED
         where = f"{error.filename}: " if error.filename is not None else ""
         why = where + error.strerror
+    except Exception as error:  # a bug, which keeps its traceback; or a library that ran out of memory
+        if not _NO_MEMORY.search(str(error)):
+            traceback.print_exc()
+            return FAILED
+        why = _no_memory(error)
     # Only here has the last reference to what was interrupted gone, and a progress bar its end.
     if why is not None:
         return complain(prog, UserError(why))
-    stderr().print(f"{prog}: stopped")
+    print_message("stopped", heading=f"{prog}:")
     return INTERRUPTED
+
+
+def _no_memory(error: Exception) -> str:
+    said = str(error).strip().partition("\n")[0]
+    why = f" ({said[:200]})" if said else ""
+    return f"not enough memory{why}; close other programs, or raise the limit (ulimit -v)"

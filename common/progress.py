@@ -1,31 +1,79 @@
-"""Progress bars with the rate and the time left, on stderr, gone when the work is done."""
+"""Progress bars with the rate and the time left, on stderr, gone when the work is done.
+
+Where stderr is no terminal, a line now and then says the same.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Iterator
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Final, Self, TypeVar
 
+from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.status import Status
+from rich.text import Text
 
-from common.command import stderr
+from common.errors import shown
+from common.output import message_console, print_message, safe_line
 
 Item = TypeVar("Item")
 
 
+LINE_EVERY_S: Final = 30.0
+
+
+class _Bar(Progress):
+    """A bar; where there is none, lines."""
+
+    def __init__(self, *columns: ProgressColumn, console: Console) -> None:
+        is_shown = console.is_interactive  # else it would leave an empty line in a file of messages
+        super().__init__(*columns, console=console, transient=True, disable=not is_shown)
+        self._has_ended = threading.Event()
+        self._teller = threading.Thread(target=self._tell, name="progress", daemon=True)
+
+    def start(self) -> None:
+        super().start()
+        if self.disable:
+            self._teller.start()
+
+    def stop(self) -> None:
+        self._has_ended.set()
+        super().stop()
+
+    def _tell(self) -> None:
+        while not self._has_ended.wait(LINE_EVERY_S):
+            for task in self.tasks:
+                if task.total and not task.finished:
+                    left = f", about {time_text(task.time_remaining)} left" if task.time_remaining else ""
+                    print_message(f"{task.description}: {task.percentage:.0f} %{left}")
+
+
+def time_text(seconds: float) -> str:
+    """So long, as people say it: "40 s", "12 min", "3 h 5 min"."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
 def progress_bar() -> Progress:
-    console = stderr()
-    return Progress(
-        TextColumn("{task.description}"),
+    return _Bar(
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-        console=console,
-        transient=True,
-        disable=not console.is_interactive,  # it would leave an empty line in a file of messages
+        TextColumn("{task.fields[note]}", markup=False),
+        console=message_console(),
     )
 
 
@@ -43,22 +91,22 @@ class StatusLine:
     """
 
     def __init__(self) -> None:
-        self._status = Status("", console=stderr())
+        self._status = Status("", console=message_console())
         self._is_shown = self._status.console.is_interactive
 
     def show(self, text: str) -> None:
         if self._is_shown:
-            self._status.update(escape(text))
+            self._status.update(escape(shown(text)))
 
     def say(self, text: str) -> None:
         """Show what should be read also where there is no status line: there it is printed."""
         self.show(text)
         if not self._is_shown:
-            self._status.console.print(text, markup=False)
+            print_message(text)
 
     def note(self, text: str) -> None:
         """Print a line that stays, above the status line."""
-        self._status.console.print(text, markup=False)
+        self._status.console.print(Text(safe_line(text)))
 
     def __enter__(self) -> Self:
         if self._is_shown:

@@ -1,5 +1,10 @@
 """From logs to what training reads: preprocessing, the index, steering bins and balance, and the loader."""
 
+from behavioural_cloning_toolkit import refuse_hidden
+
+refuse_hidden(__name__)
+
+
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

@@ -10,8 +10,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tyro
 
-from common.command import DONE, FAILED, run_command, stderr, stdout, warn
+from common.command import DONE, FAILED, run_command, warn
 from common.errors import counted, shown
+from common.output import print_message, print_result, print_table
 from dataset.config import IndexConfig
 from dataset.frames import session_name
 from dataset.index import Indexed, build_index, check_settings
@@ -75,24 +76,23 @@ def index(config: Index) -> int:
     ]:
         code = warn(notice)
     for told in [*mixed_sizes(indexed.sizes_px), *_passed_over(others, config)]:
-        stderr().print(told, markup=False)
-    console = stdout()
-    console.print(sessions_table(indexed))
-    console.print(balance_table(indexed.balance))
+        print_message(told)
+    print_table(sessions_table(indexed))
+    print_table(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
     counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
     frames = sum(session.frames for session in indexed.counts.values())
-    print(f"{indexed.path}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
+    print_result(f"{indexed.path}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
     if config.figures is not None:
         for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
-            print(path)
+            print_result(str(path))
     if config.report:
         print_report(report(config.index))
     if config.check:
         leaks = find_leaks(config.index)
         for leak in leaks:
-            stderr().print(leak, markup=False)
-        print("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
+            print_message(leak)
+        print_result("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
         code = FAILED if leaks else code
     return code
 

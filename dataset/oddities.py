@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 from rich.markup import escape
 from rich.table import Table
 
-from common.command import stdout
 from common.errors import counted
+from common.output import print_table
 from dataset.errors import DatasetError
 from dataset.state import FRAMES_FOLDER
 from recorder.quality import stretches
@@ -53,9 +53,8 @@ def report(index: Path | str) -> list[Reported]:
 
 def print_report(reported: Sequence[Reported]) -> None:
     """Print the stretches as a table, then how many frames each flag has."""
-    console = stdout()
     if not reported:
-        console.print("no frame has a flag")
+        print_table("no frame has a flag")
         return
     table = Table(box=None, pad_edge=False)
     for name in ("session", "flag", "rows", "seconds", "begins (UTC)"):
@@ -67,8 +66,8 @@ def print_report(reported: Sequence[Reported]) -> None:
         rows = f"{one.first_row}" if one.first_row == one.last_row else f"{one.first_row} to {one.last_row}"
         seconds = f"{one.begin_s:.2f} to {one.end_s:.2f}"
         table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc[:19])
-    console.print(table)
-    console.print(", ".join(f"{counted(count, 'frame')} {escape(flag)}" for flag, count in sorted(frames.items())))
+    print_table(table)
+    print_table(", ".join(f"{counted(count, 'frame')} {escape(flag)}" for flag, count in sorted(frames.items())))
 
 
 def _stretches_of(file: Path) -> Iterator[Reported]:

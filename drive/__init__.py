@@ -1,5 +1,10 @@
 """Driving: the pilot's decisions on the telemetry that the simulator tells, and the drive's log."""
 
+from behavioural_cloning_toolkit import refuse_hidden
+
+refuse_hidden(__name__)
+
+
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

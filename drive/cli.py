@@ -14,10 +14,11 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command, stderr, stdout, warn
+from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command, warn
 from common.errors import counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
+from common.output import print_message, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from drive.config import DriveConfig
@@ -109,7 +110,7 @@ def drive(config: Drive) -> int:
     pilot = load_pilot(find_run(config.run, config.runs), config.precision)
     pilot.get_ready()
     prepare_process()
-    with StatusLine() as status, stop_signals() as stopped:
+    with StatusLine() as status, stop_signals(most=2) as stopped:
         server = DriveServer(
             pilot,
             settings,
@@ -179,9 +180,9 @@ def _told(server: DriveServer) -> int:
     for session in server.sessions:
         log, summary = session.writer.path, session.summary
         look = f"; look at it with `bc-play {log}`" if session.log.frames else ""
-        print(f"{log}: {counted(session.log.frames, 'frame')}{look}")
+        print_result(f"{log}: {counted(session.log.frames, 'frame')}{look}")
         for line in summary.lines():
-            print(f"  {line}")
+            print_result(f"  {line}")
         if summary.bad or summary.without_number:
             code = DONE_BUT_SKIPPED
         if session.log.dropped_pictures or session.log.dropped_rows:
@@ -202,10 +203,9 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     from model import TrainConfig, find_run
 
     rounds: list[Round] = []
-    console = stderr()
 
     def say(text: str) -> None:
-        console.print(f"bc-drive: {text}", markup=False)
+        print_message(f"bc-drive: {text}")
 
     assert config.aggregate is not None  # noqa: S101
     course: Course | Connecting = Connecting(config.laps, config.host, config.port)
@@ -231,7 +231,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
                 autonomy = "unknown" if percent is None else f"{percent:.1f} %"
                 laps = "unknown" if each.laps is None else f"{each.laps:.2f}"
                 table.add_row(each.run, laps, f"{each.interventions:,}", autonomy, str(each.log))
-            stdout().print(table)
+            print_table(table)
     return DONE
 
 

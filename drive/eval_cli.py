@@ -12,8 +12,9 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, complain, flags_given, run_command, stderr, stdout, warn, warn_skipped
-from common.errors import counted, shown
+from common.command import BAD_USAGE, DONE, complain, flags_given, run_command, warn, warn_skipped
+from common.errors import counted
+from common.output import print_message, print_result, print_table
 
 if TYPE_CHECKING:
     from drive.closed_loop import Result
@@ -119,13 +120,13 @@ def _measure(config: Eval) -> int:
         what = {"index": None, "split": None}
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
     if config.json:
-        print(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
+        print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
     else:
         from drive.eval_report import print_evaluation
 
         print_evaluation(found, worst)
         if config.session is None:
-            print(f"measured on what {shown(str(index))} {'holds out' if split == 'validation' else 'trains on'}")
+            print_result(f"measured on what {index} {'holds out' if split == 'validation' else 'trains on'}")
     return _told(found, is_training=config.session is None and split == "train")
 
 
@@ -157,7 +158,7 @@ def _told(found: Evaluation, *, is_training: bool) -> int:
     elif found.learnt:
         line = f"{run} has learnt from {found.learnt:,} of these {counted(count, 'frame')}"
         if is_training:
-            stderr().print(shown(f"bc-eval: {line}"), markup=False)
+            print_message(f"bc-eval: {line}")
         else:
             code = warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
     return code
@@ -178,7 +179,6 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
     ]  # before the seconds that a network takes to load: a track may be misspelt
     pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
     pilot.get_ready()
-    console = stderr()
     results = []
     try:
         for result in evaluate_run(
@@ -186,15 +186,15 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
             drives,
             config.logs or Path("drives"),
             overwrite=config.force,
-            said=lambda text: console.print(f"bc-eval: {text}"),
+            said=lambda text: print_message(f"bc-eval: {text}"),
         ):
             results.append(result)
             if config.json:
-                print(json.dumps(result.as_dict()), flush=True)
+                print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
-            stdout().print(_table(results))
-            print(f"look at a drive with `bc-play {shlex.quote(shown(str(results[-1].log)))}`", flush=True)
+            print_table(_table(results))
+            print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
     return DONE
 
 

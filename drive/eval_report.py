@@ -10,8 +10,8 @@ from rich.bar import Bar
 from rich.markup import escape
 from rich.table import Table
 
-from common.command import stdout
 from common.errors import counted, shown
+from common.output import print_result, print_table
 from model.evaluation import Evaluation
 from model.hints import run_argument, short_path
 from model.measures import Measures
@@ -29,20 +29,20 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> Non
     if worst:
         tables.append(_worst_table(worst))
     for table in tables:
-        stdout().print(table, "")
+        print_table(table, "")
     if worst:
-        print("look at them, the worst one first:")
+        print_result("look at them, the worst one first:")
         for frame in worst:
-            print(f"    {_play(evaluation, frame)}")
-        print()
+            print_result(f"    {_play(evaluation, frame)}")
+        print_result()
 
 
 def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
     """The command that shows a frame, and what the network says of it."""
-    log = shlex.quote(shown(str(short_path(evaluation.logs[frame.session]))))
+    log = shlex.quote(str(short_path(evaluation.logs[frame.session])))
     since_begin_ns = frame.log_time_ns - evaluation.begins_ns[frame.session]
     at_ms = -(-since_begin_ns // 1_000_000)  # not before the frame
-    return f"bc-play {log} --at {at_ms / 1000:.3f} --run {shown(run_argument(evaluation.run))}"
+    return f"bc-play {log} --at {at_ms / 1000:.3f} --run {run_argument(evaluation.run)}"
 
 
 def _measures_table(evaluation: Evaluation) -> Table:

@@ -1,5 +1,10 @@
 """The network: its layers, its training, the run folder that keeps it, and the pilot that steers with it."""
 
+from behavioural_cloning_toolkit import refuse_hidden
+
+refuse_hidden(__name__)
+
+
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING
 import tyro
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, FAILED, complain, run_command, stderr, warn, warn_skipped
+from common.command import BAD_USAGE, DONE, FAILED, complain, run_command, warn, warn_skipped
 from common.errors import counted
+from common.output import print_message, print_result
+from common.streams import end_process
 from model.config import TrainConfig
 
 if TYPE_CHECKING:
@@ -81,10 +83,9 @@ def train(config: Train) -> int:
     if is_first:
         where = "GPU" if machine.device.type == "cuda" else "processor"
         epochs = counted(settings.epochs, "epoch")
-        print(
+        print_result(
             f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}"
             f"{_going_on(run) if config.resume is not None else ''}",
-            flush=True,
         )
     try:
         with _viewer(config, run) if is_first else contextlib.nullcontext():
@@ -92,7 +93,7 @@ def train(config: Train) -> int:
             trained = train_network(index, run, settings, listeners, init=init, resume=is_resumed)
     except (KeyboardInterrupt, RunWriteError):
         if is_first and run.exists():
-            stderr().print(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}`", markup=False)
+            print_message(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}`")
         raise
     except FirstRankError:
         return FAILED  # the first one says why
@@ -101,15 +102,17 @@ def train(config: Train) -> int:
         return code
     code = max([code, *map(warn, trained.notices)])
     for remark in trained.remarks:
-        stderr().print(remark, markup=False)
+        print_message(remark)
     if trained.is_stopped_early:
-        print(f"{run}: stopped early: {counted(settings.patience, 'epoch')} no better than the best (--patience)")
+        print_result(
+            f"{run}: stopped early: {counted(settings.patience, 'epoch')} no better than the best (--patience)"
+        )
     elif not trained.epochs:
-        print(f"{run}: all its epochs are learnt; give more --epochs to go on")
+        print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
     for line in verdict(read_history(run)[0].epochs, best) if best else ():
-        print(line)
-    print(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
+        print_result(line)
+    print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
     return code
 
 
@@ -129,7 +132,7 @@ def _resume(run: Path, index: Path) -> str:
     from model.hints import run_argument
     from model.places import index_of
 
-    command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... -m model.train"
+    command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
     told = index_of(run)
     is_told = told is not None and told.resolve() == index.resolve()
     return f"{command} --resume {run_argument(run)}{'' if is_told else f' --index {shlex.quote(str(index))}'}"
@@ -147,7 +150,7 @@ class Printer:
     def epoch(self, epoch: Epoch) -> None:
         measures = epoch.measures
         if measures.frames and not self._has_begun:
-            print(
+            print_result(
                 f"errors of {counted(measures.frames, 'frame')} held out, in degrees; always the mean: RMSE"
                 f" {measures.mean.rmse_deg:.2f}, always zero: {measures.zero.rmse_deg:.2f}"
             )
@@ -158,10 +161,9 @@ class Printer:
             if measures.frames
             else " nothing held out,"
         )
-        print(
+        print_result(
             f"epoch {epoch.epoch:>2}: loss {epoch.training_loss:.4f},{validation}"
-            f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}",
-            flush=True,
+            f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
         )
 
     def close(self) -> None:
@@ -223,10 +225,10 @@ def _index_of(config: Train, *, is_first: bool) -> Path:
     if not is_there:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
-        stderr().print(f"{config.index}: no index yet; building it from {config.sessions}")
+        print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         build_index(find_logs((), config.sessions), config.index)
     elif is_first and config.resume is None and (absent := sessions_not_indexed(config.index, config.sessions)):
-        stderr().print(
+        print_message(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )
     return config.index
@@ -261,4 +263,10 @@ def main() -> None:
         from model.export_cli import main as export
 
         export()
-    run_command("bc-train", Train, train, default=_defaults)
+    try:
+        run_command("bc-train", Train, train, default=_defaults)
+    except SystemExit as ended:
+        if "WORLD_SIZE" not in os.environ:
+            raise
+        # A thread of torchrun's process group that came back while Python ended was seen to abort the process.
+        end_process(ended.code if isinstance(ended.code, int) else int(ended.code is not None))

@@ -1,6 +1,6 @@
 """Several processes that train one network together, as torchrun starts them.
 
-    torchrun --nproc-per-node 2 -m model.train --epochs 10
+    torchrun --nproc-per-node 2 --no-python bc-train --epochs 10
 
 Each takes its part of every batch; their gradients are averaged; the first one, rank 0, writes.
 """

@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from common.command import DONE, run_command
+from common.output import print_result
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ def export(config: Export) -> int:
     run = find_run(config.run, config.runs)
     path = config.onnx[0] if config.onnx else run / f"{run_name(run)}.onnx"
     difference = export_onnx(run, path, overwrite=config.force)
-    print(f"{path}: written; steering in ONNX Runtime and in PyTorch: largest difference {difference:.1g}")
+    print_result(f"{path}: written; steering in ONNX Runtime and in PyTorch: largest difference {difference:.1g}")
     return DONE
 
 

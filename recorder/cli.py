@@ -9,8 +9,9 @@ from typing import Annotated
 
 import tyro
 
-from common.command import run_command, stderr, warn_skipped
+from common.command import run_command, warn_skipped
 from common.errors import counted
+from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.record import Imported
@@ -64,8 +65,10 @@ def record(config: Record) -> int:
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
     for notice in done.notices:
-        stderr().print(notice, markup=False)
-    print(f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB")
+        print_message(notice)
+    print_result(
+        f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
+    )
     return code
 
 

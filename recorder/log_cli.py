@@ -23,13 +23,12 @@ from common.command import (
     FAILED,
     complain,
     run_command,
-    stderr,
-    stdout,
     warn,
     warn_skipped,
 )
 from common.errors import counted, shown
 from common.files import final_path
+from common.output import message_console, print_message, print_result, print_table
 from recorder.check import Checked, check, is_whole
 from recorder.chunks import WITHOUT_CRCS
 from recorder.edit import check_rows, merge, rows_between, split, trim, trim_times
@@ -82,7 +81,7 @@ class ShowInfo:
     def _one(self, path: Path) -> int:
         info = describe(path)
         if self.json:
-            print(json.dumps(dataclasses.asdict(info), allow_nan=False))
+            print_result(json.dumps(dataclasses.asdict(info), allow_nan=False))
         else:
             _print_info(info)
         code = _warn_stale(path, info.stale_tags)
@@ -109,7 +108,7 @@ class Check:
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
             told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            print(json.dumps({**told, "has_crcs": checked.has_crcs, "findings": found}))
+            print_result(json.dumps({**told, "has_crcs": checked.has_crcs, "findings": found}))
         else:
             _print_checked(checked)
             _remark_crcs(path, checked.has_crcs)
@@ -133,7 +132,7 @@ class Cameras:
         code = _noted(path)
         with Log(path) as log:
             found = side_cameras(log)
-        print(
+        print_result(
             shown(
                 f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
                 f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
@@ -158,16 +157,16 @@ class Recover:
 
     def run(self) -> int:
         if final_path(self.log) == self.log and is_whole(self.log):
-            print(shown(f"{self.log}: whole, nothing to recover{'' if self.to else '; nothing was written'}"))
+            print_result(f"{self.log}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
             if self.to is None:
                 return DONE
         with Log(self.log) as log:
             if log.problem:
-                _remark(f"{self.log}: {log.problem}; all that is whole in it is recovered")
+                print_message(f"{self.log}: {log.problem}; all that is whole in it is recovered")
             _remark_crcs(self.log, log.has_crcs)
         to = _named(self.to) if self.to is not None else recovered_name(self.log)
         code = _written(recover(self.log, to, overwrite=self.force))
-        _remark(f"{self.log} is as it was; once {to} is checked it can be removed")
+        print_message(f"{self.log} is as it was; once {to} is checked it can be removed")
         return code
 
 
@@ -263,7 +262,7 @@ class NameRows:
         if self.tag is not None:
             tags = self._change(self.tag, tags, fingerprint)
         for tag in tags:
-            print(f"{shown(tag.name)}: {_rows_of(tag)}")
+            print_result(f"{tag.name}: {_rows_of(tag)}")
         return code
 
     def _is_everywhere(self) -> bool:
@@ -277,10 +276,10 @@ class NameRows:
         close = difflib.get_close_matches(name, used, n=1)
         told = f"new tag {name!r}" + (f"; did you mean {close[0]}?" if close else "")
         if not close or not (sys.stdin.isatty() and sys.stderr.isatty()):
-            _remark(told)
+            print_message(told)
             return
         question = escape(shown(f"{told} Give {name!r} all the same?"))
-        if not Confirm.ask(question, default=False, console=stderr()):
+        if not Confirm.ask(question, default=False, console=message_console()):
             raise UserError("nothing was tagged")
 
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
@@ -302,7 +301,7 @@ class NameRows:
         for tag in chosen:
             (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
             if self.remove:
-                _remark(f"removed {tag.name}: {_rows_of(tag)}")
+                print_message(f"removed {tag.name}: {_rows_of(tag)}")
         return read_tags(self.log, fingerprint)
 
 
@@ -353,14 +352,9 @@ def _warn_stale(path: Path, count: int) -> int:
     return warn(f"{tags_path(path)}: {told} {'does' if count == 1 else 'do'} not count")
 
 
-def _remark(text: str) -> None:
-    """What a person should know, and no exit code need tell."""
-    stderr().print(shown(text), markup=False)
-
-
 def _remark_crcs(path: Path, has_crcs: bool) -> None:
     if not has_crcs:
-        _remark(f"{path}: {WITHOUT_CRCS}")
+        print_message(f"{path}: {WITHOUT_CRCS}")
 
 
 def _noted(path: Path) -> int:
@@ -394,44 +388,43 @@ def _written(written: Written) -> int:
     code = warn_skipped(written.skipped)
     size_mb = written.path.stat().st_size / 1e6
     told = f"{counted(written.rows, 'row')}, {counted(written.messages, 'message')}, {size_mb:,.1f} MB"
-    print(f"{shown(str(written.path))}: {told}")
+    print_result(f"{written.path}: {told}")
     return code
 
 
 def _print_info(info: Info) -> None:
-    console = stdout()
     driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
     size = f"{info.size_bytes / 1e6:,.1f} MB"
-    console.print(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
+    print_table(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
     table = Table("topic", "schema", "messages", "a second")
     for topic in info.topics:
         table.add_row(_plain(topic.topic), _plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:.1f}")
-    console.print(table)
+    print_table(table)
     for name, value in sorted(info.session.items()):
-        console.print(f"  {_plain(name)}: {_plain(value)}")
+        print_table(f"  {_plain(name)}: {_plain(value)}")
     if info.drives is None or info.flags is None:
         if not info.is_ours:
-            console.print("  written by another program: `bc-log check` looks at what is in it")
+            print_table("  written by another program: `bc-log check` looks at what is in it")
         elif info.session.get("source") != "prediction" and not _has_rows(info):
-            console.print("  no rows: nothing was driven")
+            print_table("  no rows: nothing was driven")
     elif info.drives:
         odd = ", ".join(
             f"{counted(count, 'row')} {flag}" for flag, count in info.flags.items() if count and flag != "gap"
         )
-        console.print(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
+        print_table(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
     for stretch in info.stretches[:MOST_PLACES]:
         goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
-        console.print(
+        print_table(
             f"    {_plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
             f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
         )
     if len(info.stretches) > MOST_PLACES:
         more = counted(len(info.stretches) - MOST_PLACES, "more stretch", "more stretches")
-        console.print(f"    and {more} (--json lists them)")
+        print_table(f"    and {more} (--json lists them)")
     for topic_name, sizes in info.picture_sizes.items():
-        console.print(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
+        print_table(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
     for tag in info.tags:
-        console.print(f"  tag {_plain(tag.name)}: {_rows_of(tag)}")
+        print_table(f"  tag {_plain(tag.name)}: {_rows_of(tag)}")
 
 
 def _has_rows(info: Info) -> bool:
@@ -445,14 +438,14 @@ def _plain(text: str) -> str:
 def _print_checked(checked: Checked) -> None:
     looked = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
     told = f"{counted(checked.messages, 'message')}{looked}: {_verdict(checked)}"
-    print(f"{shown(str(checked.path))}: {told}")
+    print_result(f"{checked.path}: {told}")
     by_kind = Skipped()
     for finding in checked.findings:
         by_kind.add(finding.kind, finding.where)
     for kind, count in by_kind.counts.items():
         places = [where for other, where in by_kind if other == kind][:MOST_PLACES]
         more = f", and {count - len(places):,} more" if count > len(places) else ""
-        print(f"  {counted(count, _ONE.get(kind, kind), kind)}: {', '.join(places)}{more}")
+        print_result(f"  {counted(count, _ONE.get(kind, kind), kind)}: {', '.join(places)}{more}")
 
 
 def _verdict(checked: Checked) -> str:

@@ -1,6 +1,11 @@
 """The built-in simulator: tracks, a vehicle, cameras, an expert driver; and the client that speaks the real one's
 protocol. It is handed frames and gives frames; it reads no logs."""
 
+from behavioural_cloning_toolkit import refuse_hidden
+
+refuse_hidden(__name__)
+
+
 from simulator.client import NoHostError, SimulatorClient, Steer, Telemetry, WaitTimeoutError
 
 __all__ = ["NoHostError", "SimulatorClient", "Steer", "Telemetry", "WaitTimeoutError"]

@@ -13,8 +13,9 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, FAILED, flags_given, refuse_no_port, run_command, stderr
+from common.command import DONE, FAILED, flags_given, refuse_no_port, run_command
 from common.errors import counted
+from common.output import print_message, print_result
 from common.progress import progress_bar, track
 from simulator.client import NoHostError, SimulatorClient, WaitTimeoutError
 
@@ -90,9 +91,9 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
     except ValueError as error:
         raise UserError(f"--track {config.track}: {error}") from None
     if not config.json:  # else a program has started it, as bc-drive and bc-eval do
-        stderr().print(f"bc-sim: connecting to {client.url}")
+        print_message(f"bc-sim: connecting to {client.url}")
     if not config.real_time and not config.tell_world:
-        stderr().print(
+        print_message(
             "bc-sim: time passes faster here than by the clock, which bc-drive goes by: give --real-time or"
             " --tell-world where distances and times of its log shall be right"
         )
@@ -108,15 +109,15 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
             expert=expert,
             leave_off_road=config.leave_off_road,
             progress=lambda laps: bar.update(task, completed=round(laps * 1000)),
-            lost=lambda: bar.console.print(f"bc-sim: disconnected; waiting for a server for {config.wait:g} s"),
+            lost=lambda: print_message(f"bc-sim: disconnected; waiting for a server for {config.wait:g} s"),
         )
     if driven.gave_up:
-        stderr().print(f"bc-sim: the car did not get on for {GIVE_UP_S:g} s of simulated time: given up")
+        print_message(f"bc-sim: the car did not get on for {GIVE_UP_S:g} s of simulated time: given up")
     if config.json:
-        print(json.dumps(driven.as_dict()))
+        print_result(json.dumps(driven.as_dict()))
     else:
         measures = driven.measures
-        print(
+        print_result(
             f"{driven.track}: {measures.laps:.2f} laps in {measures.elapsed_s:,.0f} s of simulated time,"
             f" {counted(measures.interventions, 'intervention')}, autonomy {measures.autonomy_percent:.1f} %,"
             f" distance from the centre line {measures.mean_offset:.2f} (largest {measures.max_offset:.2f})"
@@ -135,7 +136,7 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
     if flags := flags_given(config, *driven):
         raise UserError(f"{flags}: of driving, and --replay only tells pictures; leave them out")
     pictures = pictures_of(config.replay)[: config.count]
-    stderr().print(f"bc-sim: connecting to {client.url}")
+    print_message(f"bc-sim: connecting to {client.url}")
     start_s = 0.0
 
     def jpegs() -> Iterator[bytes]:
@@ -154,9 +155,9 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
         "answers_per_s": round(answers / seconds),
     }
     if config.json:
-        print(json.dumps(result))
+        print_result(json.dumps(result))
     else:
-        print(
+        print_result(
             f"{counted(client.telemetries, 'telemetry', 'telemetries')}, {counted(answers, 'answer')}"
             f" ({client.bad_steers:,} unreadable), {result['answers_per_s']:,} a second"
         )

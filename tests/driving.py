@@ -36,7 +36,7 @@ COMMANDS = {
 
 def command(name: str, *arguments: object) -> list[str]:
     """A `bc-` command line that runs without being installed."""
-    code = f"from {COMMANDS[name]} import main; main()"
+    code = f"from behavioural_cloning_toolkit import {name.replace('-', '_')} as main; main()"
     return [sys.executable, "-c", code, *map(str, arguments)]
 
 

@@ -6,6 +6,7 @@ import importlib
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +21,18 @@ from toy import toy_index
 from waiting import PATIENCE_S
 
 FLAGS = ["--epochs", "1", "--batch", "10", "--dropout", "0", "--precision", "float32", "--threads", "1"]
+ROOT = Path(__file__).parent.parent
 
 
-def torchrun(*arguments: object, processes: int = 2) -> subprocess.CompletedProcess[str]:
+def torchrun(
+    *arguments: object, processes: int = 2, begin: Sequence[str] = ("-m", "model.train"), cwd: Path = ROOT
+) -> subprocess.CompletedProcess[str]:
     line = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", processes]
     found = environment() | {"GLOO_SOCKET_IFNAME": "lo"} if sys.platform == "linux" else environment()
     return subprocess.run(
-        [str(each) for each in (*line, "-m", "model.train", *arguments)],
+        [str(each) for each in (*line, *begin, *arguments)],
         env=found,
-        cwd=Path(__file__).parent.parent,
+        cwd=cwd,
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -66,6 +70,20 @@ def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path) -> None:
     # few: one step of Adam moves a weight by its rate, also where the gradient is nothing but its last bit
     assert np.mean(np.concatenate([each.ravel() for each in moved]) > 1e-6) < 0.02
     assert json.loads((tmp_path / "two" / "config.json").read_text())["machine"]["ranks"] == 2
+
+
+def test_the_command_is_begun_by_torchrun_whatever_lies_in_the_working_folder(index: Path, tmp_path: Path) -> None:
+    """`--no-python bc-train`: a script, and beside the folder that it works in a `model.py` of somebody else."""
+    script = tmp_path / "bin" / "bc-train"
+    script.parent.mkdir()
+    script.write_text(f"#!{sys.executable}\nfrom behavioural_cloning_toolkit import bc_train\nbc_train()\n")
+    script.chmod(0o755)
+    (tmp_path / "model.py").write_text("raise SystemExit('the wrong one')\n")
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    begin = ["--no-python", str(script)]
+    done = torchrun("--name", "two", *FLAGS, *places, begin=begin, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("epoch  1:") == 1
 
 
 def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Path) -> None:

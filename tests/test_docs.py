@@ -63,7 +63,8 @@ def command_lines() -> Iterator[tuple[str, str]]:
 
 def test_the_commands_are_those_of_the_project_file() -> None:
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
-    assert scripts == {name: f"{module}:main" for name, module in COMMANDS.items()}
+    begun_by = {name: f"behavioural_cloning_toolkit:{name.replace('-', '_')}" for name in COMMANDS}
+    assert scripts == begun_by
 
 
 @pytest.mark.parametrize("name", COMMANDS)

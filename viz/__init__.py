@@ -1,5 +1,10 @@
 """Seeing it: logs in the Rerun viewer, with a layout that fits what they hold."""
 
+from behavioural_cloning_toolkit import refuse_hidden
+
+refuse_hidden(__name__)
+
+
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

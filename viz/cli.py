@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from common import UserError
-from common.command import DONE, flags_given, refuse_no_port, run_command, stderr, warn, warn_skipped
+from common.command import DONE, flags_given, refuse_no_port, run_command, warn, warn_skipped
 from common.errors import counted
 from common.files import refuse_existing
+from common.output import print_message, print_result
 
 if TYPE_CHECKING:
     from model.predictions import LogPredictions
@@ -166,7 +167,7 @@ def _show_or_save(config: Play, shown: Shown) -> int:
     if config.save is None:
         return shown.show(_where(config))
     code = shown.save(config.save, overwrite=config.force)
-    print(f"{config.save}: written; open it with `rerun {config.save}`")
+    print_result(f"{config.save}: written; open it with `rerun {config.save}`")
     return code
 
 
@@ -223,13 +224,13 @@ def make_video(config: Play, video: Path) -> int:
         raise UserError(f"--video writes a file and opens nothing: give it without {unfit}")
     made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
     size = f"{made.width} x {made.height}"
-    print(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {clock(made.duration_s)} long")
+    print_result(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {clock(made.duration_s)} long")
     if made.gaps:
         gaps = f"{counted(made.gaps, 'gap')} of more than a second"
-        stderr().print(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")
+        print_message(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")
     if made.left_out:
         pictures = counted(made.left_out, "picture")
-        stderr().print(f"{pictures} left out: a video shows at most 60 a second")
+        print_message(f"{pictures} left out: a video shows at most 60 a second")
     return max(_told(made.notice), warn_skipped(made.skipped))
 
 
@@ -283,9 +284,9 @@ def _tell(config: Play, found: LogPredictions) -> int:
 
     if config.write is not None:
         write_predictions(found, config.write, overwrite=config.force)
-        print(f"{config.write}: written; look at it with `bc-play {config.write}`")
+        print_result(f"{config.write}: written; look at it with `bc-play {config.write}`")
     for run in found.predicted:
-        print(found.summary(run), flush=True)
+        print_result(found.summary(run))
     return warn_skipped(found.skipped)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
 import threading
 import time
@@ -14,14 +13,14 @@ from pathlib import Path
 from typing import Final
 
 import rerun as rr
-from rich.control import Control
-from rich.segment import ControlType
 
 from common import Skipped, UserError
-from common.command import DONE, DONE_BUT_SKIPPED, INTERRUPTED, stderr, warn
+from common.command import DONE, DONE_BUT_SKIPPED, INTERRUPTED, warn
 from common.errors import counted
 from common.files import final_path
 from common.interrupts import stop_signals
+from common.output import end_bar
+from common.streams import end_process
 from viz.growing import GrowingLog
 from viz.messages import MessageSender
 from viz.rate import THINNED, PictureRate
@@ -41,9 +40,6 @@ WHOLE_S: Final = 2.0
 _GRACE_S: Final = 0.5
 _FLUSH_S: Final = 0.5  # how long a viewer may take until it is asked whether anybody still waits for it
 _LAST_S: Final = 1.5  # for another's viewer to take what is on its way
-_WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
-    ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
-)
 
 
 @dataclass(frozen=True)
@@ -159,9 +155,9 @@ def _feed_other(follower: Follower) -> int:
         follower.join(_LAST_S)
     # Held up by Rerun for a viewer that is frozen, now or when Python ends: nothing else ends it.
     if follower.is_alive() or follower.has_unsent:
-        stderr().control(_WITHOUT_BAR)
+        end_bar()
         say("stopped; the viewer has not taken all that was sent to it")
-        os._exit(INTERRUPTED)
+        end_process(INTERRUPTED)
     raise KeyboardInterrupt
 
 

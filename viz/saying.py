@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from rich.markup import escape
-
 from common import Skipped, UserError, command
-from common.command import DONE, DONE_BUT_SKIPPED, stderr
+from common.command import DONE, DONE_BUT_SKIPPED
+from common.output import print_message
 
 
 class _Speaker:
@@ -18,7 +17,7 @@ def speak_as(name: str) -> None:
 
 
 def say(text: str) -> None:
-    stderr().print(f"{_Speaker.name}: {text}", markup=False)
+    print_message(f"{_Speaker.name}: {text}")
 
 
 def complain(error: UserError) -> int:
@@ -29,5 +28,5 @@ def complain(error: UserError) -> int:
 def say_skipped(skipped: Skipped) -> int:
     """Print what was left out of what is shown; the exit code that says so."""
     for line in skipped.lines():
-        stderr().print(f"[yellow]{_Speaker.name}: skipped[/] {escape(line)}")
+        print_message(line, heading=f"{_Speaker.name}: skipped", style="yellow")
     return DONE_BUT_SKIPPED if len(skipped) else DONE

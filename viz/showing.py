@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 from common import UserError
 from common.command import DONE, warn, warn_skipped
 from common.interrupts import stop_signals
+from common.output import print_result
 from common.preview import has_display
 from viz.connection import check_viewer, set_time, viewer_url
 from viz.follow import VIEWER_MEMORY, Follower, GoneError, feed, follow, save_growing
@@ -69,7 +70,7 @@ class Whole:
             code = told(prepared.notices)
             fed = feed(_Sender(url, prepared), viewer)
             if viewer is None and fed == DONE:
-                print(f"{prepared.name}: sent to {urlsplit(url).netloc}")
+                print_result(f"{prepared.name}: sent to {urlsplit(url).netloc}")
             return max(code, fed)
 
 
@@ -124,7 +125,7 @@ def opened(
     kept = server_memory if web else WINDOW_MEMORY
     with open_viewer(ports, web=web, memory=memory, server_memory=kept) as viewer:
         if web:
-            print(ports.web_address, flush=True)
+            print_result(ports.web_address)
             say("open that address in a browser; Ctrl-C ends")
         yield ports.data_address, viewer
 

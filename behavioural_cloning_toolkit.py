@@ -1,0 +1,162 @@
+"""Where every command begins, and who is in the way of the rooms' names.
+
+The rooms have short names that others use too: a student's own `model.py` beside a script, or a package that is
+installed beside. This module has a name that nobody else has. Each room calls `refuse_hidden` before it imports
+those under it, and every command is begun here: what it imports takes a second or more, in which somebody may
+press Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import FrameType
+from typing import Final, NoReturn
+
+NEEDS: Final[dict[str, tuple[str, ...]]] = {
+    "common": (),
+    "simulator": ("common",),
+    "recorder": ("common", "simulator"),
+    "dataset": ("common", "simulator", "recorder"),
+    "model": ("common", "simulator", "recorder", "dataset"),
+    "viz": ("common", "simulator", "recorder", "dataset", "model"),
+    "drive": ("common", "simulator", "recorder", "dataset", "model", "viz"),
+}
+"""The rooms under each room."""
+
+_FAILED, _INTERRUPTED = 1, 130  # common.command's; nothing of ours is imported yet
+_LEAST_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
+
+
+def refuse_hidden(room: str) -> None:
+    """Raise ImportError if something else is imported by the name of a room that `room` needs."""
+    for name in NEEDS[room]:
+        if line := _who_hides(name):
+            raise ImportError(line)
+
+
+def _command(prog: str, module: str) -> Callable[[], None]:
+    """What a `bc-` command is: `module`'s main, and nothing that Python would say before it runs."""
+
+    def run() -> None:
+        _hold_standard_streams()
+        _end_tidily_on_signals(prog)
+        _warn_of_little_memory(prog)
+        room = module.partition(".")[0]
+        try:
+            if line := _who_hides(room):
+                raise ImportError(line)
+            main = import_module(module).main
+        except MemoryError:
+            _fail(prog, "not enough memory to begin; close other programs, or raise the limit (ulimit -v)")
+        except ImportError as error:
+            if error.name is None:  # ours
+                _fail(prog, str(error))
+            if error.name.partition(".")[0] in NEEDS and (line := _owned_by_two()):
+                _fail(prog, f"{error}: {line}")
+            raise
+        main()
+
+    return run
+
+
+bc_record = _command("bc-record", "recorder.cli")
+bc_log = _command("bc-log", "recorder.log_cli")
+bc_index = _command("bc-index", "dataset.cli")
+bc_train = _command("bc-train", "model.cli")
+bc_drive = _command("bc-drive", "drive.cli")
+bc_play = _command("bc-play", "viz.cli")
+bc_sim = _command("bc-sim", "simulator.cli")
+bc_eval = _command("bc-eval", "drive.eval_cli")
+bc_demo = _command("bc-demo", "drive.demo")
+
+
+def _who_hides(room: str) -> str | None:
+    """A line about what is imported as `room` in place of ours; None if ours is."""
+    loaded = sys.modules.get(room)
+    spec = loaded.__spec__ if loaded is not None else find_spec(room)
+    if spec is None:
+        return None  # Python says that it is missing
+    # a folder without an __init__.py has no origin
+    found = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
+    ours = (Path(__file__).parent / room).resolve()
+    if not found or any(ours in (place := Path(name).resolve(), place.parent) for name in found):
+        return None
+    if owners := _owners(room):
+        return _of_another(room, owners)
+    return (
+        f"{found[0]} is in the way: Python takes it for this toolkit's `{room}`; rename it, or start Python in"
+        " another folder (the bc- commands do not mind it)"
+    )
+
+
+def _owned_by_two() -> str | None:
+    """A line about a package that has written its own files into a room of ours."""
+    return next((_of_another(room, owners) for room in NEEDS if (owners := _owners(room))), None)
+
+
+def _of_another(room: str, owners: list[str]) -> str:
+    who = ", ".join(owners)
+    return (
+        f"`{room}` is also a name of another installed package ({who}), which hides this toolkit's:"
+        f" `pip uninstall {who}`, or install the toolkit into an environment of its own"
+    )
+
+
+def _owners(room: str) -> list[str]:
+    """The other distributions that have installed something under that name."""
+    from importlib.metadata import packages_distributions  # reads what all of them say of themselves
+
+    return sorted(set(packages_distributions().get(room, ())) - {"behavioural-cloning-toolkit"})
+
+
+def _hold_standard_streams() -> None:
+    """A file that is opened must not get the number of a standard stream that is closed (`2>&-`): libraries print
+    there, and would print into it."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free: this one
+
+
+def _end_tidily_on_signals(prog: str) -> None:
+    """Until the command has handlers of its own. Nothing is begun yet that would have to be ended."""
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        try:
+            os.set_blocking(2, False)  # a full pipe is not waited for
+            os.write(2, f"{prog}: stopped\n".encode())
+            os.set_blocking(2, True)  # the terminal is the shell's as well
+        finally:
+            os._exit(_INTERRUPTED)
+
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # no SIGHUP on Windows; ignored: under nohup
+        if number is not None and not (name == "SIGHUP" and signal.getsignal(number) == signal.SIG_IGN):
+            signal.signal(number, end)
+
+
+def _warn_of_little_memory(prog: str) -> None:
+    if sys.platform == "win32":
+        return
+    import resource
+
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if allowed != resource.RLIM_INFINITY and allowed < _LEAST_MEMORY_BYTES:
+        told = f"{allowed / 1e6:,.0f} MB of memory are allowed here (ulimit -v)"
+        print(
+            f"{prog}: {told}; with less than {_LEAST_MEMORY_BYTES / 1e6:,.0f} MB it may crash without a word",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _fail(prog: str, why: str) -> NoReturn:
+    print(f"{prog}: {why}", file=sys.stderr)
+    sys.exit(_FAILED)

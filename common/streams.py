@@ -1,0 +1,204 @@
+"""Standard output and error that never hold up a command: lines are written by a thread of their own.
+
+A pipe that nobody reads takes 64 KiB, a terminal that is stopped by Ctrl-S less; a write then waits, and with it
+would a simulator for its answer. A reader that has gone (`| head -1`, a terminal that was closed) costs the lines
+that it would have read, and nothing else: the command does what it was asked to, and ends with its own exit code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import re
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from queue import SimpleQueue
+from typing import Any, Final, NoReturn, TextIO
+
+from common.errors import counted
+from common.interrupts import leave_signals_to_main_thread
+
+MOST_WAITING: Final = 10_000
+"""Texts that wait for their reader. Messages beyond it are lost, and counted; a result waits for room."""
+_POLL_S: Final = 0.01
+_PATIENCE_S: Final = 2.0  # in the end, for a reader who takes nothing
+_GONE: Final = {errno.EPIPE, errno.EIO, errno.ECONNRESET, errno.EBADF, errno.ENXIO}
+_COLOUR_OR_OTHER: Final = re.compile(r"\x1b\[[0-9;]*m|[^\n\t]")
+
+
+class Outlet:
+    """Where lines go: a terminal, a pipe or a file, and the thread that writes there."""
+
+    def __init__(self, raw: Any) -> None:
+        """`raw`: an unbuffered binary file."""
+        self._raw = raw
+        self._waiting: SimpleQueue[bytes | threading.Event] = SimpleQueue()  # `put` may be interrupted by a `put`
+        self._lost = 0
+        self._taken_bytes = 0
+        self._carries_results = False
+        self.error: OSError | None = None
+        threading.Thread(target=self._run, name="output", daemon=True).start()
+
+    def put(self, data: bytes, *, is_result: bool) -> None:
+        """Have `data` written, soon. Returns at once; with a result, not before there is room for it."""
+        self._carries_results |= is_result
+        while self._waiting.qsize() >= MOST_WAITING and self.error is None:
+            if not is_result:
+                self._lost += 1
+                return
+            time.sleep(_POLL_S)
+        self._waiting.put(data)
+
+    def drain(self, *, is_patient: bool) -> None:
+        """Until all is written, or the reader has gone. One who has stopped reading is waited for if results may
+        be on their way and `is_patient`, like `less` that nobody has scrolled; otherwise not for long."""
+        done = threading.Event()
+        self._waiting.put(done)
+        taken_bytes, since_s = self._taken_bytes, time.monotonic()
+        while not done.wait(0.1):
+            if self._taken_bytes != taken_bytes:
+                taken_bytes, since_s = self._taken_bytes, time.monotonic()
+            elif not (is_patient and self._carries_results) and time.monotonic() - since_s >= _PATIENCE_S:
+                return
+
+    def _run(self) -> None:
+        leave_signals_to_main_thread()
+        while True:
+            item = self._waiting.get()
+            if isinstance(item, threading.Event):
+                item.set()
+                continue
+            self._write(item)
+            if self._lost and self._waiting.empty():
+                lost, self._lost = self._lost, 0
+                self._write(f"({counted(lost, 'message')} lost here: nobody read them)\n".encode())
+
+    def _write(self, data: bytes) -> None:
+        left = memoryview(data)
+        while left and self.error is None:
+            try:
+                taken_bytes = self._raw.write(left)
+            except OSError as error:
+                self.error = error
+                return
+            if taken_bytes is None:  # whoever started us has made it non-blocking, and it is full
+                time.sleep(_POLL_S)
+                continue
+            self._taken_bytes += taken_bytes
+            left = left[taken_bytes:]
+
+
+class OutletStream(io.TextIOBase):
+    """A text stream to an outlet. Of what anybody prints there, control characters other than colours are escaped;
+    `trusted` is the same without that, for who has looked at every name that is printed."""
+
+    def __init__(self, outlet: Outlet, stream: TextIO, *, is_result: bool, is_trusted: bool = False) -> None:
+        """In place of `stream`."""
+        self.outlet = outlet
+        self._stream = stream
+        self._is_result = is_result
+        self._is_trusted = is_trusted
+        self.trusted = self if is_trusted else OutletStream(outlet, stream, is_result=is_result, is_trusted=True)
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._stream.encoding
+
+    @property
+    def errors(self) -> str:  # type: ignore[override]
+        return "backslashreplace"  # a name of any file system can be printed, if escaped
+
+    def write(self, text: str) -> int:
+        safe = text if self._is_trusted or text.isprintable() else _COLOUR_OR_OTHER.sub(_escaped, text)
+        if os.linesep != "\n":
+            safe = safe.replace("\n", os.linesep)
+        self.outlet.put(safe.encode(self.encoding, self.errors), is_result=self._is_result)
+        return len(text)
+
+    def flush(self) -> None:
+        """Nothing is kept back, and nobody is waited for."""
+
+    def writable(self) -> bool:
+        return True
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+
+@contextlib.contextmanager
+def unhurried_streams() -> Iterator[None]:
+    """`sys.stdout` and `sys.stderr` never wait in this block; `drain` them before it is left.
+
+    Where they are no files of the system (a test has taken their place), they stay as they are.
+    """
+    before = sys.stdout, sys.stderr
+    if any(stream is not None and not _is_of_system(stream) for stream in before):
+        yield
+        return
+    out, err = (stream or open(os.devnull, "w", encoding="utf-8") for stream in before)  # noqa: SIM115, PTH123
+    outlet = Outlet(_raw(out))
+    # in one place, lines keep their order
+    other = outlet if os.path.sameopenfile(out.fileno(), err.fileno()) else Outlet(_raw(err))
+    sys.stdout = OutletStream(outlet, out, is_result=True)
+    sys.stderr = OutletStream(other, err, is_result=False)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def drain(*, is_patient: bool = True) -> None:
+    """Have all lines written, see `Outlet.drain`."""
+    for stream in (sys.stdout, sys.stderr):
+        beneath = trusted(stream)
+        if isinstance(beneath, OutletStream):
+            beneath.outlet.drain(is_patient=is_patient)
+        elif beneath is not None:  # closed from the start
+            beneath.flush()
+
+
+def why_results_are_lost() -> str | None:
+    """Where it is not that their reader has gone: the disk is full."""
+    beneath = trusted(sys.stdout)
+    error = beneath.outlet.error if isinstance(beneath, OutletStream) else None
+    return None if error is None or error.errno in _GONE else error.strerror
+
+
+def end_process(code: int) -> NoReturn:
+    """End at once, as `os._exit` does, but with all lines written that somebody takes."""
+    try:
+        drain(is_patient=False)
+    finally:
+        os._exit(code)
+
+
+def trusted(stream: TextIO) -> TextIO:
+    """For who escapes what others have named: what lets everything pass, also from under a progress bar."""
+    beneath = getattr(stream, "rich_proxied_file", stream)
+    return getattr(beneath, "trusted", beneath)
+
+
+def _is_of_system(stream: TextIO) -> bool:
+    try:
+        stream.fileno()
+    except (OSError, ValueError):
+        return False
+    return hasattr(stream, "buffer")
+
+
+def _raw(stream: Any) -> Any:
+    """Under `python -u` the buffer is none."""
+    stream.flush()
+    return getattr(stream.buffer, "raw", stream.buffer)
+
+
+def _escaped(match: re.Match[str]) -> str:
+    found = match[0]
+    return found if len(found) > 1 or found.isprintable() else ascii(found)[1:-1]

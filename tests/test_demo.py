@@ -1,0 +1,80 @@
+"""The demo refuses at once what would fail later, and what it prints can be typed."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+from driving import COMMANDS, environment, one_line_of, run
+
+
+@pytest.mark.parametrize(
+    "flag", ["--epochs=0", "--laps=0", "--laps=nan", "--share=0", "--share=nan", "--share=-1"]
+)
+def test_what_would_fail_after_minutes_is_refused_before_the_first_step(flag: str, tmp_path: Path) -> None:
+    done = run("bc-demo", "--folder", "demo", flag, cwd=tmp_path)
+    assert done.returncode == 1
+    assert one_line_of(done).startswith(f"bc-demo: {flag.partition('=')[0]} ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """An environment that no shell has activated, whose commands only say that they were called; its Python."""
+    folder = tmp_path / "a venv"
+    venv.create(folder, symlinks=True)
+    programs = folder / Path(sysconfig.get_path("scripts")).name
+    for name in COMMANDS:
+        (programs / name).write_text("#!/bin/sh\necho called in $(pwd): $0 $@\n")
+        (programs / name).chmod(0o755)
+    return programs / "python"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell of Unix")
+def test_the_command_that_it_ends_with_can_be_typed(installed: Path, tmp_path: Path) -> None:
+    found = environment()
+    found["PYTHONPATH"] = os.pathsep.join([found["PYTHONPATH"], sysconfig.get_path("purelib")])
+    found["PATH"] = os.defpath
+    code = "from behavioural_cloning_toolkit import bc_demo; bc_demo()"
+    line = [str(installed), "-c", code, "--folder", "my demo"]
+    done = subprocess.run(line, cwd=tmp_path, env=found, capture_output=True, text=True, check=True)
+    said = done.stdout.splitlines()
+    steps = [number for number, text in enumerate(said) if text.startswith("$ bc-")]
+    assert len(steps) == 6
+    for number, step in enumerate(steps):  # each is printed before its command prints
+        assert said[step + 1].startswith(f"called in {tmp_path / 'my demo'}: ")
+        assert said[step - 1].startswith(f"{number + 1} of 6")
+        assert ("left" in said[step - 1]) == (number > 0)
+    assert shlex.split(said[-1])[1] == "my demo/drives/demo-mountain-10mph.mcap"
+    typed = subprocess.run(
+        said[-1], cwd=tmp_path, env=found, shell=True, capture_output=True, text=True, check=True
+    )
+    assert typed.stdout.startswith(f"called in {tmp_path}: ")
+    [activate] = [text.partition(": ")[2] for text in said if "source " in text]
+    play = shlex.split(activate)[1]
+    assert Path(play).exists()
+
+
+def test_where_there_is_no_terminal_a_line_now_and_then_tells_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import time
+
+    from common import progress
+
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.01)
+    said = ""
+    for number in progress.track(range(4), "reading", 4):
+        while number == 1 and "reading: 25 %" not in said:
+            time.sleep(0.01)
+            said += capfd.readouterr().err
+    assert progress.time_text(40) == "40 s"
+    assert progress.time_text(725) == "12 min"
+    assert progress.time_text(3 * 3600 + 300) == "3 h 5 min"
