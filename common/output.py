@@ -19,6 +19,8 @@ from typing import Final
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.control import Control
+from rich.markup import escape
+from rich.prompt import Confirm
 from rich.segment import ControlType, Segment
 from rich.text import Text
 
@@ -45,6 +47,13 @@ def print_message(text: str, *, heading: str = "", style: str = "") -> None:
     """Print one line of stderr; in colour is its heading, or all of it where there is none."""
     start = Text.assemble((heading, style), " ") if heading else Text()
     message_console().print(start.append(safe_line(text), "" if heading else style))
+
+
+def ask(question: str) -> bool | None:
+    """Yes or no, from a person at a terminal; None where there is none to ask. Enter alone is no."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return None
+    return Confirm.ask(escape(safe_line(question)), default=False, console=message_console())
 
 
 def print_table(*parts: RenderableType) -> None:

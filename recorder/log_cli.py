@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import Annotated
 
 import tyro
 from rich.markup import escape
-from rich.prompt import Confirm
 from rich.table import Table
 
 from common import Skipped, UserError
@@ -28,7 +26,7 @@ from common.command import (
 )
 from common.errors import counted, shown
 from common.files import final_path
-from common.output import message_console, print_message, print_result, print_table
+from common.output import ask, print_message, print_result, print_table
 from recorder.check import Checked, check, is_whole
 from recorder.chunks import WITHOUT_CRCS
 from recorder.edit import check_rows, merge, rows_between, split, trim, trim_times
@@ -275,11 +273,10 @@ class NameRows:
             return
         close = difflib.get_close_matches(name, used, n=1)
         told = f"new tag {name!r}" + (f"; did you mean {close[0]}?" if close else "")
-        if not close or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        answer = ask(f"{told} Give {name!r} all the same?") if close else None
+        if answer is None:
             print_message(told)
-            return
-        question = escape(shown(f"{told} Give {name!r} all the same?"))
-        if not Confirm.ask(question, default=False, console=message_console()):
+        elif not answer:
             raise UserError("nothing was tagged")
 
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:

@@ -153,7 +153,7 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.Capt
         ((drive, tmp_path / "none.mcap"), "none.mcap: cannot be opened"),
         ((drive, tmp_path), "is a folder"),
         ((*[drive] * 7,), "at most 6"),
-        ((drive, drive, "--follow"), "give one log"),
+        ((drive, drive, "--follow"), "only with one log"),
         ((drive, drive, "--web"), "--save writes a file and opens nothing"),
     ):
         assert call(main, *words, "--save", tmp_path / "x.rrd") == 1

@@ -183,9 +183,15 @@ def test_values_are_those_of_the_simulators_own_rows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("rate_hz", 15.0), ("rate_hz", 0.0), ("recovery_share", 1.0), ("laps", 0.0)]
+    ("name", "value", "said"),
+    [
+        ("rate_hz", 15.0, "--rate 15"),
+        ("rate_hz", 0.0, "--rate 0"),
+        ("recovery_share", 1.0, "recovery"),
+        ("laps", 0.0, "laps must be above 0"),
+    ],
 )
-def test_a_recording_that_cannot_be_driven_is_refused(name: str, value: float) -> None:
+def test_a_recording_that_cannot_be_driven_is_refused(name: str, value: float, said: str) -> None:
     arguments = {"laps": 1.0, name: value}
-    with pytest.raises(ValueError, match=name):
+    with pytest.raises(ValueError, match=said):
         drive_for_recording(Course(OVAL), Expert(OVAL.line, 10), **arguments)  # type: ignore[arg-type]

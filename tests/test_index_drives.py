@@ -78,6 +78,7 @@ MIXED = driven((P, 100), (X, 60), (P, 200), (H, 50), (None, 20), (0, 10), (X, 60
 
 def test_the_drivers_are_those_of_the_log_in_its_order() -> None:
     numbers = {"" if name == "UNKNOWN" else name.lower(): number for name, number in PilotCommand.Driver.items()}
+    assert numbers.pop("brake") == len(DRIVERS)  # of a row that was braked, nobody drove
     assert numbers == {name: number for number, name in enumerate(DRIVERS)}
 
 

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 import rerun_cli
 
 from common import UserError
+from common.output import print_message
 
 LOCAL: Final = "127.0.0.1"
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
@@ -87,9 +88,7 @@ class Viewer(subprocess.Popen[bytes]):
                 elif _NO_WINDOW.search(line):
                     self._trouble = self._trouble or "cannot open a window on this display"
                 else:
-                    with contextlib.suppress(OSError, ValueError):  # our own stderr has gone
-                        sys.stderr.buffer.write(line)
-                        sys.stderr.buffer.flush()
+                    print_message(line.decode("utf-8", "backslashreplace").rstrip())
 
 
 @contextlib.contextmanager
