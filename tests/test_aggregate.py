@@ -24,6 +24,7 @@ from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.topics import DRIVE_METADATA
+from waiting import wait_until
 
 TRACK, LAPS, SPEED = "random:3", 0.04, 20
 SETTINGS = IndexConfig(cameras=("center",), balance=False, flip=False, block_s=1.0, gap_s=0.0)
@@ -129,9 +130,9 @@ def start_aggregation(aggregated: Aggregated, track: str, *flags: object) -> Pro
 def test_a_training_that_is_stopped_says_how_to_finish_it(aggregated: Aggregated) -> None:
     with start_aggregation(aggregated, "random:5", "--laps", 0.01, "--epochs", 10_000) as process:
         process.wait_for("training runs/first-random-5-1")
-        while not checkpoint_path(aggregated.folder / "runs" / "first-random-5-1").exists():
-            assert process.popen.poll() is None, process.stderr
-            time.sleep(0.05)
+        trained = aggregated.folder / "runs" / "first-random-5-1"
+        # one that has learnt nothing yet leaves nothing
+        wait_until(lambda: checkpoint_path(trained).exists() and read_position(trained).epoch > 1)
         assert process.end() == 130
     told = process.wait_for(r"^bc-drive: finish (\S+) with `bc-train (.+)`; then go on with `bc-drive (.+)` and ")
     assert told[1] == "runs/first-random-5-1"
