@@ -66,8 +66,7 @@ class Aggregation:
         places: Places,
         training: TrainConfig,
     ) -> None:
-        if not 1 <= rounds <= MOST_ROUNDS:
-            raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MOST_ROUNDS}")
+        check_rounds(rounds)
         self._course = course
         self._config = replace(config, takeover=True)
         self._training = training
@@ -138,6 +137,12 @@ class Aggregation:
         pilot.get_ready()
         summary = self._course.drive(pilot, self._config, log, mode)
         return Round(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
+
+
+def check_rounds(rounds: int) -> None:
+    """Raises DriveError for what is no number of rounds."""
+    if not 1 <= rounds <= MOST_ROUNDS:
+        raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MOST_ROUNDS}")
 
 
 def _sessions(run: Path, fingerprints: dict[str, str], places: Places) -> list[Path]:

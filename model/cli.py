@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import tyro
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, FAILED, complain, run_command, warn, warn_skipped
-from common.errors import counted
+from common.command import DONE, FAILED, run_command, warn, warn_skipped
+from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.streams import end_process
 from model.config import TrainConfig
@@ -56,9 +56,7 @@ class Train:
 
 
 def train(config: Train) -> int:
-    if wrong := _contradiction(config):
-        complain("bc-train", UserError(wrong))
-        return BAD_USAGE
+    _refuse_contradictions(config)
 
     from model.distributed import FirstRankError, local_rank_of_process, rank_of_process
     from model.errors import RunWriteError
@@ -189,14 +187,13 @@ def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]
     return preview(run)
 
 
-def _contradiction(config: Train) -> str:
-    """What is wrong with the flags; empty if they go together."""
+def _refuse_contradictions(config: Train) -> None:
+    """Raise UsageError for flags that do not go together."""
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
-        return f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them"
+        raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
     if Path(config.name).name != config.name or config.name.startswith("."):
-        return f"--name {config.name!r}: a plain name was expected; give the folder with --runs"
-    return ""
+        raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
 
 
 def _run_of(config: Train) -> Path:

@@ -363,6 +363,7 @@ def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
         (["--validation", "nobody"], "--validation nobody: no such session"),
         (["--figures", "figures"], "figures/balance.pdf exists already"),
         (["--figures", "sessions/a.mcap"], "sessions/a.mcap: not a folder"),
+        (["--force"], "--force: only of figures"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(
@@ -376,7 +377,7 @@ def test_what_cannot_be_is_said_before_anything_is_read(
     log_of(tmp_path / "sessions" / "a.mcap")
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "balance.pdf").write_text("mine")
-    assert call(main, "--look", *flags) == 1
+    assert call(main, "--look", *flags) == (2 if {"--where", "--force"} & set(flags) else 1)
     assert said in capsys.readouterr().err
     assert not (tmp_path / "index").exists()
 
