@@ -213,6 +213,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     from model import TrainConfig, find_run
 
     rounds: list[Round] = []
+    codes = [DONE]
 
     def say(text: str) -> None:
         print_message(f"bc-drive: {text}")
@@ -229,7 +230,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     run = find_run(config.run, config.runs)
     aggregation = Aggregation(run, course, settings, config.aggregate, places, training)
     try:
-        for done in aggregation.rounds(config.server, say):
+        for done in aggregation.rounds(config.server, say, lambda notice: codes.append(warn(notice))):
             rounds.append(done)
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:
@@ -242,7 +243,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
                 laps = "unknown" if each.laps is None else f"{each.laps:.2f}"
                 table.add_row(each.run, laps, f"{each.interventions:,}", autonomy, str(each.log))
             print_table(table)
-    return DONE
+    return max(codes)
 
 
 def main() -> None:
