@@ -7,6 +7,7 @@ Ctrl-C.
 from __future__ import annotations
 
 import contextlib
+import logging
 import re
 import sys
 import traceback
@@ -19,7 +20,7 @@ import tyro
 
 from common.errors import Skipped, UsageError, UserError
 from common.interrupts import Stopping, signals_to
-from common.output import end_bar, print_message
+from common.output import LogMessages, end_bar, print_message
 from common.streams import drain, end_process, unhurried_streams, why_results_are_lost
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
@@ -88,7 +89,7 @@ def run_command(
     """
     say_how = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
     with unhurried_streams(), Stopping(partial(_end_at_once, prog), say_how) as stopping:
-        with signals_to(_interrupt):
+        with signals_to(_interrupt), _logging_as_messages():
             try:
                 code = _run(prog, config, action, description or config.__doc__, default)
                 drain(is_patient=not stopping.is_asked)
@@ -98,6 +99,17 @@ def run_command(
             code = complain(prog, UserError(f"standard output: {why}"))
             drain(is_patient=False)
     sys.exit(code)
+
+
+@contextlib.contextmanager
+def _logging_as_messages() -> Iterator[None]:
+    """Where no command runs, `logging` prints as whoever runs us wants."""
+    handler = LogMessages(logging.WARNING)
+    logging.getLogger().addHandler(handler)
+    try:
+        yield
+    finally:
+        logging.getLogger().removeHandler(handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
