@@ -277,7 +277,7 @@ class NameRows:
             return
         close = difflib.get_close_matches(name, used, n=1)
         told = f"new tag {name!r}" + (f"; did you mean {close[0]}?" if close else "")
-        if not close or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        if not close or not (sys.stdin.isatty() and message_console().is_terminal):
             print_message(told)
             return
         question = escape(shown(f"{told} Give {name!r} all the same?"))
