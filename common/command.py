@@ -1,23 +1,26 @@
 """How every `bc-` command runs: flags from a dataclass, one line for an error, the same exit codes.
 
-Exit codes: 0 done, 1 failed, 2 bad usage, 3 done but something was skipped or lost, 130 stopped by Ctrl-C.
+Exit codes: 0 done, 1 failed, 2 bad usage (`UsageError`), 3 done but something was skipped or lost, 130 stopped by
+Ctrl-C.
 """
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import re
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
 import tyro
 
-from common.errors import Skipped, UserError
+from common.errors import Skipped, UsageError, UserError
 from common.interrupts import Stopping, signals_to
-from common.output import end_bar, print_message
+from common.output import LogMessages, end_bar, print_message
 from common.streams import drain, end_process, unhurried_streams, why_results_are_lost
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
@@ -38,7 +41,7 @@ def warn(text: str) -> int:
 def complain(prog: str, error: UserError) -> int:
     """Print what went wrong, in one line; the exit code that says so."""
     print_message(str(error), heading=f"{prog}:", style="red")
-    return FAILED
+    return BAD_USAGE if isinstance(error, UsageError) else FAILED
 
 
 def warn_skipped(skipped: Skipped) -> int:
@@ -54,10 +57,19 @@ def flags_given(config: object, *names: str) -> str:
     return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
 
 
+@contextlib.contextmanager
+def usage_errors(*kinds: type[Exception]) -> Iterator[None]:
+    """Raise UsageError where the block, which looks at values of flags only, raises an error of these kinds."""
+    try:
+        yield
+    except kinds as error:
+        raise UsageError(str(error)) from None
+
+
 def refuse_no_port(flag: str, port: int) -> None:
-    """Raise UserError for what is no port of somebody who listens."""
+    """Raise UsageError for what is no port of somebody who listens."""
     if not 0 < port < 65536:
-        raise UserError(f"{flag} {port}: a port is a number from 1 to 65535")
+        raise UsageError(f"{flag} {port}: a port is a number from 1 to 65535")
 
 
 def run_command(
@@ -77,7 +89,7 @@ def run_command(
     """
     say_how = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
     with unhurried_streams(), Stopping(partial(_end_at_once, prog), say_how) as stopping:
-        with signals_to(_interrupt):
+        with signals_to(_interrupt), _logging_as_messages():
             try:
                 code = _run(prog, config, action, description or config.__doc__, default)
                 drain(is_patient=not stopping.is_asked)
@@ -87,6 +99,17 @@ def run_command(
             code = complain(prog, UserError(f"standard output: {why}"))
             drain(is_patient=False)
     sys.exit(code)
+
+
+@contextlib.contextmanager
+def _logging_as_messages() -> Iterator[None]:
+    """Where no command runs, `logging` prints as whoever runs us wants."""
+    handler = LogMessages(logging.WARNING)
+    logging.getLogger().addHandler(handler)
+    try:
+        yield
+    finally:
+        logging.getLogger().removeHandler(handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
@@ -109,12 +132,15 @@ def _run(
     about: str | None,
     default: Callable[[], Config] | None,
 ) -> int:
+    kind: type[UserError] = UserError
     try:
         given: dict[str, Any] = {} if default is None else {"default": default()}
         flags = (tyro.conf.FlagCreatePairsOff,)
         return action(tyro.cli(config, prog=prog, description=about, config=flags, **given))
     except UserError as error:
         why: str | None = str(error)
+        if isinstance(error, UsageError):
+            kind = UsageError
     except SystemExit as ended:  # of tyro: help, or bad usage
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except KeyboardInterrupt:
@@ -134,7 +160,7 @@ def _run(
         why = _no_memory(error)
     # Only here has the last reference to what was interrupted gone, and a progress bar its end.
     if why is not None:
-        return complain(prog, UserError(why))
+        return complain(prog, kind(why))
     print_message("stopped", heading=f"{prog}:")
     return INTERRUPTED
 

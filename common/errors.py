@@ -1,9 +1,11 @@
 """What goes wrong through a user's input, and what was left out because of it.
 
 Every error that a user's files, flags or network can cause derives from `UserError`; a command prints it in
-one line and ends with exit code 1. Anything else that escapes is a bug and keeps its traceback.
+one line and ends with exit code 1, or 2 for a `UsageError`. Anything else that escapes is a bug and keeps its
+traceback.
 
     UserError
+    ├── UsageError       (common)     flags of a command that do not go together, or a value that makes no sense
     ├── LogError         (recorder)   a log that is missing, damaged, unfinished or of another program
     ├── RecordingError   (recorder)   a recording that cannot be imported
     ├── ListenError      (recorder)   a port that is taken, or may not be listened on
@@ -35,6 +37,11 @@ def counted(number: int, what: str, whats: str = "") -> str:
 
 class UserError(Exception):
     """One clear line for a person: which file, what was expected, and the next command to try."""
+
+
+class UsageError(UserError):
+    """Flags of a command that do not go together, or the value of one that makes no sense in itself. A name of
+    what is not there (a log, a track, a run) is none."""
 
 
 class Skipped:

@@ -7,6 +7,7 @@ that a line names in backquotes are spelled so that they can be typed here.
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import shlex
@@ -30,6 +31,7 @@ from common.streams import trusted
 _COMMAND: Final = re.compile(
     r"(`|--no-python )(bc-(?:record|log|index|train|drive|play|sim|eval|demo)|rerun|torchrun|pip)(?![\w-])"
 )
+_drawn: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
 )
@@ -46,7 +48,8 @@ def print_result(*lines: str) -> None:
 def print_message(text: str, *, heading: str = "", style: str = "") -> None:
     """Print one line of stderr; in colour is its heading, or all of it where there is none."""
     start = Text.assemble((heading, style), " ") if heading else Text()
-    message_console().print(start.append(safe_line(text), "" if heading else style))
+    console = _drawn[-1] if _drawn else message_console()  # above a bar, and not behind it
+    console.print(start.append(safe_line(text), "" if heading else style), soft_wrap=True)
 
 
 def ask(question: str) -> bool | None:
@@ -68,8 +71,20 @@ def message_console() -> Console:
     return _SafeConsole(file=trusted(sys.stderr), soft_wrap=True, highlight=False, emoji=False)
 
 
+def begin_bar(console: Console) -> None:
+    """Messages are printed above what this console draws, until that ends by `stop_bar`."""
+    _drawn.append(console)
+
+
+def stop_bar(console: Console) -> None:
+    """What the console drew is gone."""
+    if console in _drawn:
+        _drawn.remove(console)
+
+
 def end_bar() -> None:
     """Take away what a progress bar that was not ended has left on the terminal."""
+    _drawn.clear()
     message_console().control(_WITHOUT_BAR)
 
 
@@ -81,6 +96,16 @@ def as_typed(command: str) -> str:
         return command
     relative = Path(os.path.relpath(script))
     return shlex.quote(str(relative if len(relative.parts) < len(script.parts) else script))
+
+
+class LogMessages(logging.Handler):
+    """Prints what is told by Python's `logging` as any other message: a record is one line."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            print_message(self.format(record))
+        except Exception:  # a record that does not fit its own format
+            self.handleError(record)
 
 
 class _SafeConsole(Console):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from common.command import warn
-from common.errors import UserError
+from common.errors import UsageError
 from common.files import final_path, refuse_existing
 
 _GRACE_S: Final = 2.0  # for it to end by itself
@@ -51,9 +51,9 @@ def preview(
     process group of its own, so that nothing of it stays when it does not hear that it shall end. Its stdin ends
     with this process: then it ends. `said` is told when the end takes long.
 
-    Raises UserError if the file is there already and may not be overwritten, or for another `where`. A viewer that
-    cannot be started is told to `said`; one that fails later says why on stderr; of one that had to be killed
-    before its file was whole, it is said here.
+    Raises UserError if the file is there already and may not be overwritten, UsageError for another `where`. A
+    viewer that cannot be started is told to `said`; one that fails later says why on stderr; of one that had to be
+    killed before its file was whole, it is said here.
     """
     flags = _flags(where)
     file = Path(where) if where.endswith(".rrd") else None
@@ -139,7 +139,7 @@ def _flags(where: str) -> list[str]:
     if where.endswith(".rrd"):
         return ["--save", where]
     if not _ADDRESS.search(where):
-        raise UserError(
+        raise UsageError(
             f"--viewer {where}: neither window nor web, nor a FILE.rrd, nor the address of a viewer, such as"
             " 127.0.0.1:9876"
         )

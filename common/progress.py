@@ -24,7 +24,7 @@ from rich.status import Status
 from rich.text import Text
 
 from common.errors import shown
-from common.output import message_console, print_message, safe_line
+from common.output import begin_bar, message_console, print_message, safe_line, stop_bar
 
 Item = TypeVar("Item")
 
@@ -45,9 +45,12 @@ class _Bar(Progress):
         super().start()
         if self.disable:
             self._teller.start()
+        else:
+            begin_bar(self.console)
 
     def stop(self) -> None:
         self._has_ended.set()
+        stop_bar(self.console)
         super().stop()
 
     def _tell(self) -> None:
@@ -111,9 +114,11 @@ class StatusLine:
     def __enter__(self) -> Self:
         if self._is_shown:
             self._status.start()
+            begin_bar(self._status.console)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        stop_bar(self._status.console)
         self._status.stop()

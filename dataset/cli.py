@@ -10,11 +10,12 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tyro
 
-from common.command import DONE, FAILED, run_command, warn
-from common.errors import counted, shown
+from common.command import DONE, FAILED, run_command, usage_errors, warn
+from common.errors import UsageError, counted, shown
 from common.output import print_message, print_result, print_table
 from dataset.config import IndexConfig
-from dataset.frames import session_name
+from dataset.errors import DatasetError
+from dataset.frames import SCHEMA, session_name
 from dataset.index import Indexed, build_index, check_settings
 from dataset.leaks import find_leaks
 from dataset.looks import look_at_all
@@ -22,6 +23,7 @@ from dataset.oddities import print_report, report
 from dataset.report import balance_table, mixed_sizes, sessions_table
 from dataset.samples_format import SAMPLES_NAME
 from dataset.sessions import find_logs, sessions_beside, unfinished_recordings
+from dataset.where import Condition
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class Index:
 
 
 def index(config: Index) -> int:
+    _refuse_contradictions(config)
     logs = find_logs(config.sessions, config.folder)
     # before anything is written, or takes long
     check_settings(logs, config.index, config.config)
@@ -95,6 +98,16 @@ def index(config: Index) -> int:
         print_result("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
         code = FAILED if leaks else code
     return code
+
+
+def _refuse_contradictions(config: Index) -> None:
+    """Raise UsageError for flags that would be passed over, and for a condition that is none."""
+    if config.force and config.figures is None:
+        raise UsageError("--force: only of figures: give --figures FOLDER as well")
+    if config.config.where is not None:
+        condition = Condition(config.config.where)
+        with usage_errors(DatasetError):
+            condition.check(SCHEMA.empty_table())
 
 
 def _passed_over(others: list[str], config: Index) -> list[str]:

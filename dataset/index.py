@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 import filecmp
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -97,7 +98,6 @@ def build_index(
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted((session_name(Path(path)), Path(path)) for path in logs))
     check_settings(list(by_name.values()), index, config)
-    index.mkdir(parents=True, exist_ok=True)
     with _alone(index):
         clear_up(index)
         state = read_state(index)
@@ -173,10 +173,31 @@ def _build(
 
 @contextlib.contextmanager
 def _alone(index: Path) -> Iterator[None]:
-    """Let one at a time build this index."""
-    with (index / LOCK_NAME).open("ab") as stream:
-        lock(stream)
-        yield
+    """Let one at a time build this index; where none comes of it, nothing stays of what this has made."""
+    made = [folder for folder in (index, *index.parents) if not folder.exists()]
+    with _locked(index) as stream:
+        try:
+            yield
+        finally:
+            if not (index / SAMPLES_NAME).exists():
+                with contextlib.suppress(OSError):  # somebody else's files; Windows removes no open one
+                    Path(stream.name).unlink()
+                    for folder in made:
+                        folder.rmdir()
+
+
+def _locked(index: Path) -> IO[bytes]:
+    """The lock's file, locked until it is closed."""
+    path = index / LOCK_NAME
+    while True:
+        index.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as stack, contextlib.suppress(FileNotFoundError):
+            stream = stack.enter_context(path.open("ab"))
+            lock(stream)
+            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
+                stack.pop_all()
+                return stream
+        # who held the lock has removed the file: the next one would lock another
 
 
 def _known(name: str, log: Path, index: Path, config: IndexConfig, state: State) -> Entry | None:

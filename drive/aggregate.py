@@ -66,14 +66,14 @@ class Aggregation:
         places: Places,
         training: TrainConfig,
     ) -> None:
-        if not 1 <= rounds <= MOST_ROUNDS:
-            raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MOST_ROUNDS}")
+        check_rounds(rounds)
         self._course = course
         self._config = replace(config, takeover=True)
         self._training = training
         self._threads = torch.get_num_threads()  # a pilot drives on one
         self._settings, fingerprints = data_of_run(run)
         self._sessions = _sessions(run, fingerprints, places)
+        self._warned: set[str] = set()
         name = f"{run_name(run)}-{course.name}"
         self._index = places.runs.parent / f"index-{name}"
         self._logs = [places.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
@@ -81,17 +81,21 @@ class Aggregation:
         if in_the_way := self._left():
             raise DriveError(f"exist already, of an aggregation before this one; move them away: {in_the_way}")
 
-    def rounds(self, mode: ServerMode, said: Callable[[str], None]) -> Iterator[Round]:
+    def rounds(
+        self, mode: ServerMode, said: Callable[[str], None], warned: Callable[[str], object]
+    ) -> Iterator[Round]:
         """Each drive as it is done: the first with the run as it is, one more after every training.
 
-        Raises DriveError where the simulator fails, KeyboardInterrupt if it was stopped; how to go on is said.
+        `warned` is told, once, of every log that its indexes leave out or hold in part, and of pictures that
+        training leaves out. Raises DriveError where the simulator fails, KeyboardInterrupt if it was stopped; how
+        to go on is said.
         """
         trained = 0  # the last run that is
         for number, (run, log) in enumerate(zip(self._runs, self._logs, strict=True)):
             try:
                 if number:
                     said(f"training {run}")
-                    self._train(run, self._runs[trained], self._logs[:number])
+                    self._train(run, self._runs[trained], self._logs[:number], warned)
                     trained = number
                 said(f"{run_name(run)} drives {self._course.where}, the expert takes over where it has to")
                 done = self._drive(run, log, mode)
@@ -124,12 +128,20 @@ class Aggregation:
         aggregate = f"{drive} --aggregate {more}" if more else f"{drive} --takeover"
         return f"{told}go on with `{aggregate}` and the other flags as before"
 
-    def _train(self, run: Path, before: Path, drives: list[Path]) -> None:
+    def _train(self, run: Path, before: Path, drives: list[Path], warned: Callable[[str], object]) -> None:
         torch.set_num_threads(self._threads)
         settings = replace(self._settings, drives="takeovers")
         try:
-            build_index([*self._sessions, *drives], self._index, settings)
-            train(self._index, run, self._training, init=before)
+            logs = [*self._sessions, *drives]
+            notices = build_index(logs, self._index, settings, leave_out_unreadable=True).notices
+            for notice in notices:
+                if notice not in self._warned:
+                    warned(notice)
+            self._warned.update(notices)
+            trained = train(self._index, run, self._training, init=before)
+            for skipped in trained.skipped:
+                for line in skipped.lines():
+                    warned(f"skipped {line}")
         except DatasetError as error:
             raise DriveError(f"{self._index}: {error}") from None
 
@@ -138,6 +150,12 @@ class Aggregation:
         pilot.get_ready()
         summary = self._course.drive(pilot, self._config, log, mode)
         return Round(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
+
+
+def check_rounds(rounds: int) -> None:
+    """Raises DriveError for what is no number of rounds."""
+    if not 1 <= rounds <= MOST_ROUNDS:
+        raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MOST_ROUNDS}")
 
 
 def _sessions(run: Path, fingerprints: dict[str, str], places: Places) -> list[Path]:

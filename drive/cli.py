@@ -13,15 +13,23 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from rich.table import Table
 
-from common import UserError
-from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command, warn
-from common.errors import counted
+from common.command import (
+    DONE,
+    DONE_BUT_SKIPPED,
+    flags_given,
+    refuse_no_port,
+    run_command,
+    usage_errors,
+    warn,
+)
+from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.output import print_message, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from drive.config import DriveConfig
+from drive.errors import DriveError
 
 if TYPE_CHECKING:
     from drive.server import DriveServer
@@ -84,28 +92,30 @@ class Drive:
 
 def drive(config: Drive) -> int:
     _refuse_contradictions(config)
-    settings = DriveConfig(
-        set_speed_mph=config.speed,
-        slow_in_curves=config.slow_in_curves,
-        smooth_s=config.smooth,
-        max_steering_per_s=config.steering_rate,
-        takeover=config.takeover,
-    )
+    with usage_errors(DriveError):
+        settings = DriveConfig(
+            set_speed_mph=config.speed,
+            slow_in_curves=config.slow_in_curves,
+            smooth_s=config.smooth,
+            max_steering_per_s=config.steering_rate,
+            takeover=config.takeover,
+        )
     if config.aggregate is not None:
         return _aggregate(config, settings)
     if config.log is not None and config.log.suffix != ".mcap":
-        raise UserError(f"--log {config.log}: a log's name ends in .mcap")
+        raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
 
-    from drive.closed_loop import Course, drive_built_in
-    from drive.errors import DriveError
+    from drive.closed_loop import Course, check_laps, drive_built_in
     from drive.process import prepare_process
     from drive.server import DriveServer
     from model import find_run, load_pilot
 
     course = None
     if config.simulator is not None:
+        with usage_errors(DriveError):
+            check_laps(config.laps)
         course = Course(config.simulator, config.laps, config.real_time)
     pilot = load_pilot(find_run(config.run, config.runs), config.precision)
     pilot.get_ready()
@@ -146,17 +156,19 @@ def drive(config: Drive) -> int:
 
 
 def _refuse_contradictions(config: Drive) -> None:
-    """Raise UserError for flags that would be passed over."""
+    """Raise UsageError for flags that would be passed over, and for what is no port."""
+    if config.port:  # 0: a free one
+        refuse_no_port("--port", config.port)
     if config.simulator is None and (flags := flags_given(config, "real_time")):
-        raise UserError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
+        raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
     if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):
-        raise UserError(f"{flags}: only with --simulator TRACK or --aggregate N: else it drives until Ctrl-C")
+        raise UsageError(f"{flags}: only with --simulator TRACK or --aggregate N: else it drives until Ctrl-C")
     if config.simulator is not None and (flags := flags_given(config, "host", "port")):
-        raise UserError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
+        raise UsageError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
     if config.aggregate is None and (flags := flags_given(config, "epochs", "sessions")):
-        raise UserError(f"{flags}: only with --aggregate N")
+        raise UsageError(f"{flags}: only with --aggregate N")
     if config.aggregate is not None and (flags := flags_given(config, "log", "viewer", "precision", "force")):
-        raise UserError(
+        raise UsageError(
             f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"
             " fastest arithmetic; leave it out"
         )
@@ -174,8 +186,6 @@ def _viewer(config: Drive, log: Path, status: StatusLine) -> str | None:
 
 def _told(server: DriveServer) -> int:
     """Print how it went; the exit code. Raises DriveError if nothing was driven on at all."""
-    from drive.errors import DriveError
-
     code = DONE
     for session in server.sessions:
         log, summary = session.writer.path, session.summary
@@ -197,29 +207,30 @@ def _told(server: DriveServer) -> int:
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
     """Drive and train by turns."""
-    from drive.aggregate import Aggregation, Places, Round
-    from drive.closed_loop import Course
+    from drive.aggregate import Aggregation, Places, Round, check_rounds
+    from drive.closed_loop import Course, check_laps
     from drive.connecting import Connecting
     from model import TrainConfig, find_run
 
     rounds: list[Round] = []
+    codes = [DONE]
 
     def say(text: str) -> None:
         print_message(f"bc-drive: {text}")
 
     assert config.aggregate is not None  # noqa: S101
+    with usage_errors(DriveError, ValueError):
+        check_rounds(config.aggregate)
+        check_laps(config.laps)
+        training = TrainConfig(epochs=config.epochs)
     course: Course | Connecting = Connecting(config.laps, config.host, config.port)
     if config.simulator is not None:
         course = Course(config.simulator, config.laps, config.real_time)
     places = Places(config.sessions, Path("drives"), config.runs)
-    try:
-        training = TrainConfig(epochs=config.epochs)
-    except ValueError as error:
-        raise UserError(str(error)) from None
     run = find_run(config.run, config.runs)
     aggregation = Aggregation(run, course, settings, config.aggregate, places, training)
     try:
-        for done in aggregation.rounds(config.server, say):
+        for done in aggregation.rounds(config.server, say, lambda notice: codes.append(warn(notice))):
             rounds.append(done)
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:
@@ -232,7 +243,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
                 laps = "unknown" if each.laps is None else f"{each.laps:.2f}"
                 table.add_row(each.run, laps, f"{each.interventions:,}", autonomy, str(each.log))
             print_table(table)
-    return DONE
+    return max(codes)
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, run_command
+from common.errors import UsageError
 from common.output import as_typed, print_result
 from common.progress import time_text
 from common.streams import drain
@@ -83,15 +84,15 @@ def demo(config: Demo) -> int:
 
 
 def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
-    """Raise UserError for what a step would refuse, after minutes of those before it."""
+    """Raise UserError, or UsageError, for what a step would refuse, after minutes of those before it."""
     if folder.exists():
         raise UserError(f"{folder}: exists already; give another --folder")
     if not 1 <= config.epochs <= 10**6:
-        raise UserError(f"--epochs {config.epochs}: a number from 1 to 1,000,000 was expected")
+        raise UsageError(f"--epochs {config.epochs}: a number from 1 to 1,000,000 was expected")
     if not 0 < config.laps <= 1000:
-        raise UserError(f"--laps {config.laps:g}: a number above 0, and up to 1,000, was expected")
+        raise UsageError(f"--laps {config.laps:g}: a number above 0, and up to 1,000, was expected")
     if not 0.05 <= config.share <= 1000:
-        raise UserError(
+        raise UsageError(
             f"--share {config.share:g}: a number of laps from 0.05 on was expected: less trains nothing"
         )
     for step in steps_of(config):

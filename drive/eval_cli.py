@@ -12,8 +12,8 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, complain, flags_given, run_command, warn, warn_skipped
-from common.errors import counted
+from common.command import DONE, flags_given, run_command, usage_errors, warn, warn_skipped
+from common.errors import UsageError, counted
 from common.output import print_message, print_result, print_table
 
 if TYPE_CHECKING:
@@ -72,11 +72,7 @@ DRIVEN = ("laps", "speed", "precision", "logs", "force")
 
 
 def evaluate(config: Eval) -> int:
-    try:
-        _refuse_contradictions(config)
-    except UserError as error:
-        complain("bc-eval", error)
-        return BAD_USAGE
+    _refuse_contradictions(config)
     return _measure(config) if config.simulator is None else _drive(config, config.simulator)
 
 
@@ -84,21 +80,24 @@ def _refuse_contradictions(config: Eval) -> None:
     is_driven = config.simulator is not None
     flags = flags_given(config, *(RECORDED if is_driven else DRIVEN))
     if flags:
-        raise UserError(
+        raise UsageError(
             f"{flags}: of recorded frames, and --simulator drives: give one or the other"
             if is_driven
             else f"{flags}: only with --simulator TRACK: without it, recorded frames are measured"
         )
     if config.simulator == () or config.speed == ():
-        raise UserError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
+        raise UsageError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
+    for flag, given in (("--simulator", config.simulator), ("--speed", config.speed)):
+        if given is not None and len(set(given)) < len(given):
+            raise UsageError(f"{flag} {' '.join(map(str, given))}: give each once")
     if config.session == ():
-        raise UserError("nothing to measure: give --session at least one session")
+        raise UsageError("nothing to measure: give --session at least one session")
     if config.session is None and config.sessions is not None:
-        raise UserError("--sessions is where the logs of --session are: give it too")
+        raise UsageError("--sessions is where the logs of --session are: give it too")
     if config.session is not None and (config.index is not None or config.split is not None):
-        raise UserError("--session measures whole sessions, of no index: leave out --index and --split")
+        raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
     if config.worst is not None and config.worst < 0:
-        raise UserError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
+        raise UsageError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
 
 
 def _measure(config: Eval) -> int:
@@ -166,16 +165,18 @@ def _told(found: Evaluation, *, is_training: bool) -> int:
 
 def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
     """Let the network drive."""
-    from drive.closed_loop import Course
+    from drive.closed_loop import Course, check_laps
     from drive.closed_loop import evaluate as evaluate_run
     from drive.config import DriveConfig
+    from drive.errors import DriveError
     from model import find_run, load_pilot
 
     laps = 1.0 if config.laps is None else config.laps
+    with usage_errors(DriveError):
+        check_laps(laps)
+        configs = [DriveConfig(set_speed_mph=speed) for speed in config.speed or (10.0,)]
     drives = [
-        (Course(track, laps), DriveConfig(set_speed_mph=speed))
-        for speed in config.speed or (10.0,)
-        for track in tracks
+        (Course(track, laps), each) for each in configs for track in tracks
     ]  # before the seconds that a network takes to load: a track may be misspelt
     pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
     pilot.get_ready()

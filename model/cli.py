@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import tyro
 
 from common import UserError
-from common.command import BAD_USAGE, DONE, FAILED, complain, run_command, warn, warn_skipped
-from common.errors import counted
+from common.command import DONE, FAILED, run_command, warn, warn_skipped
+from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.streams import end_process
 from model.config import TrainConfig
@@ -56,9 +56,7 @@ class Train:
 
 
 def train(config: Train) -> int:
-    if wrong := _contradiction(config):
-        complain("bc-train", UserError(wrong))
-        return BAD_USAGE
+    _refuse_contradictions(config)
 
     from model.distributed import FirstRankError, local_rank_of_process, rank_of_process
     from model.errors import RunWriteError
@@ -79,7 +77,7 @@ def train(config: Train) -> int:
         load_config(init)
     machine = choose_machine(settings, local_rank_of_process())
     listeners = _listeners(config, run) if is_first else []
-    index = _index_of(config, is_first=is_first)
+    index, code = _index_of(config, is_first=is_first)
     if is_first:
         where = "GPU" if machine.device.type == "cuda" else "processor"
         epochs = counted(settings.epochs, "epoch")
@@ -97,7 +95,7 @@ def train(config: Train) -> int:
         raise
     except FirstRankError:
         return FAILED  # the first one says why
-    code = max([DONE, *map(warn_skipped, trained.skipped)])
+    code = max([code, *map(warn_skipped, trained.skipped)])
     if not is_first:
         return code
     code = max([code, *map(warn, trained.notices)])
@@ -189,14 +187,13 @@ def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]
     return preview(run)
 
 
-def _contradiction(config: Train) -> str:
-    """What is wrong with the flags; empty if they go together."""
+def _refuse_contradictions(config: Train) -> None:
+    """Raise UsageError for flags that do not go together."""
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
-        return f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them"
+        raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
     if Path(config.name).name != config.name or config.name.startswith("."):
-        return f"--name {config.name!r}: a plain name was expected; give the folder with --runs"
-    return ""
+        raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
 
 
 def _run_of(config: Train) -> Path:
@@ -209,9 +206,9 @@ def _run_of(config: Train) -> Path:
     return run
 
 
-def _index_of(config: Train, *, is_first: bool) -> Path:
-    """The index to train on, built if need be; what it does not hold is told."""
-    from dataset import build_index, find_logs, sessions_not_indexed
+def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
+    """The index to train on, built if need be; what it does not hold is told, which is the exit code."""
+    from dataset import sessions_not_indexed
     from dataset.samples_format import SAMPLES_NAME
 
     is_there = (config.index / SAMPLES_NAME).exists()
@@ -221,17 +218,35 @@ def _index_of(config: Train, *, is_first: bool) -> Path:
 
         name = config.like if config.like is not None else config.resume
         assert name is not None  # noqa: S101
-        return index_of_run(find_started(name, config.runs), config.index, config.sessions)
+        codes = [DONE]
+
+        def said(notice: str) -> None:
+            if is_first:
+                codes.append(warn(notice))
+
+        return index_of_run(find_started(name, config.runs), config.index, config.sessions, said), max(codes)
     if not is_there:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
-        build_index(find_logs((), config.sessions), config.index)
-    elif is_first and config.resume is None and (absent := sessions_not_indexed(config.index, config.sessions)):
+        return config.index, _build_index(config)
+    if is_first and config.resume is None and (absent := sessions_not_indexed(config.index, config.sessions)):
         print_message(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )
-    return config.index
+    return config.index, DONE
+
+
+def _build_index(config: Train) -> int:
+    """As `bc-index` does: what cannot be read is left out, and said; the exit code that says so."""
+    from dataset import build_index, find_logs
+    from dataset.report import mixed_sizes
+    from dataset.sessions import unfinished_recordings
+
+    indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
+    for told in mixed_sizes(indexed.sizes_px):
+        print_message(told)
+    return max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(config.sessions, ())])])
 
 
 def _defaults() -> Train:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,14 @@ from model.provenance import data_fingerprint_of
 from model.run import CONFIG, load_config, run_name
 
 
-def index_of_run(run: Path, index: Path, sessions: Path) -> Path:
+def index_of_run(
+    run: Path, index: Path, sessions: Path, said: Callable[[str], object] = lambda notice: None
+) -> Path:
     """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
     from the run's settings and the logs of its sessions, in `sessions` or where they were.
 
-    Raises RunError if these logs, or their tags, have changed since; DatasetError if one is gone.
+    `said` gets the notices of building it. Raises RunError if these logs, or their tags, have changed since;
+    DatasetError if one is gone, LogError if one cannot be read: without it, the samples would be others.
     """
     stored = load_config(run)
     where = str(run / CONFIG)
@@ -34,7 +38,8 @@ def index_of_run(run: Path, index: Path, sessions: Path) -> Path:
         str(before[name]) if name in before and not (sessions / f"{name}.mcap").exists() else name
         for name in fingerprints
     ]
-    build_index(find_logs(logs, sessions), own, settings)
+    for notice in build_index(find_logs(logs, sessions), own, settings).notices:
+        said(notice)
     with contextlib.closing(Samples(own)) as samples:
         changed = [name for name, (_, now) in samples.sources.items() if now != fingerprints[name]]
         if changed:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from common.command import run_command, warn_skipped
-from common.errors import counted
+from common.command import refuse_no_port, run_command, usage_errors, warn_skipped
+from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
+from recorder.foreign import check_scale
+from recorder.frame_rate import check_rate
 from recorder.record import Imported
-from recorder.simulated import SimulatedDrive, record_simulated
+from recorder.simulated import SimulatedDrive, check_drive, record_simulated
 from recorder.sources import Topics, import_from, refuse_to_watch
 
 
@@ -111,34 +114,47 @@ def _recorded(config: Record, log: Path) -> Imported:
                 all_catalogs=config.all_catalogs,
                 overwrite=config.force,
             )
-        drive = config.drive if config.rate is None else replace(config.drive, rate=config.rate)
-        return record_simulated(drive, log, udacity=config.udacity, overwrite=config.force)
+        return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
+
+
+def _drive_of(config: Record) -> SimulatedDrive:
+    return config.drive if config.rate is None else replace(config.drive, rate=config.rate)
 
 
 def _refuse_contradictions(config: Record) -> None:
     name = config.name
     if not name or name.startswith(".") or any(character in name for character in '/\\\0\n\r:*?"<>|'):
-        raise RecordingError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
+        raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
     if name.endswith(".mcap"):
-        raise RecordingError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
+        raise UsageError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
     if config.source is not None and config.listen:
-        raise RecordingError("--from and --listen: give one of them")
+        raise UsageError("--from and --listen: give one of them")
     if config.watch and config.source is None:
-        raise RecordingError("--watch follows a folder: give it with --from FOLDER")
+        raise UsageError("--watch follows a folder: give it with --from FOLDER")
     if (config.source is not None or config.listen) and (
         config.udacity is not None or config.drive != SimulatedDrive()
     ):
-        raise RecordingError(
+        raise UsageError(
             "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
         )
     if config.listen and config.rate is not None:
-        raise RecordingError("--rate: telemetry has the time at which it comes; leave it out")
+        raise UsageError("--rate: telemetry has the time at which it comes; leave it out")
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
-        raise RecordingError("--idle and --viewer go with --watch or --listen")
+        raise UsageError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
-        raise RecordingError("--image and --steering go with --from other.mcap")
+        raise UsageError("--image and --steering go with --from other.mcap")
     if config.all_catalogs and (config.source is None or config.watch):
-        raise RecordingError("--all-catalogs goes with --from ~/mycar/data")
+        raise UsageError("--all-catalogs goes with --from ~/mycar/data")
+    if config.idle is not None and not 0 <= config.idle < math.inf:
+        raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
+    if config.port:  # 0: a free one
+        refuse_no_port("--port", config.port)
+    with usage_errors(RecordingError):
+        if config.source is not None:
+            check_rate(config.rate)
+            check_scale(config.topics.steering_scale)
+        else:
+            check_drive(_drive_of(config))
 
 
 def main() -> None:

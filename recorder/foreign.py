@@ -127,6 +127,12 @@ def is_own_log(source: Path) -> bool:
         return False
 
 
+def check_scale(steering_scale: float) -> None:
+    """Raise RecordingError for a scale that leaves no steering."""
+    if not math.isfinite(steering_scale) or steering_scale == 0:
+        raise RecordingError(f"--steering-scale {steering_scale:g}: a number other than 0 was expected")
+
+
 def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite: bool = False) -> Imported:
     """Write the pictures of another program's log to `log`, byte for byte, each with the last steering before it.
 
@@ -135,8 +141,7 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
     `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)  # before minutes of reading
-    if not math.isfinite(topics.steering_scale) or topics.steering_scale == 0:
-        raise RecordingError(f"--steering-scale must be a number other than 0, not {topics.steering_scale:g}")
+    check_scale(topics.steering_scale)
     events = SkippedEvents()
     skipped = events.skipped
     files = _files(source, skipped)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +22,11 @@ from common.command import (
     FAILED,
     complain,
     run_command,
+    usage_errors,
     warn,
     warn_skipped,
 )
-from common.errors import counted, shown
+from common.errors import UsageError, counted, shown
 from common.files import final_path
 from common.output import ask, print_message, print_result, print_table
 from recorder.check import Checked, check, is_whole
@@ -254,7 +256,7 @@ class NameRows:
                 raise UserError(f"{log.notice}; tag that one")
             fingerprint = log.fingerprint
         if self.tag is None and (self.remove or not self._is_everywhere()):
-            raise UserError("give the name: `bc-log tag LOG NAME --rows FIRST LAST`")
+            raise UsageError("give the name: `bc-log tag LOG NAME --rows FIRST LAST`")
         code = _warn_stale(self.log, stale_tags(self.log, fingerprint))
         tags = read_tags(self.log, fingerprint)
         if self.tag is not None:
@@ -280,12 +282,12 @@ class NameRows:
             raise UserError("nothing was tagged")
 
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
-        try:
+        with usage_errors(ValueError):
             check_name(name)
-        except ValueError as error:
-            raise UserError(str(error)) from None
         if self._is_everywhere() and not self.remove:
-            raise UserError(f"{name}: which rows? Give --rows FIRST LAST, or --start and --end; --start 0 for all")
+            raise UsageError(
+                f"{name}: which rows? Give --rows FIRST LAST, or --start and --end; --start 0 for all"
+            )
         if self._is_everywhere():
             chosen = [tag for tag in tags if tag.name == name]
         else:
@@ -316,7 +318,7 @@ Command = (
 
 def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
     if len(logs) < least:
-        raise UserError(f"give at least {least} log{'s' if least > 1 else ''}, such as sessions/lake.mcap")
+        raise UsageError(f"give at least {least} log{'s' if least > 1 else ''}, such as sessions/lake.mcap")
     return logs
 
 
@@ -326,7 +328,7 @@ def _rows_of(tag: Tag) -> str:
 
 def _named(to: Path) -> Path:
     if to.suffix != ".mcap":
-        raise UserError(f"{to}: a log ends in .mcap, or no other command finds it; give {to}.mcap")
+        raise UsageError(f"{to}: a log ends in .mcap, or no other command finds it; give {to}.mcap")
     return to
 
 
@@ -367,9 +369,9 @@ def _stretch(
     """The rows that the flags name."""
     if rows is not None:
         if start_s is not None or end_s is not None:
-            raise UserError("give either --rows, or --start and --end")
+            raise UsageError("give either --rows, or --start and --end")
         if not 0 <= rows[0] <= rows[1]:
-            raise UserError(f"--rows {rows[0]} {rows[1]}: give the first row, then the last one")
+            raise UsageError(f"--rows {rows[0]} {rows[1]}: give the first row, then the last one")
         with Log(path) as log:
             check_rows(log, rows)
         return rows
@@ -378,7 +380,10 @@ def _stretch(
 
 
 def _times(start_s: float | None, end_s: float | None) -> tuple[float, float]:
-    return 0.0 if start_s is None else start_s, float("inf") if end_s is None else end_s
+    begin_s, finish_s = 0.0 if start_s is None else start_s, math.inf if end_s is None else end_s
+    if not begin_s <= finish_s:
+        raise UsageError(f"--start {begin_s:g} --end {finish_s:g}: give seconds, the start before the end")
+    return begin_s, finish_s
 
 
 def _written(written: Written) -> int:

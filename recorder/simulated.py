@@ -20,7 +20,7 @@ from recorder.record import Imported
 from recorder.topics import CAMERAS
 from recorder.writer import LogWriter
 from simulator.expert import Expert
-from simulator.recovery import MOST_RECOVERY, drive_for_recording
+from simulator.recovery import MOST_RECOVERY, drive_for_recording, steps_each
 from simulator.simulation import Simulation
 from simulator.udacity_folder import UdacityFolder
 
@@ -56,16 +56,13 @@ def record_simulated(
     Raises RecordingError for a drive that cannot be, UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)  # before the folder is begun
-    _refuse_nonsense(drive)
+    check_drive(drive)
     try:
         simulation = Simulation(drive.track)
     except ValueError as error:
         raise RecordingError(f"--track {drive.track}: {error}") from None
-    try:
-        expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)
-        steps = drive_for_recording(simulation.course, expert, drive.laps, drive.rate, drive.recovery, drive.seed)
-    except ValueError as error:
-        raise RecordingError(str(error)) from None
+    expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)
+    steps = drive_for_recording(simulation.course, expert, drive.laps, drive.rate, drive.recovery, drive.seed)
     metadata = {
         "source": "simulator",
         "simulator": "built-in",
@@ -113,8 +110,12 @@ def record_simulated(
     return Imported(log, rows, rows * len(CAMERAS), Skipped())
 
 
-def _refuse_nonsense(drive: SimulatedDrive) -> None:
+def check_drive(drive: SimulatedDrive) -> None:
     """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
+    try:
+        steps_each(drive.rate)
+    except ValueError as error:
+        raise RecordingError(str(error)) from None
     for flag, value, is_good, expected in (
         ("--laps", drive.laps, 0 < drive.laps < math.inf, "a number above 0"),
         ("--speed", drive.speed, 0 < drive.speed < math.inf, "a set speed above 0 mph"),

@@ -13,8 +13,8 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, FAILED, flags_given, refuse_no_port, run_command
-from common.errors import counted
+from common.command import DONE, FAILED, flags_given, refuse_no_port, run_command, usage_errors
+from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.progress import progress_bar, track
 from simulator.client import NoHostError, SimulatorClient, WaitTimeoutError
@@ -58,9 +58,9 @@ class Sim:
 def sim(config: Sim) -> int:
     refuse_no_port("--port", config.port)
     if not 0 <= config.wait < math.inf:
-        raise UserError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
+        raise UsageError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
     if config.count is not None and (config.count < 1 or config.replay is None):
-        raise UserError(f"--count {config.count}: how many pictures of --replay to tell is a number above 0")
+        raise UsageError(f"--count {config.count}: how many pictures of --replay to tell is a number above 0")
     client = SimulatorClient(config.host, config.port, wait_s=config.wait)
     try:
         return _replay(config, client) if config.replay is not None else _drive(config, client)
@@ -75,16 +75,15 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
 
     from simulator.autonomous import GIVE_UP_S, drive_autonomously
     from simulator.expert import Expert
+    from simulator.recovery import steps_each
     from simulator.simulation import Simulation
-    from simulator.vehicle import STEP_S
 
     if not 0 < config.expert_speed < math.inf:
-        raise UserError(f"--expert-speed {config.expert_speed:g}: a set speed is a number of mph above 0")
+        raise UsageError(f"--expert-speed {config.expert_speed:g}: a set speed is a number of mph above 0")
     if not 0 < config.laps < math.inf:
-        raise UserError(f"--laps {config.laps:g}: how far to drive is a number above 0")
-    steps = 1 / (config.rate * STEP_S) if config.rate > 0 else 0.0
-    if steps < 0.99 or abs(steps - round(steps)) > 1e-6:
-        raise UserError(f"--rate {config.rate:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
+        raise UsageError(f"--laps {config.laps:g}: how far to drive is a number above 0")
+    with usage_errors(ValueError):
+        steps_each(config.rate)
     cv2.setNumThreads(1)  # the network that drives needs the other cores more
     try:
         simulation = Simulation(config.track)
@@ -131,10 +130,10 @@ def _replay(config: Sim, client: SimulatorClient) -> int:
 
     assert config.replay is not None  # noqa: S101
     if config.tell_world:
-        raise UserError("--tell-world: nobody knows the world of --replay's pictures; leave one of them out")
+        raise UsageError("--tell-world: nobody knows the world of --replay's pictures; leave one of them out")
     driven = ("track", "laps", "rate", "real_time", "leave_off_road", "expert_speed")
     if flags := flags_given(config, *driven):
-        raise UserError(f"{flags}: of driving, and --replay only tells pictures; leave them out")
+        raise UsageError(f"{flags}: of driving, and --replay only tells pictures; leave them out")
     pictures = pictures_of(config.replay)[: config.count]
     print_message(f"bc-sim: connecting to {client.url}")
     start_s = 0.0

@@ -66,14 +66,20 @@ def drive_for_recording(
     ``seed``. No step lies past ``laps``: a network trained on half a lap has never been in the other half.
     The expert steers at 50 Hz; ``rate_hz`` must divide that.
     """
-    steps_each = round(1.0 / (rate_hz * STEP_S)) if rate_hz > 0 else 0
-    if steps_each < 1 or abs(steps_each * STEP_S * rate_hz - 1.0) > 1e-6:
-        raise ValueError(f"--rate {rate_hz:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
+    steps = steps_each(rate_hz)
     if not 0.0 <= recovery_share <= MOST_RECOVERY:
         raise ValueError(f"recovery_share must be within 0 .. {MOST_RECOVERY:g}, not {recovery_share:g}")
     if laps <= 0:
         raise ValueError(f"laps must be above 0, not {laps:g}")
-    return _drive(course, expert, laps * course.line.length_m, steps_each, recovery_share, seed)
+    return _drive(course, expert, laps * course.line.length_m, steps, recovery_share, seed)
+
+
+def steps_each(rate_hz: float) -> int:
+    """How many of the simulator's steps there are to a told one. Raises ValueError if they are no whole number."""
+    steps = round(1.0 / (rate_hz * STEP_S)) if rate_hz > 0 else 0
+    if steps < 1 or abs(steps * STEP_S * rate_hz - 1.0) > 1e-6:
+        raise ValueError(f"--rate {rate_hz:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
+    return steps
 
 
 def _drive(

@@ -213,3 +213,20 @@ def test_what_cannot_be_aggregated_is_one_line(aggregated: Aggregated, flags: tu
     done = run("bc-drive", "first", *flags, cwd=aggregated.folder)
     assert done.returncode in (1, 2)
     assert told in one_line_of(done)
+
+
+def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggregated) -> None:
+    folder = aggregated.folder
+    hurt = record_simulated(SimulatedDrive(track="mountain", laps=0.005), folder / "sessions" / "hurt.mcap").path
+    build_index([folder / "sessions" / "lake.mcap", hurt], folder / "index-two", SETTINGS)
+    train(folder / "index-two", folder / "runs" / "two", TrainConfig(epochs=1, batch=32), show_progress=False)
+    data = bytearray(hurt.read_bytes())
+    data[len(data) // 2] ^= 1
+    hurt.write_bytes(data)
+    drive = ("bc-drive", "two", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
+    done = run(*drive, "--aggregate", 2, "--epochs", 1, cwd=folder)
+    assert done.returncode == 3, done.stderr
+    (told,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
+    assert told.startswith("sessions/hurt.mcap: ")
+    learnt = json.loads((folder / "runs" / "two-random-3-2" / "config.json").read_text())
+    assert set(learnt["data"]["logs"]) == {"lake", "two-random-3-0", "two-random-3-1"}

@@ -233,18 +233,11 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        (["tag", "LOG", "a\nb"], "not a name for a tag"),
         (["tag", "LOG", "x", "--start", 100], "no row between"),
-        (["tag", "LOG", "x"], "which rows?"),
-        (["tag", "LOG", "--rows", 1, 2], "give the name"),
-        (["trim", "LOG", "--to", "new", "--end", 3], "new.mcap"),
         (["info", "a"], "did you mean a.mcap?"),
-        (["tag", "LOG", "x", "--rows", 1, 2, "--end", 3], "either --rows, or"),
         (["trim", "LOG", "--to", "new.mcap", "--rows", 90, 95], "its rows are 0 to 49"),
         (["trim", "LOG", "--to", "LOG"], "exists already"),
         (["split", "LOG"], "a single drive"),
-        (["merge", "LOG", "--to", "new.mcap"], "at least 2 logs"),
-        (["info"], "at least 1 log"),
         (["recover", "none.mcap"], "none.mcap: cannot be opened"),
     ],
 )
@@ -261,6 +254,36 @@ def test_what_cannot_be_done_says_why(
     assert call(main, *(path if word == "LOG" else word for word in line)) == 1
     assert says in capsys.readouterr().err
     assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (["tag", "LOG", "a\nb"], "not a name for a tag"),
+        (["tag", "LOG", "x"], "which rows?"),
+        (["tag", "LOG", "--rows", 1, 2], "give the name"),
+        (["tag", "LOG", "x", "--rows", 1, 2, "--end", 3], "either --rows, or"),
+        (["tag", "LOG", "x", "--start", 2, "--end", 1], "--start 2 --end 1: "),
+        (["trim", "LOG", "--to", "new", "--end", 3], "new.mcap"),
+        (["trim", "LOG", "--to", "new.mcap", "--rows", 5, 3], "--rows 5 3: "),
+        (["trim", "LOG", "--to", "new.mcap", "--start", "nan"], "--start nan "),
+        (["merge", "LOG", "--to", "new.mcap"], "at least 2 logs"),
+        (["info"], "at least 1 log"),
+    ],
+)
+def test_flags_that_make_no_sense_are_bad_usage(
+    tmp_path: Path,
+    line: list[object],
+    says: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = write_log(tmp_path / "a.mcap", [0.1] * 50)
+    assert call(main, *(path if word == "LOG" else word for word in line)) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert says in told
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
 
 

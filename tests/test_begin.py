@@ -150,6 +150,15 @@ def test_no_memory_is_one_line(error: str, told: str) -> None:
     assert line.startswith(f"bc-test: {told}")
 
 
+def test_bad_usage_has_an_exit_code_of_its_own() -> None:
+    usage, other = (
+        run_action(f"from common.errors import UsageError, UserError; raise {kind}('--a and --b: give one')")
+        for kind in ("UsageError", "UserError")
+    )
+    assert (usage.returncode, other.returncode) == (2, 1)
+    assert usage.stderr == other.stderr == "bc-test: --a and --b: give one\n"
+
+
 def test_a_bug_keeps_its_traceback() -> None:
     done = run_action("raise ZeroDivisionError('a bug')")
     assert done.returncode == 1

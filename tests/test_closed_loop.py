@@ -168,7 +168,7 @@ def test_an_unknown_track_ends_every_command_with_the_same_code_and_a_guess(
 @pytest.mark.parametrize("flags", [("--rate", "7"), ("--rate", "0"), ("--laps", "nan")])
 def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(flags: tuple[str, ...]) -> None:
     done = run("bc-sim", *flags, "--port", 1, "--wait", 0)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert flags[0] in one_line_of(done)
 
 
@@ -177,13 +177,15 @@ def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(flags: tuple[str, ...]) ->
     [
         *("--rate 7", "--rate nan", "--laps nan", "--laps 0", "--speed 0", "--speed nan"),
         *("--recovery 0.95", "--recovery nan", "--noise -1", "--noise nan", "--seed -1"),
+        *("--from x --rate -1", "--from x --steering-scale 0", "--listen --port 65536", "--listen --idle nan"),
     ],
 )
 def test_a_drive_of_bc_record_that_cannot_be_is_one_line_that_names_the_flag(
     flag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(record_main, "x", "--sessions", tmp_path, *flag.split()) == 1
-    assert f"bc-record: {flag}: " in capsys.readouterr().err
+    assert call(record_main, "x", "--sessions", tmp_path, *flag.split()) == 2
+    told = flag.removeprefix("--from x ").removeprefix("--listen ")
+    assert f"bc-record: {told}: " in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -254,10 +256,21 @@ def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_r
     assert list(tmp_path.rglob("*.*")) == []
 
 
-def test_an_evaluation_of_nothing_is_one_line(pilot_run: Path, tmp_path: Path) -> None:
-    done = run("bc-eval", pilot_run, "--simulator", "--logs", tmp_path / "logs")
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (("--simulator",), "--simulator"),
+        (("--simulator", "lake", "lake"), "--simulator lake lake: "),
+        (("--simulator", "lake", "--laps", "0"), "--laps 0: "),
+        (("--simulator", "lake", "--speed", "nan"), "--speed nan: "),
+    ],
+)
+def test_an_evaluation_of_nothing_is_one_line(
+    pilot_run: Path, tmp_path: Path, flags: tuple[str, ...], says: str
+) -> None:
+    done = run("bc-eval", pilot_run, *flags, "--logs", tmp_path / "logs")
     assert done.returncode == 2
-    assert "--simulator" in one_line_of(done)
+    assert says in one_line_of(done)
 
 
 def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:

@@ -146,17 +146,21 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.Capt
     drive, still = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "still.mcap", poses=False)
     with LogWriter(tmp_path / "far.mcap", {}) as far:
         far.pose(START_NS, 0, pose_message(Pose(5e3, 5e3, 0.0, 0.0, 0.0, 0.0), START_NS))
-    for words, says in (
-        ((drive, still, "--by", "place"), f"{still}: has no poses"),
-        ((drive, tmp_path / "far.mcap", "--by", "place"), f"{tmp_path / 'far.mcap'}: not on the road of {drive}"),
-        ((drive, "--by", "place"), "give more than one"),
-        ((drive, tmp_path / "none.mcap"), "none.mcap: cannot be opened"),
-        ((drive, tmp_path), "is a folder"),
-        ((*[drive] * 7,), "at most 6"),
-        ((drive, drive, "--follow"), "only with one log"),
-        ((drive, drive, "--web"), "--save writes a file and opens nothing"),
+    for words, says, code in (
+        ((drive, still, "--by", "place"), f"{still}: has no poses", 1),
+        (
+            (drive, tmp_path / "far.mcap", "--by", "place"),
+            f"{tmp_path / 'far.mcap'}: not on the road of {drive}",
+            1,
+        ),
+        ((drive, "--by", "place"), "give more than one", 2),
+        ((drive, tmp_path / "none.mcap"), "none.mcap: cannot be opened", 1),
+        ((drive, tmp_path), "is a folder", 1),
+        ((*[drive] * 7,), "at most 6", 1),
+        ((drive, drive, "--follow"), "only with one log", 2),
+        ((drive, drive, "--web"), "--save writes a file and opens nothing", 2),
     ):
-        assert call(main, *words, "--save", tmp_path / "x.rrd") == 1
+        assert call(main, *words, "--save", tmp_path / "x.rrd") == code, says
         (line,) = capsys.readouterr().err.splitlines()
         assert says in line
     assert not list(tmp_path.glob("*.rrd*"))

@@ -20,7 +20,7 @@ from driving import COMMANDS, environment, one_line_of, run
 )
 def test_what_would_fail_after_minutes_is_refused_before_the_first_step(flag: str, tmp_path: Path) -> None:
     done = run("bc-demo", "--folder", "demo", flag, cwd=tmp_path)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert one_line_of(done).startswith(f"bc-demo: {flag.partition('=')[0]} ")
     assert list(tmp_path.iterdir()) == []
 

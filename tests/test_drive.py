@@ -527,7 +527,7 @@ def test_an_existing_log_is_refused_before_anything_starts(tmp_path: Path) -> No
 @pytest.mark.parametrize("speed", [-1, "nan"])
 def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) -> None:
     done = run("bc-drive", "--speed", speed, cwd=tmp_path)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "--speed" in one_line_of(done)
     assert list(tmp_path.iterdir()) == []
 
@@ -540,12 +540,20 @@ def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) 
         (("--simulator", "lake", "--host", "::1"), "--host: the built-in simulator"),
         (("--epochs", "3", "--sessions", "x"), "--epochs, --sessions: only with --aggregate"),
         (("--simulator", "lake", "--aggregate", "1", "--viewer", "web", "--force"), "--viewer, --force: not with"),
+        (("--port", "65536"), "--port 65536: a port is"),
+        (("--smooth", "-1"), "--smooth -1: "),
+        (("--steering-rate", "nan"), "--steering-rate nan: "),
+        (("--log", "run.txt"), "--log run.txt: "),
+        (("--simulator", "lake", "--laps", "0"), "--laps 0: "),
+        (("--aggregate", "0"), "--aggregate 0: "),
+        (("--aggregate", "1", "--laps", "nan"), "--laps nan: "),
+        (("--aggregate", "1", "--epochs", "0"), "--epochs 0: "),
     ],
 )
-def test_flags_that_would_be_passed_over_are_refused(
+def test_flags_that_would_be_passed_over_or_make_no_sense_are_bad_usage(
     flags: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(drive_main, *flags) == 1
+    assert call(drive_main, *flags) == 2
     assert told in capsys.readouterr().err
 
 

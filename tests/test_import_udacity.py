@@ -476,7 +476,7 @@ def test_a_name_that_is_no_plain_name_is_refused(
 ) -> None:
     make_recording(tmp_path / "drive", three_rows())
     before = sorted(tmp_path.rglob("*"))
-    assert call(main, name, "--from", tmp_path / "drive", "--sessions", tmp_path / "sessions") == 1
+    assert call(main, name, "--from", tmp_path / "drive", "--sessions", tmp_path / "sessions") == 2
     assert "bc-record" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
 

@@ -8,6 +8,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -363,6 +364,7 @@ def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
         (["--validation", "nobody"], "--validation nobody: no such session"),
         (["--figures", "figures"], "figures/balance.pdf exists already"),
         (["--figures", "sessions/a.mcap"], "sessions/a.mcap: not a folder"),
+        (["--force"], "--force: only of figures"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(
@@ -376,7 +378,7 @@ def test_what_cannot_be_is_said_before_anything_is_read(
     log_of(tmp_path / "sessions" / "a.mcap")
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "balance.pdf").write_text("mine")
-    assert call(main, "--look", *flags) == 1
+    assert call(main, "--look", *flags) == (2 if {"--where", "--force"} & set(flags) else 1)
     assert said in capsys.readouterr().err
     assert not (tmp_path / "index").exists()
 
@@ -397,3 +399,37 @@ def test_what_is_not_installed_is_said_before_anything_is_read(
     assert call(main, "--look", *flags) == 1
     assert "pip install" in capsys.readouterr().err
     assert not (tmp_path / "index").exists()
+
+
+def test_nothing_stays_of_an_index_that_was_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log_of(tmp_path / "sessions" / "a.mcap")
+    (tmp_path / "sessions" / "bad.mcap").write_bytes(b"no log")
+    (tmp_path / "mine").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    for index in ("index", "far/away/index", "mine"):
+        assert call(main, "a", "bad", "--index", index) == 1  # named, a log that cannot be read is an error
+        assert call(main, "--where", "row < 0", "--index", index) == 1
+    assert "no frame can be used" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+    assert call(main, "a", "--index", "mine", "--validation-share", 0) == 0
+
+
+def test_builds_that_fail_beside_each_other_leave_nothing_and_disturb_none_that_does_not(tmp_path: Path) -> None:
+    """Who waits for a lock that is removed must not hold what nobody else does."""
+    log = log_of(tmp_path / "a.mcap")
+    (tmp_path / "bad.mcap").write_bytes(b"no log")
+    index = tmp_path / "index"
+
+    def build(number: int) -> bool:
+        try:
+            build_index([log, tmp_path / "bad.mcap"] if number % 2 else [log], index)
+        except LogError:
+            return False
+        return True
+
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(build, range(16))) == [not number % 2 for number in range(16)]
+    assert sorted(path.name for path in index.iterdir()) == [".lock", "frames", "samples.parquet", "state.json"]

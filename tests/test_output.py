@@ -9,16 +9,18 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rich.table import Table
 
 from common.output import as_typed, print_message, print_result, print_table
-from driving import command, environment
+from driving import command, environment, run
 from logs import write_log
+from model import train
 from test_rooms import MAY_IMPORT, ROOT
-from toy import road, toy_index
+from toy import TINY, road, toy_index
 
 EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\nbc-log: all is well\r\u202eb"
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u202e]")
@@ -149,3 +151,73 @@ def test_what_libraries_print_keeps_its_colours_and_loses_the_rest() -> None:
     )
     assert done.stderr.startswith("\x1b[31mred\x1b[0m a\\x1b]0;owned\\x07\\x1b[2J\\x9b31m\nbc-log")
     assert done.stdout == "\\udcff, and a tab:\t.\n"
+
+
+BESIDE_A_BAR = """
+import logging
+from dataclasses import dataclass
+from common.command import run_command
+from common.output import print_message
+from common.progress import StatusLine, progress_bar
+
+@dataclass
+class Nothing:
+    pass
+
+def act(config):
+    with progress_bar() as bar:
+        bar.update(bar.add_task("training", total=10, note=""), advance=1)
+        print_message("said")
+        logging.getLogger("model").warning("logged: %s", {evil!r} * 5)
+        bar.refresh()
+    with StatusLine() as status:
+        status.show("driving")
+        logging.getLogger("model").warning("logged again")
+        print_message("said again")
+    return 0
+
+run_command("bc-test", Nothing, act)
+"""
+
+
+def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path) -> None:
+    shown = on_terminal([sys.executable, "-c", BESIDE_A_BAR.format(evil=EVIL)], tmp_path)
+    drawing = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+    lines = [re.split(r"\r", drawing.sub("", line))[-1] for line in shown.split("\r\n")]
+    assert "said" in lines
+    assert "logged again" in lines
+    assert "said again" in lines
+    (logged,) = (line for line in lines if line.startswith("logged: "))
+    assert logged.count("owned") == 5
+    assert not CONTROL.search(drawing.sub("", shown).replace("\r", "").replace("\n", ""))
+
+
+EARLIER = """
+import logging, sys
+from pathlib import Path
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+path = Path(sys.argv[1])
+with safe_open(path, framework="np") as file:
+    stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
+save_file(load_file(path), path, stored)
+"""
+
+
+def test_what_training_logs_is_a_message_in_every_command_that_loads_a_run(tmp_path: Path) -> None:
+    """A run of an earlier version, whose name nobody would give."""
+    index = toy_index(tmp_path)
+    evil = tmp_path / "runs" / "a\x1b[2Jb\nc"
+    train(index, evil, replace(TINY, epochs=1, batch=8), figures=False, show_progress=False)
+    subprocess.run([sys.executable, "-c", EARLIER, evil / "model.safetensors"], check=True)
+    told = f"{tmp_path}/runs/a\\x1b[2Jb\\nc: of an earlier version, without checksums: "
+    flags = ("--index", index, "--runs", tmp_path / "runs", "--epochs", 1, "--batch", 8, "--threads", 1)
+    for name, line in {
+        "bc-eval": (evil, "--index", index),
+        "bc-play": (tmp_path / "toy.mcap", "--run", evil, "--write", tmp_path / "said.mcap"),
+        "bc-train": ("--name", "next", "--init", evil, *flags),
+        "bc-drive": (evil, "--log", tmp_path / "drive.mcap", "--port", 0, "--viewer", "nowhere"),
+    }.items():
+        done = run(name, *line, cwd=tmp_path)
+        assert len([each for each in done.stderr.splitlines() if each.startswith(told)]) == 1, done.stderr
+        assert not CONTROL.search(done.stderr)

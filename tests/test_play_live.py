@@ -182,8 +182,8 @@ def answering(answer: bytes) -> Iterator[int]:
 def test_what_is_no_viewer_is_one_line(
     log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def said(port: object) -> str:
-        assert call(main, log, "--connect", port) == 1
+    def said(port: object, code: int = 1) -> str:
+        assert call(main, log, "--connect", port) == code
         (line,) = capsys.readouterr().err.splitlines()
         return line
 
@@ -196,7 +196,7 @@ def test_what_is_no_viewer_is_one_line(
     with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
         patched.setattr("viz.connection._PATIENCE_S", 0.2)
         assert "does not answer" in said(silent.getsockname()[1])
-    assert "no address of a viewer" in said("somewhere")
+    assert "no address of a viewer" in said("somewhere", code=2)
     assert "no viewer listens there" in said("99999")
 
 
@@ -247,11 +247,29 @@ def test_a_viewer_that_cannot_start_says_why_and_what_goes_on_is_not_disturbed(
             writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
             said = line_from(capfd)
             assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens there")
+            again = f"bc-play {tmp_path / 'a.mcap'} --follow"
             assert said.endswith(
-                f"; all else goes on without it; `bc-play {tmp_path / 'a.mcap'} --follow` opens another one\n"
+                f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
             )
         writer.vehicle(START_NS + STEP_NS, 1, VehicleState(steering=0.5))
     assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a window can always open there")
+def test_a_window_that_cannot_open_names_a_command_and_no_flag_that_others_do_not_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Rerun's own viewer, on a display that is none: as bc-drive, bc-record and bc-train open it."""
+    monkeypatch.setenv("DISPLAY", ":77")
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, preview(writer.part):
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        said = line_from(capfd)
+    again = f"bc-play {tmp_path / 'a.mcap'} --follow"
+    assert said.startswith("viewer: the Rerun viewer ")
+    assert "give --web" not in said
+    assert said.endswith(
+        f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
+    )
 
 
 def test_a_viewer_that_runs_gets_the_end_of_the_log_before_it_is_left(

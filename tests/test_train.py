@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import statistics
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import torch
 from safetensors import safe_open
 
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, decode
+from dataset.cli import main as bc_index
 from dataset.preprocess import Image
 from logs import plain_read, write_log
 from model import Epoch, RunError, TrainConfig, find_run, load_pilot, train
@@ -183,3 +185,42 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
         jpeg = plain_read(index.parent / "toy.mcap", row["offset"], row["length"])
         assert jpeg == road("center", row["row"])
         assert (pilot.crop(decode(jpeg)) == picture).all()
+
+
+def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exactly as `bc-index` does."""
+    monkeypatch.chdir(tmp_path)
+    Path("sessions").mkdir()
+    write_log(Path("sessions") / "good.mcap", STEERING, road, cameras=["center"])
+    Path("sessions/bad.mcap").write_bytes(b"no log")
+    Path("sessions/killed.mcap.0a1b2c.part").write_bytes(b"\x89MCAP0\r\n")
+    assert call(bc_index) == 3
+    expected = capsys.readouterr().err.splitlines()
+    shutil.rmtree("index")
+    flags = ["--name", "first", "--epochs", 1, "--batch", 64, "--threads", 1]
+    assert call(main, *flags) == 3
+    told = capsys.readouterr().err.splitlines()
+    assert any("bad.mcap: not an MCAP log" in line for line in expected)
+    assert any("killed.mcap.0a1b2c.part: not indexed" in line for line in expected)
+    assert set(told) >= {line for line in expected if "sessions/" in line}
+    assert json.loads(Path("runs/first/config.json").read_text())["data"]["logs"].keys() == {"good"}
+
+
+def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("sessions").mkdir()
+    whole = write_log(tmp_path / "whole.mcap", STEERING, road, cameras=["center"])
+    log = Path("sessions/cut.mcap")
+    log.write_bytes(whole.read_bytes()[:-40])  # its end
+    assert call(bc_index, "--block-s", 0.5, "--gap-s", 0) == 3
+    notice = next(line for line in capsys.readouterr().err.splitlines() if "cut.mcap" in line)
+    flags = ["--epochs", 1, "--batch", 64, "--threads", 1]
+    assert call(main, "--name", "first", *flags) == 0  # it was said when the index was built
+    shutil.rmtree("index")
+    capsys.readouterr()
+    assert call(main, "--name", "again", "--like", "first") == 3
+    assert notice in capsys.readouterr().err.splitlines()

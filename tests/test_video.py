@@ -376,7 +376,7 @@ def test_flags_that_make_no_sense_are_named(
     log = write_log(tmp_path / "log.mcap", [grey(90)])
     monkeypatch.chdir(tmp_path)
     done = play(log, *flags)
-    assert done.code == 1
+    assert done.code == 2
     assert "--video" in done.stderr or "--speed" in done.stderr
     assert list(tmp_path.iterdir()) == [log]
 

@@ -322,7 +322,7 @@ def test_a_port_that_is_taken_is_one_line(drive: Path) -> None:
 def test_what_is_no_port_is_one_line(
     drive: Path, flag: str, port: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(main, drive.with_suffix(".mcap"), "--web", flag, port) == 1
+    assert call(main, drive.with_suffix(".mcap"), "--web", flag, port) == 2
     assert f"{flag} {port}: a port is" in capsys.readouterr().err
 
 
@@ -344,7 +344,7 @@ def test_a_log_behind_connect_is_told_where_it_belongs(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a b.mcap").touch()
-    assert call(main, *words) == 1
+    assert call(main, *words) == 2
     assert capsys.readouterr().err == f"bc-play: --connect takes one address, and stands behind the logs: {says}\n"
 
 

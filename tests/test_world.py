@@ -218,7 +218,7 @@ def test_bc_sim_tells_the_world_only_if_it_is_asked_to(capsys: pytest.CaptureFix
 def test_what_makes_no_sense_is_one_line_that_names_the_flag(
     flags: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(main, "--port", "1", *flags) == 1
+    assert call(main, "--port", "1", *flags) == 2
     told = capsys.readouterr()
     assert f"bc-sim: {named}" in told.err
     assert "Traceback" not in told.err

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from common import UserError
-from common.command import DONE, flags_given, refuse_no_port, run_command, warn, warn_skipped
-from common.errors import counted
+from common.command import DONE, flags_given, refuse_no_port, run_command, usage_errors, warn, warn_skipped
+from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.output import print_message, print_result
 
@@ -82,9 +82,9 @@ def play(config: Play) -> int:
     if config.video is not None:
         return make_video(config, config.video)
     if not config.run and (flags := flags_given(config, "attention", "write")):
-        raise UserError(f"{flags}: only of networks: give --run NAME as well")
+        raise UsageError(f"{flags}: only of networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
-        raise UserError(f"{flags}: only for a video: give --video FILE.mp4 as well")
+        raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     _refuse_nonsense(config)
     _prepare_rerun()
     if config.run:
@@ -101,35 +101,35 @@ def _prepare_rerun() -> None:
 
 
 def _refuse_nonsense(config: Play) -> None:
-    """Raise UserError for flags that do not go together."""
+    """Raise UsageError for flags that do not go together."""
     if not config.logs:
-        raise UserError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
+        raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
     if len(config.logs) > 1 and (flags := flags_given(config, "follow", "run")):
-        raise UserError(f"{flags}: only with one log; several are compared as they are")
+        raise UsageError(f"{flags}: only with one log; several are compared as they are")
     if len(config.logs) == 1 and config.by != "time":
-        raise UserError("--by place compares several logs: give more than one")
+        raise UsageError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
-        raise UserError("--connect shows it in a viewer that runs: give it without --web, --save")
+        raise UsageError("--connect shows it in a viewer that runs: give it without --web, --save")
     if config.at is not None:
         _refuse_no_moment(config)
     if config.save is not None and config.web:
-        raise UserError("--save writes a file and opens nothing: give it without --web")
+        raise UsageError("--save writes a file and opens nothing: give it without --web")
     refuse_no_port("--port", config.port)
     refuse_no_port("--web-port", config.web_port)
 
 
 def _refuse_no_moment(config: Play) -> None:
-    """Raise UserError for an --at that cannot be."""
+    """Raise UsageError for an --at that cannot be."""
     if not 0 <= (config.at or 0) < math.inf:
-        raise UserError(f"--at {config.at}: seconds since the log's start, from 0 on")
+        raise UsageError(f"--at {config.at}: seconds since the log's start, from 0 on")
     if config.follow or config.by != "time":
-        raise UserError("--at is a moment of logs that are shown by time: give it without --follow, --by place")
+        raise UsageError("--at is a moment of logs that are shown by time: give it without --follow, --by place")
     if _is_run(config):
         raise UserError(f"--at is a moment of a log, and {config.log} is a folder: give a log, or leave it out")
 
 
 def _refuse_swallowed(config: Play) -> None:
-    """Raise UserError for logs behind --connect, which takes them for addresses."""
+    """Raise UsageError for logs behind --connect, which takes them for addresses."""
     given = config.connect or ()
     swallowed = [name for name in given if os.path.lexists(name)]
     if len(given) < 2 and (config.logs or not swallowed):
@@ -137,7 +137,7 @@ def _refuse_swallowed(config: Play) -> None:
     logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *swallowed)) or "LOG"
     addresses = [name for name in given if name not in swallowed]
     line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
-    raise UserError(f"--connect takes one address, and stands behind the logs: {line}")
+    raise UsageError(f"--connect takes one address, and stands behind the logs: {line}")
 
 
 def _refuse_loss(config: Play) -> None:
@@ -148,18 +148,18 @@ def _refuse_loss(config: Play) -> None:
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
             raise UserError(f"{flag} {path}: the log itself, which stays as it is; give another name")
         if any(path.resolve() == other.resolve() for _, other in written[:at]):
-            raise UserError(f"{flag} {path}: two files of one name; give another one")
+            raise UsageError(f"{flag} {path}: two files of one name; give another one")
 
 
 def _refuse_other_endings(config: Play) -> None:
-    """Raise UserError for a file that nothing would know by its name."""
+    """Raise UsageError for a file that nothing would know by its name."""
     for flag, path, ending in (
         ("--save", config.save, ".rrd"),
         ("--video", config.video, ".mp4"),
         ("--write", config.write, ".mcap"),
     ):
         if path is not None and path.suffix.lower() != ending:
-            raise UserError(f"{flag} {path}: it writes an {ending} file; give it such a name")
+            raise UsageError(f"{flag} {path}: it writes an {ending} file; give it such a name")
 
 
 def _show_or_save(config: Play, shown: Shown) -> int:
@@ -214,14 +214,16 @@ def _where(config: Play) -> Where:
 
 
 def make_video(config: Play, video: Path) -> int:
-    from viz.video import HELD_S, write_video
+    from viz.video import HELD_S, check_speed, write_video
     from viz.video_overlay import clock
 
     if len(config.logs) != 1:
-        raise UserError("--video is made of one log: give one")
+        raise UsageError("--video is made of one log: give one")
     unfit = flags_given(config, "save", "follow", "web", "connect", "run", "attention", "write", "by", "at")
     if unfit:
-        raise UserError(f"--video writes a file and opens nothing: give it without {unfit}")
+        raise UsageError(f"--video writes a file and opens nothing: give it without {unfit}")
+    with usage_errors(UserError):
+        check_speed(config.speed)
     made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
     size = f"{made.width} x {made.height}"
     print_result(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {clock(made.duration_s)} long")
@@ -252,10 +254,10 @@ def _play_predicted(config: Play) -> int:
     if config.log.is_dir():
         raise UserError(f"{config.log} is a folder: --run shows what a network says of a log; give one")
     if config.follow:
-        raise UserError("--run: networks look at a log that does not grow: give it without --follow")
+        raise UsageError("--run: networks look at a log that does not grow: give it without --follow")
     is_only_written = config.write is not None and config.save is None
     if is_only_written and (flags := flags_given(config, "attention", "web", "connect", "at")):
-        raise UserError(f"--write opens nothing: give it without {flags}")
+        raise UsageError(f"--write opens nothing: give it without {flags}")
     for path in (config.save, config.write):
         if path is not None:
             refuse_existing(path, config.force)  # before minutes of work, not after them

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import rerun as rr
 
 from common import UserError
+from common.errors import UsageError
 from viz.clock import SINCE_START
 from viz.viewer import LOCAL
 
@@ -30,7 +31,7 @@ _SETTINGS: Final = 4
 def viewer_url(address: str) -> str:
     """What Rerun calls a viewer at "PORT", "HOST:PORT" or a URL of Rerun's own; empty: on its own port, here.
 
-    Raises UserError for what is no such address.
+    Raises UsageError for what is no such address.
     """
     if not address or _PORT.fullmatch(address):
         return f"rerun+http://{LOCAL}:{address or DEFAULT_PORT}/proxy"
@@ -40,7 +41,7 @@ def viewer_url(address: str) -> str:
         url = urlsplit(address)
         if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
             return address
-    raise UserError(
+    raise UsageError(
         f"--connect {address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
         f" {LOCAL}:{DEFAULT_PORT}"
     )

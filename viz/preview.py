@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -32,7 +33,8 @@ def _show(config: Play) -> int:
     except UserError as error:
         if config.save is not None:
             raise
-        another = f"`bc-play {final_path(config.log)} --follow` opens another one"
+        again = f"bc-play {shlex.quote(str(final_path(config.log)))} --follow"
+        another = f"`{again}` opens another one, `{again} --web` in a browser"
         raise UserError(f"{error}; all else goes on without it; {another}") from None
 
 

@@ -8,12 +8,19 @@ from common.output import print_message
 
 
 class _Speaker:
-    name = "bc-play"
+    of_its_own = "bc-play"
+    name = of_its_own
 
 
 def speak_as(name: str) -> None:
     """Say all from now on under this name instead of bc-play's."""
     _Speaker.name = name
+
+
+def or_in_a_browser() -> str:
+    """What bc-play adds where its viewer fails. Beside another command, which has no such flag, `viz.preview` adds
+    the bc-play command that shows the same."""
+    return "; or give --web to use a browser instead" if _Speaker.name == _Speaker.of_its_own else ""
 
 
 def say(text: str) -> None:

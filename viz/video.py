@@ -83,6 +83,12 @@ class Schedule:
             yield int(self.numbers[i]), int(self.ticks[i]), int(ends[i])
 
 
+def check_speed(speed: float) -> None:
+    """Raises UserError for what no video plays at."""
+    if not SLOWEST <= speed <= FASTEST:
+        raise UserError(f"--speed {speed:g}: how many times as fast must be {SLOWEST:g} to {FASTEST:g}")
+
+
 def write_video(
     path: Path, video: Path, *, speed: float = 1.0, overlay: bool = False, overwrite: bool = False
 ) -> Video:
@@ -93,8 +99,7 @@ def write_video(
     the centre camera, if `video` exists and may not be overwritten, or where the disk is full.
     """
     _require_av()
-    if not SLOWEST <= speed <= FASTEST:
-        raise UserError(f"--speed {speed:g}: how many times as fast must be {SLOWEST:g} to {FASTEST:g}")
+    check_speed(speed)
     refuse_existing(video, overwrite)
     with Log(path, shows_progress=True) as log:
         pictures = _Pictures(log)

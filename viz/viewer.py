@@ -20,6 +20,7 @@ import rerun_cli
 
 from common import UserError
 from common.output import print_message
+from viz.saying import or_in_a_browser
 
 LOCAL: Final = "127.0.0.1"
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
@@ -88,7 +89,7 @@ class Viewer(subprocess.Popen[bytes]):
                 elif _NO_WINDOW.search(line):
                     self._trouble = self._trouble or "cannot open a window on this display"
                 else:
-                    print_message(line.decode("utf-8", "backslashreplace").rstrip())
+                    print_message(line.decode("utf-8", "replace").rstrip("\r\n"))
 
 
 @contextlib.contextmanager
@@ -143,7 +144,7 @@ def wait_until_it_listens(viewer: Viewer, url: str) -> None:
         with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), _PATIENCE_S):
             return
         time.sleep(0.05)
-    raise UserError("the Rerun viewer did not start; give --web to use a browser instead, or --save FILE.rrd")
+    raise UserError(f"the Rerun viewer did not start{or_in_a_browser()}")
 
 
 def wait_until_closed(viewer: Viewer) -> None:
@@ -152,8 +153,8 @@ def wait_until_closed(viewer: Viewer) -> None:
     if code:
         how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
         if trouble := viewer.trouble():
-            raise UserError(f"the Rerun viewer {trouble}; or give --web to use a browser instead")
-        raise UserError(f"the Rerun viewer {how}; open it again, or give --web to use a browser instead")
+            how = trouble
+        raise UserError(f"the Rerun viewer {how}{or_in_a_browser()}")
 
 
 def _refuse_taken(port: int) -> None:
