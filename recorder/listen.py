@@ -137,7 +137,7 @@ class _Session:
 
     def why_nothing(self) -> str:
         if self.skipped:
-            return f"nothing was recorded, {'; '.join(self.skipped.lines(most_names=3))}"
+            return f"nothing was recorded{self.skipped.because()}"
         if self._manuals:
             return (
                 "nothing was recorded: the simulator tells nothing while its keys are held; drive in its training"

@@ -157,7 +157,7 @@ class GrowingLog(Closing):
         if stored.log_time_ns > LAST_TIME_NS:
             self.skipped.add("messages of a time that cannot be", name)
             return None
-        return Shown(channel.topic, stored.log_time_ns, content)
+        return Shown(channel.topic, stored.sequence, stored.log_time_ns, content)
 
 
 def _newest_ns(file: McapFile, chunk: Chunk) -> int:
