@@ -285,7 +285,7 @@ Command = (
 
 def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
     if len(logs) < least:
-        raise UserError(f"give at least {least} log{'s' if least > 1 else ''}, such as sessions/lake.mcap")
+        raise UserError(f"give at least {counted(least, 'log')}, such as sessions/lake.mcap")
     return logs
 
 
