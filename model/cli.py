@@ -226,7 +226,9 @@ def _index_of(config: Train, *, is_first: bool) -> Path:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
-        build_index(find_logs((), config.sessions), config.index)
+        indexed = build_index(find_logs((), config.sessions), config.index)
+        for told in [*indexed.notices, *indexed.remarks]:
+            print_message(told)
     elif is_first and config.resume is None and (absent := sessions_not_indexed(config.index, config.sessions)):
         print_message(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"

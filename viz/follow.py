@@ -19,6 +19,7 @@ from common.files import final_path
 from common.interrupts import stop_signals
 from common.output import end_bar
 from common.streams import end_process
+from recorder.chunks import WITHOUT_CRCS
 from viz.growing import GrowingLog
 from viz.messages import MessageSender
 from viz.rate import THINNED, PictureRate
@@ -222,6 +223,8 @@ def _send(
         except (GoneError, RuntimeError):
             return False  # the viewer is gone
         if is_last:
+            if not log.has_crcs:
+                say(f"{final_path(log.path)}: {WITHOUT_CRCS}")
             return True
         stop.wait(POLL_S)
         now_s = time.monotonic()
