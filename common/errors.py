@@ -76,10 +76,17 @@ class Skipped:
         return Counter(self._counts)
 
     def lines(self, most_names: int = 8) -> list[str]:
-        """One line a reason: its count and the first `most_names` names."""
+        """One line a reason, its count and the first `most_names` names: "pictures without a row: 1 (7.jpg)".
+
+        The count comes behind the reason, which is a plural: "1 rows" is never said.
+        """
         result = []
         for reason, count in self._counts.items():
             names = itertools.islice((name for other, name in self._kept if other == reason), most_names)
-            more = f", and {count - most_names} more" if count > most_names else ""
-            result.append(f"{count} {reason}: {', '.join(names)}{more}")
+            more = f", and {count - most_names:,} more" if count > most_names else ""
+            result.append(f"{reason}: {count:,} ({', '.join(names)}{more})")
         return result
+
+    def because(self) -> str:
+        """Why nothing was left, for the end of an error: "; " and the line of each reason."""
+        return "".join(f"; {line}" for line in self.lines(most_names=3))

@@ -78,7 +78,7 @@ def index(config: Index) -> int:
         *unfinished_recordings(config.folder, config.sessions),
     ]:
         code = warn(notice)
-    for told in [*mixed_sizes(indexed.sizes_px), *_passed_over(others, config)]:
+    for told in [*indexed.remarks, *mixed_sizes(indexed.sizes_px), *_passed_over(others, config)]:
         print_message(told)
     print_table(sessions_table(indexed))
     print_table(balance_table(indexed.balance))

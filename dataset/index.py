@@ -45,6 +45,7 @@ from dataset.staging import clear_up, staged, strangers_to
 from dataset.state import FRAMES_FOLDER, STATE_NAME, Entry, State, read_state, sources_of, stat_of, write_state
 from dataset.where import Condition
 from recorder import Log, LogError
+from recorder.chunks import WITHOUT_CRCS
 from recorder.picture_size import width_and_height
 from recorder.tags import read_tags
 from recorder.topics import CAMERAS, camera_topic
@@ -66,6 +67,7 @@ class Indexed:
     balance: Balance
     counts: dict[str, SessionCounts]
     notices: list[str]  # logs that were never finished, or that cannot be read at all
+    remarks: list[str]  # logs in which damage is not noticed
     sizes_px: dict[str, list[tuple[int, int]]]  # of each session, width and height of its cameras' first pictures
 
     @cached_property
@@ -146,6 +148,7 @@ def _build(
         notices = [entry.notice for entry in entries.values() if entry.notice]
         if not held:
             raise LogError("; ".join(notices))
+        remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         places = {
             name: {"log": place_of(by_name[name], index), "fingerprint": entry.fingerprint}
             for name, entry in held.items()
@@ -168,7 +171,7 @@ def _build(
         if samples.parent == stage or (entries, sorted(passed_over)) != (state.logs, state.passed_over):
             with naming(index / STATE_NAME):
                 write_state(samples.with_name(STATE_NAME), stat_of(samples), entries, passed_over)
-    return Indexed(index, list(held), read, *made, notices, sizes_px)
+    return Indexed(index, list(held), read, *made, notices, remarks, sizes_px)
 
 
 @contextlib.contextmanager
@@ -234,7 +237,7 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         tags = read_tags(path, log.fingerprint)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
-        entry = Entry(sources, log.fingerprint, notice=log.notice, sizes_px=_sizes_px(log))
+        entry = Entry(sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log))
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
     with naming(file):

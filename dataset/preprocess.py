@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import counted
 from recorder.picture_size import MOST_PIXELS, pixels
 
 Image = NDArray[np.uint8]
@@ -41,7 +42,7 @@ def decode(encoded: bytes) -> Image:
         if size:
             picture = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
-        raise ValueError(f"{len(encoded)} bytes that are not a picture")
+        raise ValueError(f"{counted(len(encoded), 'byte')} that are not a picture")
     return picture.astype(np.uint8, copy=False)
 
 

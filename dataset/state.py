@@ -31,6 +31,7 @@ class Entry:
     fingerprint: str = ""  # empty if it was left out
     frames: Stat = None  # of its frames file
     notice: str = ""  # what to tell a person
+    has_crcs: bool = True
     sizes_px: list[list[int]] = field(default_factory=list)  # width and height of the first picture of each camera
 
     @classmethod
@@ -40,6 +41,8 @@ class Entry:
         texts = (entry.fingerprint, entry.notice)
         sides = [side for width, height in entry.sizes_px for side in (width, height)]
         if not all(isinstance(text, str) for text in texts) or not all(isinstance(side, int) for side in sides):
+            raise ValueError("not what is remembered of a log")
+        if not isinstance(entry.has_crcs, bool):
             raise ValueError("not what is remembered of a log")
         return entry
 

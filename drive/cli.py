@@ -197,8 +197,8 @@ def _told(server: DriveServer) -> int:
             code = DONE_BUT_SKIPPED
         if session.log.dropped_pictures or session.log.dropped_rows:
             code = warn(
-                f"{log}: the disk was too slow: {session.log.dropped_pictures:,} pictures and"
-                f" {session.log.dropped_rows:,} rows were not written; log to a faster one with --log"
+                f"{log}: the disk was too slow: {counted(session.log.dropped_pictures, 'picture')} and"
+                f" {counted(session.log.dropped_rows, 'row')} were not written; log to a faster one with --log"
             )
     if all(session.summary.is_all_lost for session in server.sessions):
         raise DriveError(f"nothing was driven: {server.session.summary.why_nothing}")

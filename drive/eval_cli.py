@@ -151,6 +151,8 @@ def _told(found: Evaluation, *, is_training: bool) -> int:
     code = warn_skipped(found.skipped)
     for notice in found.notices:
         code = warn(notice)
+    for remark in found.remarks:
+        print_message(remark)
     run, count = run_name(found.run), found.measures.frames
     if found.learnt is None:
         code = warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")

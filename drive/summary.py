@@ -220,8 +220,9 @@ class DriveSummary:
             lines.append(f"latency p50/p99/max in ms: {', '.join(told)}")
         if self.bad:
             what = counted(self.malformed, "telemetry", "telemetries")
-            kinds = ", ".join(f"{count:,} {kind}" for kind, count in self.bad.most_common(MOST_KINDS))
-            more = f", and {len(self.bad) - MOST_KINDS} other kinds" if len(self.bad) > MOST_KINDS else ""
+            kinds = ", ".join(f"{kind} ({count:,})" for kind, count in self.bad.most_common(MOST_KINDS))
+            others = len(self.bad) - MOST_KINDS
+            more = f", and {counted(others, 'other kind')}" if others > 0 else ""
             lines.append(f"{what} could not be used: {kinds}{more}")
         if self.without_number:
             frames = counted(self.without_number, "frame")

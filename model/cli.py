@@ -244,7 +244,7 @@ def _build_index(config: Train) -> int:
     from dataset.sessions import unfinished_recordings
 
     indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
-    for told in mixed_sizes(indexed.sizes_px):
+    for told in [*indexed.remarks, *mixed_sizes(indexed.sizes_px)]:
         print_message(told)
     return max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(config.sessions, ())])])
 

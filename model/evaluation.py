@@ -48,6 +48,7 @@ class Evaluation:
     learnt: int | None  # how many of the frames the run has learnt from; None where its config does not say
     skipped: Skipped  # pictures that do not decode
     notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
+    remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
 
     @cached_property
     def measures(self) -> Measures:
@@ -113,14 +114,14 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
     paths = {session_name(log): log for log in map(Path, logs)}
     config = IndexConfig(validation=tuple(paths), balance=False, flip=False)
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
-        notices = build_index(list(paths.values()), Path(folder), config).notices
+        indexed = build_index(list(paths.values()), Path(folder), config)
         found = evaluate(run, folder)
-    notices += [
+    notices = indexed.notices + [
         f"{path}: not measured: no picture of the centre camera that can be used"
         for session, path in paths.items()
         if session not in found.sessions
     ]
-    return replace(found, logs=paths, notices=tuple(notices))
+    return replace(found, logs=paths, notices=tuple(notices), remarks=tuple(indexed.remarks))
 
 
 def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:

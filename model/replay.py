@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import counted
 from dataset.errors import DatasetError
 from dataset.log_crops import LogCrops
 from dataset.preprocess import Image
@@ -31,7 +32,7 @@ def run_names(runs: Sequence[Path]) -> list[str]:
     names = [run_name(place) for place in places]
     for name, place in zip(names, places, strict=True):
         if places.count(place) > 1:
-            raise RunError(f"{name}: given {places.count(place)} times; give each run once")
+            raise RunError(f"{name}: given {counted(places.count(place), 'time')}; give each run once")
     depth = 1
     while len(set(names)) < len(names):
         depth += 1
@@ -66,7 +67,9 @@ def predict_log(
             folders, crops.batches(BATCH), len(crops), on_look and look, on_batch
         )
         if not is_decoded.any():
-            raise DatasetError(f"{log}: none of its {len(crops):,} pictures decodes; look with `bc-log check`")
+            raise DatasetError(
+                f"{log}: none of {counted(len(crops), 'picture')} decodes; look with `bc-log check`"
+            )
         return LogPredictions(
             crops.session,
             crops.row[is_decoded],

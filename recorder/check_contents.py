@@ -24,8 +24,8 @@ from recorder.topics import CAMERAS, camera_topic
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "gap": "gaps in time",
-    "stuck_steering": "stuck steering",
-    "out_of_range": "values out of range",
+    "stuck_steering": "stretches of stuck steering",
+    "out_of_range": "stretches of values out of range",
 }
 _IN_ORDER: Final = (topics.VEHICLE, topics.PILOT_COMMAND)  # pictures may come late, and in any order
 _MISFIT: Final = "messages that are not what their schema says"
@@ -149,7 +149,7 @@ class Contents:
         standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
         for first, last in seen.frozen(standing):
             where = _rows(seen.rows[first], seen.rows[last])
-            self._findings.append(Finding("frozen pictures", f"{topic} {where}"))
+            self._findings.append(Finding("stretches of frozen pictures", f"{topic} {where}"))
 
 
 def _rows(first: int, last: int) -> str:

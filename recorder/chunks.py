@@ -27,6 +27,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment
 from mcap.records import Metadata as MetadataRecord
 
+from common.errors import counted
 from common.untrusted import open_regular
 from recorder.errors import LogError
 from recorder.topics import LIBRARY, PROFILE
@@ -123,9 +124,9 @@ class McapFile:
     def read(self, offset: int, length: int) -> bytes:
         """Raises LogError for what lies outside the file, is too long for any record, or is not readable."""
         if offset < 0 or length < 0 or offset + length > self.size:
-            raise self.damaged(f"bytes {offset} to {offset + length} lie outside the file")
+            raise self.damaged(f"bytes {offset:,} to {offset + length:,} lie outside the file")
         if length > MAX_RECORD_BYTES:
-            raise self.damaged(f"a record of {length} bytes")
+            raise self.damaged(f"a record of {length:,} bytes")
         try:
             if sys.platform == "win32":  # no pread there
                 with self._lock:
@@ -134,7 +135,9 @@ class McapFile:
             else:
                 data = os.pread(self._stream.fileno(), length, offset)
         except OSError as error:  # a failing disk
-            raise self.damaged(f"bytes {offset} to {offset + length} cannot be read ({error.strerror})") from None
+            raise self.damaged(
+                f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})"
+            ) from None
         if len(data) != length:
             raise self.damaged("it has become shorter while it was read")
         return data
@@ -183,7 +186,7 @@ class McapFile:
 
     def unpacked(self, record: bytes, start: int) -> bytes:
         """The records within a chunk's `record`, which begins at byte `start`. Raises what `records` does."""
-        where = f"the chunk at byte {start}"
+        where = f"the chunk at byte {start:,}"
         try:
             opcode, length, _, _, size, crc = CHUNK_HEADER.unpack_from(record)
             named = prefixed(record, CHUNK_HEADER.size)
@@ -194,7 +197,7 @@ class McapFile:
         if opcode != Opcode.CHUNK or RECORD.size + length != len(record) or stored_at + stored_size != len(record):
             raise self.damaged(f"{where} is not of the length it tells")
         if size > MAX_CHUNK_BYTES:
-            raise self.damaged(f"{where} would unpack to {size} bytes")
+            raise self.damaged(f"{where} would unpack to {size:,} bytes")
         if named and start not in self._unpacked_at:
             if self._unpacked_bytes + size > _MOST_COMPRESSED * self.size + MAX_CHUNK_BYTES:
                 raise self.damaged(f"with {where} it would unpack to more than {self._unpacked_bytes:,} bytes")
@@ -206,7 +209,7 @@ class McapFile:
         except NOT_UNPACKED:
             raise self.damaged(f"{where} cannot be unpacked") from None
         if len(records) != size:
-            raise self.damaged(f"{where} does not unpack to the {size} bytes it tells")
+            raise self.damaged(f"{where} does not unpack to the {size:,} bytes it tells")
         if not self.may_have_crc(crc, records):
             raise self.damaged(f"{where} has another content than its CRC tells")
         return records
@@ -275,7 +278,7 @@ class McapFile:
     def check_count(self, messages: int) -> None:
         """Raise LogError if that many messages cannot be in a file of this size."""
         if messages > self.size + FREE_MESSAGES:
-            raise self.damaged(f"{messages:,} messages in {self.size:,} bytes")
+            raise self.damaged(f"{counted(messages, 'message')} in {self.size:,} bytes")
 
     def damaged(self, what: str) -> LogError:
         return LogError(f"{self.path}: damaged: {what}; `bc-log recover {self.path}` saves the rest")

@@ -65,8 +65,7 @@ def import_tub(
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
     first = next(frames, None)
     if first is None:
-        reasons = "".join(f"; {line}" for line in skipped.lines(most_names=3))
-        raise RecordingError(f"{folder}: no usable record in this DonkeyCar tub{reasons}")
+        raise RecordingError(f"{folder}: no usable record in this DonkeyCar tub{skipped.because()}")
     metadata = {
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,

@@ -47,7 +47,7 @@ MOST_STEERING_AGE_S: Final = 1.0
 _TIME_END_NS: Final = 2**63
 # magic, then the header's opcode, length, and the length of its profile
 _OWN_START: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
-_BEYOND: Final = "rows with steering beyond -1..1 (kept, but an index leaves them out): is --steering-scale right?"
+_BEYOND: Final = "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
 
 
 @dataclass(frozen=True)
@@ -152,8 +152,7 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
     rows = _rows(files, topics.image, steering, f"importing {source.name}", skipped)
     first = next(rows, None)
     if first is None:
-        reasons = "".join(f"; {line}" for line in skipped.lines(most_names=3))
-        raise RecordingError(f"{source}: no picture on {topics.image} can be used{reasons}")
+        raise RecordingError(f"{source}: no picture on {topics.image} can be used{skipped.because()}")
     metadata = {
         "source": "ros2 bag" if source.is_dir() else "mcap",
         "recording": Path(os.path.realpath(source)).name,

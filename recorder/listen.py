@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from common import Skipped
+from common.errors import counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.progress import StatusLine
@@ -108,8 +109,9 @@ class _Session:
         if self._telemetries:
             self._first_connected_s = None
             self._text = (
-                f"{self.rows:,} rows, {self.rows:,} pictures, {self._writer.bytes_written / 1e6:.1f} MB,"
-                f" {self._rate:.0f} rows/s, {len(self.skipped):,} skipped"
+                f"{counted(self.rows, 'row')}, {counted(self.rows, 'picture')},"
+                f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} rows/s,"
+                f" {len(self.skipped):,} skipped"
             )
         elif self._first_connected_s is not None and now_s - self._first_connected_s >= QUIET_S:
             self._first_connected_s = None
@@ -137,7 +139,7 @@ class _Session:
 
     def why_nothing(self) -> str:
         if self.skipped:
-            return f"nothing was recorded, {'; '.join(self.skipped.lines(most_names=3))}"
+            return f"nothing was recorded{self.skipped.because()}"
         if self._manuals:
             return (
                 "nothing was recorded: the simulator tells nothing while its keys are held; drive in its training"

@@ -358,7 +358,7 @@ class Log(Closing):
         if records is None:
             number = bisect.bisect_left(self._chunk_starts, start)
             if number == len(self.chunks) or self.chunks[number].start != start:
-                raise self._file.damaged(f"no chunk begins at byte {start}")
+                raise self._file.damaged(f"no chunk begins at byte {start:,}")
             records = self._file.records(self.chunks[number])
             with self._lock:
                 self._unpacked[start] = records

@@ -12,58 +12,22 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.markup import escape
-from rich.table import Table
 
-from common import Skipped, UserError
-from common.command import (
-    DONE,
-    DONE_BUT_SKIPPED,
-    FAILED,
-    complain,
-    run_command,
-    usage_errors,
-    warn,
-    warn_skipped,
-)
+from common import UserError
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, complain, run_command, usage_errors, warn
 from common.errors import UsageError, counted, shown
 from common.files import final_path
-from common.output import ask, print_message, print_result, print_table
-from recorder.check import Checked, check, is_whole
+from common.output import ask, print_message, print_result
+from recorder.check import check, is_whole
 from recorder.chunks import WITHOUT_CRCS
 from recorder.edit import check_rows, merge, rows_between, split, trim, trim_times
-from recorder.info import Info, describe
+from recorder.info import describe
 from recorder.log import Log
-from recorder.new_log import Written
+from recorder.log_report import print_checked, print_info, print_written, rows_of
 from recorder.recover import recover, recovered_name
 from recorder.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
-from recorder.topics import VEHICLE
 
 LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-MOST_PLACES = 6
-
-_ONE = {
-    "cameras with pictures of several sizes": "camera with pictures of several sizes",
-    "chunks that are not where the summary says": "chunk that is not where the summary says",
-    "chunks without an index of their messages": "chunk without an index of its messages",
-    "chunks of other times than they tell": "chunk of other times than it tells",
-    "damaged chunks": "damaged chunk",
-    "frozen pictures": "stretch of frozen pictures",
-    "gaps in time": "gap in time",
-    "indexes that do not fit their chunk": "index that does not fit its chunk",
-    "messages of unknown channels": "message of an unknown channel",
-    "messages that are not what their schema says": "message that is not what its schema says",
-    "other numbers of messages than told": "other number of messages than told",
-    "pictures that do not decode": "picture that does not decode",
-    "records of a wrong length": "record of a wrong length",
-    "rows out of order": "row out of order",
-    "stretches of pictures without a row": "stretch of pictures without a row",
-    "stretches of rows without a picture": "stretch of rows without a picture",
-    "stuck steering": "stretch of stuck steering",
-    "times that no clock shows": "time that no clock shows",
-    "values out of range": "stretch of values out of range",
-}
-"""What a single finding of a kind is called."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +47,7 @@ class ShowInfo:
         if self.json:
             print_result(json.dumps(dataclasses.asdict(info), allow_nan=False))
         else:
-            _print_info(info)
+            print_info(info)
         code = _warn_stale(path, info.stale_tags)
         return warn(info.notice) if info.notice else code
 
@@ -110,7 +74,7 @@ class Check:
             told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
             print_result(json.dumps({**told, "has_crcs": checked.has_crcs, "findings": found}))
         else:
-            _print_checked(checked)
+            print_checked(checked)
             _remark_crcs(path, checked.has_crcs)
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
@@ -165,7 +129,7 @@ class Recover:
                 print_message(f"{self.log}: {log.problem}; all that is whole in it is recovered")
             _remark_crcs(self.log, log.has_crcs)
         to = _named(self.to) if self.to is not None else recovered_name(self.log)
-        code = _written(recover(self.log, to, overwrite=self.force))
+        code = print_written(recover(self.log, to, overwrite=self.force))
         print_message(f"{self.log} is as it was; once {to} is checked it can be removed")
         return code
 
@@ -192,9 +156,9 @@ class Trim:
         code = _noted(self.log)
         if self.rows is not None:
             rows = _stretch(self.log, self.start, self.end, self.rows)
-            return max(code, _written(trim(self.log, to, rows, overwrite=self.force)))
+            return max(code, print_written(trim(self.log, to, rows, overwrite=self.force)))
         start_s, end_s = _times(self.start, self.end)
-        return max(code, _written(trim_times(self.log, to, start_s, end_s, overwrite=self.force)))
+        return max(code, print_written(trim_times(self.log, to, start_s, end_s, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -211,7 +175,7 @@ class Merge:
     def run(self) -> int:
         to = _named(self.to)
         code = max(map(_noted, _some(self.logs, 2)))
-        return max(code, _written(merge(self.logs, to, overwrite=self.force)))
+        return max(code, print_written(merge(self.logs, to, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -229,7 +193,7 @@ class Split:
     def run(self) -> int:
         code = _noted(self.log)
         parts = split(self.log, self.to or self.log.parent, overwrite=self.force)
-        return max(code, *map(_written, parts))
+        return max(code, *map(print_written, parts))
 
 
 @dataclass(frozen=True)
@@ -262,7 +226,7 @@ class NameRows:
         if self.tag is not None:
             tags = self._change(self.tag, tags, fingerprint)
         for tag in tags:
-            print_result(f"{tag.name}: {_rows_of(tag)}")
+            print_result(f"{tag.name}: {rows_of(tag)}")
         return code
 
     def _is_everywhere(self) -> bool:
@@ -293,14 +257,14 @@ class NameRows:
         else:
             chosen = [Tag(*_stretch(self.log, self.start, self.end, self.rows), name)]
         if self.remove and not set(chosen) & set(tags):
-            held = ", ".join(f"{tag.name} ({_rows_of(tag)})" for tag in tags) or "none"
+            held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"
             raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
         if not self.remove:
             self._tell_new(name)
         for tag in chosen:
             (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
             if self.remove:
-                print_message(f"removed {tag.name}: {_rows_of(tag)}")
+                print_message(f"removed {tag.name}: {rows_of(tag)}")
         return read_tags(self.log, fingerprint)
 
 
@@ -318,12 +282,8 @@ Command = (
 
 def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
     if len(logs) < least:
-        raise UsageError(f"give at least {least} log{'s' if least > 1 else ''}, such as sessions/lake.mcap")
+        raise UsageError(f"give at least {counted(least, 'log')}, such as sessions/lake.mcap")
     return logs
-
-
-def _rows_of(tag: Tag) -> str:
-    return f"rows {tag.first_row} to {tag.last_row}"
 
 
 def _named(to: Path) -> Path:
@@ -384,74 +344,6 @@ def _times(start_s: float | None, end_s: float | None) -> tuple[float, float]:
     if not begin_s <= finish_s:
         raise UsageError(f"--start {begin_s:g} --end {finish_s:g}: give seconds, the start before the end")
     return begin_s, finish_s
-
-
-def _written(written: Written) -> int:
-    code = warn_skipped(written.skipped)
-    size_mb = written.path.stat().st_size / 1e6
-    told = f"{counted(written.rows, 'row')}, {counted(written.messages, 'message')}, {size_mb:,.1f} MB"
-    print_result(f"{written.path}: {told}")
-    return code
-
-
-def _print_info(info: Info) -> None:
-    driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
-    size = f"{info.size_bytes / 1e6:,.1f} MB"
-    print_table(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
-    table = Table("topic", "schema", "messages", "a second")
-    for topic in info.topics:
-        table.add_row(_plain(topic.topic), _plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:.1f}")
-    print_table(table)
-    for name, value in sorted(info.session.items()):
-        print_table(f"  {_plain(name)}: {_plain(value)}")
-    if info.drives is None or info.flags is None:
-        if not info.is_ours:
-            print_table("  written by another program: `bc-log check` looks at what is in it")
-        elif info.session.get("source") != "prediction" and not _has_rows(info):
-            print_table("  no rows: nothing was driven")
-    elif info.drives:
-        odd = ", ".join(
-            f"{counted(count, 'row')} {flag}" for flag, count in info.flags.items() if count and flag != "gap"
-        )
-        print_table(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
-    for stretch in info.stretches[:MOST_PLACES]:
-        goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
-        print_table(
-            f"    {_plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
-            f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
-        )
-    if len(info.stretches) > MOST_PLACES:
-        more = counted(len(info.stretches) - MOST_PLACES, "more stretch", "more stretches")
-        print_table(f"    and {more} (--json lists them)")
-    for topic_name, sizes in info.picture_sizes.items():
-        print_table(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
-    for tag in info.tags:
-        print_table(f"  tag {_plain(tag.name)}: {_rows_of(tag)}")
-
-
-def _has_rows(info: Info) -> bool:
-    return any(topic.topic == VEHICLE and topic.messages for topic in info.topics)
-
-
-def _plain(text: str) -> str:
-    return escape(shown(text))
-
-
-def _print_checked(checked: Checked) -> None:
-    looked = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
-    told = f"{counted(checked.messages, 'message')}{looked}: {_verdict(checked)}"
-    print_result(f"{checked.path}: {told}")
-    by_kind = Skipped()
-    for finding in checked.findings:
-        by_kind.add(finding.kind, finding.where)
-    for kind, count in by_kind.counts.items():
-        places = [where for other, where in by_kind if other == kind][:MOST_PLACES]
-        more = f", and {count - len(places):,} more" if count > len(places) else ""
-        print_result(f"  {counted(count, _ONE.get(kind, kind), kind)}: {', '.join(places)}{more}")
-
-
-def _verdict(checked: Checked) -> str:
-    return counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
 
 
 ABOUT = """Look after logs: what is in one, is it sound, make new ones of it, name stretches of it.

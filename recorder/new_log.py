@@ -31,6 +31,7 @@ class Written:
     messages: int
     rows: int
     skipped: Skipped
+    notices: Sequence[str] = ()  # what a person should know of what is not in it
 
 
 def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:

@@ -73,12 +73,13 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
         else:
             skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
+    notices = []
     lost = (log.told_messages or 0) - count - unfinished
     if lost > 0:
-        skipped.add("losses in all", f"{lost:,} of {counted(log.told_messages or 0, 'message')}")
+        notices.append(f"{path}: lost in all: {lost:,} of {counted(log.told_messages or 0, 'message')}")
     if goes_on:
-        skipped.add("recordings' ends, because they still go on", path.name)
-    return Written(to, count, len(rows), skipped)
+        notices.append(f"{path}: its recording still goes on, and its end is not in {to.name}")
+    return Written(to, count, len(rows), skipped, notices)
 
 
 def _in_order_of_rows(log: Log) -> tuple[list[Chunk], int]:

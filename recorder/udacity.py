@@ -158,7 +158,7 @@ class UdacityFolder:
         if not row_count:
             if not self.csv.stat().st_size:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
-            raise RecordingError(f"{self.csv}: no usable row{because(self._skipped)}")
+            raise RecordingError(f"{self.csv}: no usable row{self._skipped.because()}")
         if not found:
             with _told(self.folder):
                 raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
@@ -205,8 +205,3 @@ def check_csv(folder: Path) -> None:
         )
     if csv.stat().st_size > MOST_CSV_BYTES:
         raise RecordingError(f"{csv}: larger than {MOST_CSV_BYTES / 1e9:.0f} GB, which no drive writes")
-
-
-def because(skipped: Skipped) -> str:
-    """Why nothing was left, for the end of an error."""
-    return "".join(f"; {line}" for line in skipped.lines(most_names=3))

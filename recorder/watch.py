@@ -31,7 +31,6 @@ from recorder.udacity import (
     MISSING,
     MOST_PICTURE_BYTES,
     PictureFiles,
-    because,
     check_csv,
 )
 from recorder.udacity_csv import RowReader
@@ -172,7 +171,7 @@ class _Watched:
         csv = self._folder / CSV_NAME
         if not self.has_csv():
             return f"{csv}: it never came; give the folder that the simulator's training mode records into"
-        return f"{csv}: no usable row{because(self.skipped)}"
+        return f"{csv}: no usable row{self.skipped.because()}"
 
     def _take_rows(self, lines: list[tuple[int, bytes]]) -> None:
         places = self._places() if lines else []

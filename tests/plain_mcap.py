@@ -106,6 +106,7 @@ def write_plain(
     chunk_bytes: int = 1024,
     use_chunking: bool = True,
     picture: bytes = b"picture of row %d, " * 20,
+    enable_crcs: bool = True,
 ) -> Path:
     """A log of centre pictures and vehicle states, written by mcap alone."""
     with path.open("wb") as stream:
@@ -114,7 +115,8 @@ def write_plain(
             chunk_size=chunk_bytes,
             compression=compression,
             use_chunking=use_chunking,
-            enable_data_crcs=True,
+            enable_crcs=enable_crcs,
+            enable_data_crcs=enable_crcs,
         )
         writer.start()
         image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))

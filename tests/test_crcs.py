@@ -11,8 +11,10 @@ import pytest
 from mcap.writer import CompressionType
 
 from dataset.cli import main as bc_index
-from driving import run
+from drive.eval_cli import main as bc_eval
+from driving import run, untrained_run
 from logs import write_log
+from model.cli import main as bc_train
 from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
@@ -23,8 +25,10 @@ from recorder.log_cli import main as bc_log
 from recorder.recover import recover
 from recorder.topics import Camera
 from udacity import call, jpeg
+from viz.cli import main as bc_play
 
 CRC_AT = 33  # within a chunk: opcode, length, two times, size, CRC
+WITHOUT = "written without CRCs: whether it is damaged cannot be told"
 
 
 def picture(camera: Camera, row: int) -> bytes:
@@ -166,7 +170,7 @@ def test_a_message_outside_of_chunks_is_none_of_ours(tmp_path: Path) -> None:
 
 def test_of_another_program_s_log_it_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_mcap(tmp_path / "other.mcap", DRIVE, enable_crcs=False, compression=CompressionType.NONE)
-    told = f"{path}: written without CRCs: whether it is damaged cannot be told\n"
+    told = f"{path}: {WITHOUT}\n"
     new = tmp_path / "new.mcap"
     lines: list[list[object]] = [
         ["check", path],
@@ -183,6 +187,64 @@ def test_of_another_program_s_log_it_is_said_once(tmp_path: Path, capsys: pytest
     with_crcs = write_mcap(tmp_path / "with.mcap", DRIVE)
     assert call(bc_log, "check", with_crcs) == 0
     assert "without CRCs" not in capsys.readouterr().err
+
+
+def without_crcs(path: Path) -> Path:
+    """A log with our topics and messages that another program wrote."""
+    return write_plain(path, CompressionType.NONE, range(11), picture=jpeg(60, 1), enable_crcs=False)
+
+
+def test_who_shows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, other = without_crcs(tmp_path / "other.mcap"), without_crcs(tmp_path / "another.mcap")
+    assert call(bc_play, path, "--save", tmp_path / "a.rrd") == 0
+    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n"
+    assert call(bc_play, path, other, "--save", tmp_path / "b.rrd") == 0
+    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n{other}: {WITHOUT}\n"
+    ours = write_log(tmp_path / "ours.mcap", [0.1] * 5, picture)
+    assert call(bc_play, ours, "--save", tmp_path / "c.rrd") == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_who_makes_a_video_of_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("av")
+    path = without_crcs(tmp_path / "other.mcap")
+    assert call(bc_play, path, "--video", tmp_path / "a.mp4") == 0
+    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n"
+
+
+def test_who_follows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Once, at its end, whatever was found until then."""
+    part = tmp_path / "other.mcap.ab12cd.part"
+    whole = without_crcs(tmp_path / "other.mcap")
+    part.write_bytes(whole.read_bytes()[: contents(whole).chunks[-1].end])
+    whole.unlink()
+    assert call(bc_play, part, "--follow", "--save", tmp_path / "a.rrd") == 3  # it was never finished
+    assert capsys.readouterr().err.count(WITHOUT) == 1
+
+
+def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = without_crcs(tmp_path / "other.mcap")
+    line = [path, "--index", tmp_path / "index", "--block-s", 0.5, "--gap-s", 0]
+    for _ in range(2):  # the second time it is not read
+        assert call(bc_index, *line) == 0
+        assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
+
+
+def test_a_training_and_an_evaluation_that_index_such_a_log_say_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "sessions").mkdir()
+    path = without_crcs(tmp_path / "sessions" / "other.mcap")
+    places = ["--sessions", tmp_path / "sessions", "--index", tmp_path / "index"]
+    assert (
+        call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", *places) == 3
+    )  # too short to hold a frame out
+    assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
+    run_folder = untrained_run(tmp_path / "untrained")
+    call(bc_eval, run_folder, "--session", path)
+    assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
 
 
 def test_an_import_of_such_a_log_says_so_and_its_log_too(

@@ -183,7 +183,7 @@ def test_bc_log_check_tells_what_could_not_be_used(tmp_path: Path) -> None:
     told = run("bc-log", "check", path)
     assert told.returncode == 3
     assert (
-        "2 kinds of telemetry that could not be used: image is cut off (1,500), not an object but a list (1)"
+        "kinds of telemetry that could not be used: 2 (image is cut off (1,500), not an object but a list (1))"
         in told.stdout
     )
 
@@ -197,7 +197,7 @@ def test_what_was_out_of_range_is_in_the_log_as_it_came(tmp_path: Path) -> None:
             log.decision(replace(row, telemetry=replace(row.telemetry, steering=160.0, throttle=-0.5)), 2.0)
     states = [state for _, state in read_messages(path)["/vehicle"]]
     assert [(state.steering, state.throttle) for state in states] == [(160.0, -0.5)] * 3
-    assert [finding.kind for finding in check(path).findings] == ["values out of range"]
+    assert [finding.kind for finding in check(path).findings] == ["stretches of values out of range"]
 
 
 def test_a_row_that_was_braked_is_not_the_pilots(tmp_path: Path) -> None:

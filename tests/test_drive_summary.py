@@ -292,7 +292,7 @@ def test_the_time_in_which_nothing_could_be_used_is_no_driving() -> None:
     summary.manual(0.1, 30.1)
     assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 10.1))
     assert summary.lines()[1].startswith("autonomy 40.6 % of the 10.1 s that were driven, 1 intervention")
-    assert summary.lines()[-1] == "200 telemetries could not be used: 200 not an object"
+    assert summary.lines()[-1] == "200 telemetries could not be used: not an object (200)"
 
 
 def test_a_brake_between_two_stretches_of_the_expert_makes_no_second_takeover() -> None:
@@ -367,7 +367,7 @@ def test_the_lines_for_people() -> None:
     assert distance == "1,202 frames in 120.0 s by the simulator's clock: 1.20 laps, 536 m, 10.0 mph on average"
     assert autonomy == "autonomy 95.0 %, 1 intervention: 1 by the expert"
     assert latency.startswith("latency p50/p99/max in ms: parse 0.10/0.10/0.10, decode ")
-    assert malformed == "1 telemetry could not be used: 1 not an object"
+    assert malformed == "1 telemetry could not be used: not an object (1)"
     assert dropped == "the disk was too slow: 12 pictures and 0 rows are not in the log"
 
 

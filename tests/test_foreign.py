@@ -234,7 +234,7 @@ def test_a_small_png_that_unpacks_to_a_huge_one_is_not_unpacked(tmp_path: Path) 
         for kind, data in [*chunks, (b"IEND", b"")]
     )
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, image(bomb))])
-    assert "1 pictures that are no whole JPEG or PNG" in error_of(source)
+    assert "; pictures that are no whole JPEG or PNG: 1 (" in error_of(source)
 
 
 def test_messages_that_make_no_sense_are_left_out_and_named(tmp_path: Path) -> None:
@@ -314,12 +314,12 @@ def test_pictures_that_are_not_compressed_are_named_by_their_type(tmp_path: Path
 
 def test_without_any_steering_the_error_says_why(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, b"?"), (WHEEL, 0.1, b"?"), DRIVE[1]])
-    assert "2 messages that cannot be decoded" in error_of(source)
+    assert "messages that cannot be decoded: 2 (" in error_of(source)
 
 
 def test_without_any_picture_in_time_the_error_says_why(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [DRIVE[1], (WHEEL, 5.0, angle(0.0))])
-    assert "1 pictures before the first steering" in error_of(source)
+    assert "pictures before the first steering: 1 (" in error_of(source)
 
 
 def test_an_unknown_encoding_or_definition_is_named(tmp_path: Path) -> None:

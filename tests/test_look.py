@@ -147,14 +147,16 @@ def test_check_tells_frozen_and_broken_pictures_from_sound_ones(tmp_path: Path) 
         *("/camera/left row 0", "/camera/center row 3", "/camera/left row 7", "/camera/left row 8"),
         "/camera/right row 19",
     ]
-    assert findings(path, "frozen pictures") == ["/camera/right rows 4 to 9"]  # from 10 on it stands
+    assert findings(path, "stretches of frozen pictures") == ["/camera/right rows 4 to 9"]  # from 10 on it stands
     assert check(path).pictures == 60
     assert check(path, look=False).pictures == 0
 
 
 def test_empty_pictures_at_the_start_are_frozen_from_the_first_one_on(tmp_path: Path) -> None:
     path = write_drive(tmp_path / "a.mcap", picture=lambda camera, row: b"" if row < 4 else WHOLE[row])
-    assert findings(path, "frozen pictures") == [f"/camera/{camera} rows 0 to 3" for camera in CAMERAS]
+    assert findings(path, "stretches of frozen pictures") == [
+        f"/camera/{camera} rows 0 to 3" for camera in CAMERAS
+    ]
 
 
 @pytest.mark.parametrize("topic", ["/vehicle", "/camera/center"])

@@ -395,7 +395,7 @@ def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
 
 
 def pictures(count: int, topic: str = "/camera/center") -> list[Shown]:
-    return [Shown(topic, time_ns, None) for time_ns in range(count)]
+    return [Shown(topic, time_ns, time_ns, None) for time_ns in range(count)]
 
 
 def test_of_a_drive_faster_than_the_clock_thirty_pictures_a_second_are_shown_evenly() -> None:

@@ -173,7 +173,9 @@ def test_lines_that_no_training_writes_are_named_and_the_others_are_shown(
     assert [epoch.epoch for epoch in history.epochs] == [1, 3]
     assert [name for _, name in skipped] == [f"metrics.jsonl line {2 + i}" for i in range(len(wrong))]
     assert call(main, run, "--save", tmp_path / "first.rrd") == 3
-    assert f"skipped {len(wrong)} lines that no training writes: metrics.jsonl line 2" in capsys.readouterr().err
+    assert (
+        f"skipped lines that no training writes: {len(wrong)} (metrics.jsonl line 2, " in capsys.readouterr().err
+    )
     assert [value for _, value in points(tmp_path / "first.rrd", "/loss/training")] == pytest.approx(
         [0.2, 0.2 / 3]
     )
@@ -386,7 +388,7 @@ def test_a_run_is_shown_before_it_is_there_and_as_it_grows(tmp_path: Path) -> No
         assert not viewer.is_running()
     assert [at for at, _ in points(rrd, "/loss/training")] == ends(2)
     assert len(points(rrd, "/loss/steps")) == 6
-    assert any("skipped 1 lines that no training writes: metrics.jsonl line 2" in said for said in play.stderr)
+    assert any("skipped lines that no training writes: 1 (metrics.jsonl line 2)" in said for said in play.stderr)
     assert not any("Traceback" in said for said in play.stderr), play.stderr
 
 

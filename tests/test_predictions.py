@@ -271,7 +271,7 @@ def test_a_broken_picture_is_named_and_the_others_are_shown(
 
     log = write_log(tmp_path / "hurt.mcap", STEERING, broken, cameras=["center"])
     assert call(main, log, "--run", "first", "--write", tmp_path / "kept.mcap") == 3
-    assert capsys.readouterr().err == f"skipped 1 pictures that do not decode: hurt row {BROKEN} center\n"
+    assert capsys.readouterr().err == f"skipped pictures that do not decode: 1 (hurt row {BROKEN} center)\n"
     found = read_messages(tmp_path / "kept.mcap")["/prediction/first"]
     rows = [row for row in range(ROWS) if row != BROKEN]
     assert [message.sequence for message, _ in found] == rows

@@ -285,7 +285,7 @@ def test_every_skipped_thing_is_in_the_log_but_not_in_memory(tmp_path: Path) -> 
     (reason,) = done.skipped.counts
     assert len(done.skipped) == 3000
     assert [name for _, name in done.skipped] == [f"line {number}" for number in range(3, 1003)]
-    assert done.skipped.lines(2) == [f"3000 {reason}: line 3, line 4, and 2998 more"]
+    assert done.skipped.lines(2) == [f"{reason}: 3,000 (line 3, line 4, and 2,998 more)"]
     events = [(message.log_time, event.message) for message, event in read_messages(done.path)["/events"]]
     (_, (last, _)) = read_messages(done.path)["/vehicle"]
     assert events == [(last.log_time, f"skipped {reason}: line {number}") for number in range(3, 3003)]
@@ -356,6 +356,6 @@ def test_a_folder_and_pictures_whose_names_are_not_utf_8(tmp_path: Path) -> None
             check=False,
         )
         assert done.returncode == 3, done.stderr
-        assert done.stderr.splitlines() == [r"skipped 1 pictures without a row: \udce9.jpg"]
+        assert done.stderr.splitlines() == [r"skipped pictures without a row: 1 (\udce9.jpg)"]
         found = read_messages(tmp_path / "sessions" / f"{name}.mcap")
         assert (len(found["/vehicle"]), len(found["/camera/left"]), len(found["/events"])) == (2, 2, 1)

@@ -310,7 +310,7 @@ def test_a_broken_picture_is_named_and_the_one_before_is_shown(tmp_path: Path, p
     log = write_log(tmp_path / "x.mcap", pictures)
     done = play(log, "--video", tmp_path / "x.mp4")
     assert done.code == 3
-    assert done.stderr == "skipped 2 broken pictures, in whose place the one before is shown: row 2, row 3\n"
+    assert done.stderr == "skipped broken pictures, in whose place the one before is shown: 2 (row 2, row 3)\n"
     assert levels(decoded(tmp_path / "x.mp4").frames) == pytest.approx([50, 100, 100, 100, 200], abs=2)
 
 

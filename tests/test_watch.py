@@ -290,7 +290,10 @@ def test_nothing_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_no_line_could_be_used(tmp_path: Path) -> None:
     make_recording(tmp_path / "drive", "junk\n")
-    with pytest.raises(RecordingError, match="no usable row; 1 rows with fewer than three columns of pictures"):
+    with pytest.raises(
+        RecordingError,
+        match=r"no usable row; rows with fewer than three columns of pictures, or cut off: 1 \(line 1\)",
+    ):
         watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
     assert [path.name for path in tmp_path.iterdir()] == ["drive"]
 

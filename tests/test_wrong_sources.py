@@ -151,7 +151,7 @@ def test_catalogues_that_the_manifest_does_not_name_are_taken_if_asked_for(tmp_p
     folder = without_its_last_catalogue(tmp_path / "data")
     done = run("bc-record", "few", "--from", folder, cwd=tmp_path)
     assert done.returncode == 3
-    assert "(--all-catalogs takes them): catalog_1.catalog" in done.stderr
+    assert "(--all-catalogs takes them): 1 (catalog_1.catalog)" in done.stderr
     assert steerings(tmp_path / "sessions" / "few.mcap") == [-1.0, 0.25]
     done = run("bc-record", "all", "--from", folder, "--all-catalogs", cwd=tmp_path)
     assert "catalog_1" not in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import shlex
@@ -182,7 +183,7 @@ def _what(config: Play) -> Shown:
         folders = [path for path in config.logs if path.is_dir()]
         if folders:
             raise UserError(f"{folders[0]} is a folder: logs are compared; a run's training is shown alone")
-        _refuse_no_logs(config.logs)
+        _look_at(config.logs)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
         return Whole(lambda: prepared_comparison(config.logs, config.by, config.at), size)
     if _is_run(config):
@@ -193,16 +194,22 @@ def _what(config: Play) -> Shown:
     path = find_log(config.log) if config.follow else config.log
     if config.follow and not is_finished(path):
         return GrowingLogShown(path)
-    _refuse_no_logs([path])
+    _look_at([path])
     return Whole(lambda: prepared_log(path, at_s=config.at), path.stat().st_size if path.is_file() else 0)
 
 
-def _refuse_no_logs(paths: Sequence[Path]) -> None:
-    """Raise LogError for what is no log at all, before a viewer opens to show it."""
-    from recorder.chunks import McapFile
+def _look_at(paths: Sequence[Path]) -> None:
+    """Raise LogError for what is no log at all, before a viewer opens to show it; say it of a log without CRCs."""
+    from recorder import Log
+    from recorder.chunks import WITHOUT_CRCS, McapFile
 
-    for path in paths:
-        McapFile(path).close()
+    for path in dict.fromkeys(paths):
+        with contextlib.closing(McapFile(path)) as file:
+            if file.promises_crcs:  # a log that was never finished would be read through for it
+                continue
+        with Log(path) as log:
+            if not log.has_crcs:
+                print_message(f"{path}: {WITHOUT_CRCS}")
 
 
 def _where(config: Play) -> Where:
@@ -224,6 +231,7 @@ def make_video(config: Play, video: Path) -> int:
         raise UsageError(f"--video writes a file and opens nothing: give it without {unfit}")
     with usage_errors(UserError):
         check_speed(config.speed)
+    _look_at(config.logs)
     made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
     size = f"{made.width} x {made.height}"
     print_result(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {clock(made.duration_s)} long")
@@ -261,7 +269,7 @@ def _play_predicted(config: Play) -> int:
     for path in (config.save, config.write):
         if path is not None:
             refuse_existing(path, config.force)  # before minutes of work, not after them
-    _refuse_no_logs(config.logs)
+    _look_at(config.logs)
     runs = [find_run(name, config.runs) for name in config.run]
     if is_only_written:
         found = predict_log(config.log, runs)

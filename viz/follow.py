@@ -6,7 +6,6 @@ import contextlib
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +14,12 @@ from typing import Final
 import rerun as rr
 
 from common import Skipped, UserError
-from common.command import DONE, DONE_BUT_SKIPPED, INTERRUPTED, warn
-from common.errors import counted
+from common.command import DONE, INTERRUPTED, warn
 from common.files import final_path
 from common.interrupts import stop_signals
 from common.output import end_bar
 from common.streams import end_process
+from recorder.chunks import WITHOUT_CRCS
 from viz.growing import GrowingLog
 from viz.messages import MessageSender
 from viz.rate import THINNED, PictureRate
@@ -172,24 +171,19 @@ class LogFollower(Follower):
     def run(self) -> None:
         name = final_path(self._path).name
         recording = self._connected(name)
-        thinned: Counter[str] = Counter()
         with GrowingLog(self._path) as log:
             try:
-                taken = _send(log, recording, self.stop, self.stop, thinned, lambda: self._flush(recording))
+                taken = _send(log, recording, self.stop, self.stop, lambda: self._flush(recording))
                 if log.notice:
                     self.code = warn(log.notice)
                 elif not taken:
                     self._refuse_silence()
                 elif log.is_finished and not self.stop.is_set():
-                    say(f"{name} is finished, all of it is shown")
+                    say(f"{name} is finished" + ("" if log.skipped else ", all of it is shown"))
             except UserError as error:
                 self.code = complain(error)
             skipped = say_skipped(log.skipped)
             self.code = self.code or skipped
-            if thinned:
-                topics = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(thinned.items()))
-                say(f"skipped {counted(thinned.total(), 'picture')} {THINNED}: {topics}")
-                self.code = self.code or DONE_BUT_SKIPPED
         self._disconnect(recording)
 
 
@@ -198,16 +192,15 @@ def _send(
     recording: rr.RecordingStream,
     stop: threading.Event,
     has_failed: threading.Event,
-    thinned: Counter[str] | None = None,
     flush: Callable[[], object] | None = None,
 ) -> bool:
     """Send the log as it grows, till it is over, `stop` is set (then what is there is sent) or nobody takes it;
     whether all was taken.
 
-    With `thinned`, it keeps up: pictures that are too many or too old are not sent. Those are counted there, by
-    topic, these in `log.skipped`.
+    With `flush`, which waits until a viewer has taken what was sent, it keeps up: pictures that are too many or
+    too old are not sent, but counted in `log.skipped`.
     """
-    keep_up = thinned is not None
+    keep_up = flush is not None
     sender = MessageSender(recording)
     pictures_of_last_s = HISTORY_S if keep_up else None
     last_s = whole_s = time.monotonic()
@@ -216,8 +209,8 @@ def _send(
         is_last = stop.is_set()
         for messages in log.read(pictures_of_last_s):
             shown, left_out = rate.thin(messages) if rate is not None else (messages, [])
-            if thinned is not None:
-                thinned.update(message.topic for message in left_out)
+            for message in left_out:
+                log.skipped.add(THINNED, f"{message.topic} row {message.row}")
             sender.send(shown)
         is_last = is_last or log.is_finished or bool(log.notice)
         now_s = time.monotonic()
@@ -230,6 +223,8 @@ def _send(
         except (GoneError, RuntimeError):
             return False  # the viewer is gone
         if is_last:
+            if not log.has_crcs:
+                say(f"{final_path(log.path)}: {WITHOUT_CRCS}")
             return True
         stop.wait(POLL_S)
         now_s = time.monotonic()

@@ -66,6 +66,11 @@ class GrowingLog(Closing):
         self._position = len(MAGIC)
         self._found = Structure()
 
+    @property
+    def has_crcs(self) -> bool:
+        """Whether all that was read of it has CRCs, without which damage is not noticed."""
+        return self._file is None or self._file.have_crcs(self._found.chunks)
+
     def close(self) -> None:
         if self._file is not None:
             self._file.close()
@@ -157,7 +162,7 @@ class GrowingLog(Closing):
         if stored.log_time_ns > LAST_TIME_NS:
             self.skipped.add("messages of a time that cannot be", name)
             return None
-        return Shown(channel.topic, stored.log_time_ns, content)
+        return Shown(channel.topic, stored.sequence, stored.log_time_ns, content)
 
 
 def _newest_ns(file: McapFile, chunk: Chunk) -> int:

@@ -45,6 +45,7 @@ class Shown:
     """A message to show; `content` is of the kind that KINDS tells for its topic."""
 
     topic: str
+    row: int
     log_time_ns: int
     content: Any
 

@@ -9,7 +9,7 @@ from viz.messages import PICTURE_TOPICS, Shown
 
 PICTURES_PER_S: Final = 30.0
 """Of each camera, by the clock on the wall."""
-THINNED: Final = f"not shown, of more than {PICTURES_PER_S:g} a second (the log has them)"
+THINNED: Final = f"pictures not shown, of more than {PICTURES_PER_S:g} a second (the log has them)"
 
 _SAVED_UP_S: Final = 1.0  # a log grows in bursts
 

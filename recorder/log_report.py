@@ -1,0 +1,92 @@
+"""What `bc-log` prints of logs: what is in one, what is wrong with one, and what a new one holds."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rich.markup import escape
+from rich.table import Table
+
+from common import Skipped
+from common.command import warn, warn_skipped
+from common.errors import counted, shown
+from common.output import print_result, print_table
+from recorder.check import Checked
+from recorder.info import Info
+from recorder.new_log import Written
+from recorder.tags import Tag
+from recorder.topics import VEHICLE
+
+MOST_PLACES: Final = 6
+"""So many are named of a kind; --json names all."""
+
+
+def print_info(info: Info) -> None:
+    driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
+    size = f"{info.size_bytes / 1e6:,.1f} MB"
+    print_table(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
+    table = Table("topic", "schema", "messages", "a second")
+    for topic in info.topics:
+        table.add_row(_plain(topic.topic), _plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:,.1f}")
+    print_table(table)
+    for name, value in sorted(info.session.items()):
+        print_table(f"  {_plain(name)}: {_plain(value)}")
+    _print_drives(info)
+    for topic_name, sizes in info.picture_sizes.items():
+        print_table(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
+    for tag in info.tags:
+        print_table(f"  tag {_plain(tag.name)}: {rows_of(tag)}")
+
+
+def print_checked(checked: Checked) -> None:
+    looked = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
+    verdict = counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
+    print_result(f"{checked.path}: {counted(checked.messages, 'message')}{looked}: {verdict}")
+    found = Skipped()
+    for finding in checked.findings:
+        found.add(finding.kind, finding.where)
+    for line in found.lines(MOST_PLACES):
+        print_result(f"  {line}")
+
+
+def print_written(written: Written) -> int:
+    """The exit code, which says whether something is not in it."""
+    code = max([warn_skipped(written.skipped), *map(warn, written.notices)])
+    size_mb = written.path.stat().st_size / 1e6
+    told = f"{counted(written.rows, 'row')}, {counted(written.messages, 'message')}, {size_mb:,.1f} MB"
+    print_result(f"{written.path}: {told}")
+    return code
+
+
+def rows_of(tag: Tag) -> str:
+    return f"rows {tag.first_row} to {tag.last_row}"
+
+
+def _print_drives(info: Info) -> None:
+    if info.drives is None or info.flags is None:
+        if not info.is_ours:
+            print_table("  written by another program: `bc-log check` looks at what is in it")
+        elif info.session.get("source") != "prediction" and not _has_rows(info):
+            print_table("  no rows: nothing was driven")
+    elif info.drives:
+        odd = ", ".join(
+            f"{counted(count, 'row')} {flag}" for flag, count in info.flags.items() if count and flag != "gap"
+        )
+        print_table(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
+    for stretch in info.stretches[:MOST_PLACES]:
+        goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
+        print_table(
+            f"    {_plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
+            f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
+        )
+    if len(info.stretches) > MOST_PLACES:
+        more = counted(len(info.stretches) - MOST_PLACES, "more stretch", "more stretches")
+        print_table(f"    and {more} (--json lists them)")
+
+
+def _has_rows(info: Info) -> bool:
+    return any(topic.topic == VEHICLE and topic.messages for topic in info.topics)
+
+
+def _plain(text: str) -> str:
+    return escape(shown(text))
