@@ -60,7 +60,12 @@ def _command(prog: str, module: str) -> Callable[[], None]:
             if error.name.partition(".")[0] in NEEDS and (line := _owned_by_two()):
                 _fail(prog, f"{error}: {line}")
             raise
-        main()
+        try:
+            main()
+        except RuntimeError as error:  # before anything of ours could tell it
+            if "start new thread" not in str(error):
+                raise
+            _fail(prog, "not enough memory to begin; close other programs, or raise the limit (ulimit -v)")
 
     return run
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, run_command
 from common.errors import UsageError
-from common.output import as_typed, print_result
+from common.output import as_typed, print_message, print_result
 from common.progress import time_text
 from common.streams import drain
 
@@ -73,7 +73,14 @@ def demo(config: Demo) -> int:
         gone_s = time.monotonic() - start_s
         left = f", about {time_text((seconds - done) * gone_s / done)} left" if number else ""
         print_result("", f"{number + 1} of {len(steps)}{left}", f"$ {step.command}")
-        code = max(code, _run(step.command, folder))
+        try:
+            code = max(code, _run(step.command, folder))
+        except KeyboardInterrupt:
+            if any(folder.iterdir()):
+                print_message(f"bc-demo: what was made is in {folder}; type its commands there: `cd {folder}`")
+            else:
+                folder.rmdir()
+            raise
     log = folder / "drives" / "demo-mountain-10mph.mcap"
     print_result(
         "",

@@ -6,15 +6,12 @@ as well, two are slower than one: three times, on two cores that two other progr
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
-
-from model.hints import run_argument
 
 _MOST: Final = 5 / 3  # how much longer than its thread computes a step may take; on a machine of its own: 1
 
 
-def busy_notice(run: Path, threads: int, wall_s: float, cpu_s: float) -> str:
+def busy_notice(threads: int, wall_s: float, cpu_s: float) -> str:
     """What to say of steps that took `wall_s`, in which the thread that asked for them computed for `cpu_s`; empty
     if that is as it should be, or if there is only one thread."""
     if threads == 1 or wall_s <= _MOST * cpu_s:
@@ -22,6 +19,5 @@ def busy_notice(run: Path, threads: int, wall_s: float, cpu_s: float) -> str:
     slower = f"{min(wall_s / cpu_s, 99):.1f}" if cpu_s > 0 else "many"
     return (
         f"the processor is busy with other programs: a step takes {slower} times as long as it computes, and"
-        f" {threads} threads wait for one another; fewer may be faster: Ctrl-C, then"
-        f" `bc-train --resume {run_argument(run)} --threads {threads // 2}`"
+        f" {threads} threads wait for one another; --threads {threads // 2} may be faster, also to --resume with"
     )

@@ -236,7 +236,7 @@ class TrainingLoop:
         """Say so once, and at once: there may be hours to go."""
         if self._is_busy_told or not self.group.is_first:
             return
-        if notice := busy_notice(self.run, torch.get_num_threads(), wall_s, cpu_s):
+        if notice := busy_notice(torch.get_num_threads(), wall_s, cpu_s):
             logging.getLogger(__name__).warning("%s", shown(notice))
             self._is_busy_told = True
 

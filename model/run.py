@@ -103,7 +103,7 @@ def find_run(name: str | None, runs: Path | str) -> Path:
     for folder in (runs / name, Path(name)):
         if (folder / WEIGHTS).is_file() or _is_last(folder):
             return folder
-    if checkpoint_path(runs / name).is_file():
+    if (runs / name / CONFIG).is_file():
         resume = f"`bc-train --resume {run_argument(runs / name)}`"
         raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
     raise RunError(f"{runs / name}: no trained run there ({WEIGHTS} is missing); {_known(name, runs, WEIGHTS)}")

@@ -6,6 +6,7 @@ bc-train --epochs 10
 from __future__ import annotations
 
 import contextlib
+import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from model.progress import Epoch, Listener
 from model.provenance import data_fingerprint_of, provenance, training_of
 from model.run import (
     CONFIG,
+    WEIGHTS,
     checksum,
     create_run,
     is_unbegun,
@@ -123,7 +125,7 @@ def train(
         else:
             loop.go_back()
             if not loop.is_over:
-                loop.notices += _differences(run, stored, said["machine"])
+                loop.remarks += _differences(run, stored, said["machine"])
                 group.first(lambda: write_config(run, _gone_on(stored, said)))
         with stop_signals() as stopped:
             loop.train(stopped)
@@ -158,9 +160,13 @@ def _resumed(run: Path, stored: dict[str, Any], config: TrainConfig | None) -> T
 
 def _refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -> None:
     if data_fingerprint_of(stored, str(run / CONFIG)) != samples.fingerprint:
+        has_weights = (run / WEIGHTS).exists()
+        of_its_weights = (
+            f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""
+        )
         raise RunError(
-            f"{samples.path}: not the samples that {run} was trained on; build that index again, or train another"
-            f" run from its weights: --init {run_argument(run)}"
+            f"{samples.path}: not the samples that {run} was trained on; `bc-train --resume {run_argument(run)}"
+            f" --index {shlex.quote(f'{samples.path.parent}-{run.name}')}` builds those again{of_its_weights}"
         )
 
 

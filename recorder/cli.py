@@ -114,6 +114,11 @@ def _recorded(config: Record, log: Path) -> Imported:
                 all_catalogs=config.all_catalogs,
                 overwrite=config.force,
             )
+        if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps --from was forgotten
+            print_message(
+                f"bc-record: the built-in simulator's expert drives {config.drive.track};"
+                " --from FOLDER takes what was recorded elsewhere"
+            )
         return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
 
 

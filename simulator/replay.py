@@ -25,7 +25,7 @@ def pictures_of(recording: Path) -> list[Path]:
         what = "driving_log.csv is empty and there is" if csv.is_file() and not csv.stat().st_size else "there is"
         raise UserError(
             f"--replay {recording}: {what} no center_*.jpg in {images}; give a folder that has"
-            " pictures, which the simulator renders them once a recording is stopped"
+            " pictures: the simulator renders them once a recording is stopped"
         )
     return pictures
 

@@ -13,25 +13,22 @@ from model import train
 from model.busy import busy_notice
 from toy import TINY, toy_index
 
-RUN = Path("runs") / "first"
-
 
 def test_a_step_much_slower_than_it_computes_is_noticed() -> None:
-    assert busy_notice(RUN, threads=2, wall_s=10.0, cpu_s=9.0) == ""
-    said = busy_notice(RUN, threads=2, wall_s=10.0, cpu_s=4.0)
+    assert busy_notice(threads=2, wall_s=10.0, cpu_s=9.0) == ""
+    said = busy_notice(threads=2, wall_s=10.0, cpu_s=4.0)
     assert "takes 2.5 times as long as it computes, and 2 threads wait for one another" in said
-    assert said.endswith("Ctrl-C, then `bc-train --resume first --threads 1`")
-    assert busy_notice(RUN, threads=16, wall_s=10.0, cpu_s=4.0).endswith("--threads 8`")
-    assert "`bc-train --resume 'my runs/first' --threads 1`" in busy_notice(Path("my runs") / "first", 2, 9.0, 1.0)
+    assert "--threads 1 may be faster" in said
+    assert "--threads 8 may be faster" in busy_notice(threads=16, wall_s=10.0, cpu_s=4.0)
 
 
 def test_one_thread_waits_for_none_and_nothing_better_is_known() -> None:
-    assert busy_notice(RUN, threads=1, wall_s=10.0, cpu_s=1.0) == ""
+    assert busy_notice(threads=1, wall_s=10.0, cpu_s=1.0) == ""
 
 
 def test_a_clock_that_is_too_coarse_for_a_step_breaks_nothing() -> None:
-    assert busy_notice(RUN, threads=4, wall_s=0.0, cpu_s=0.0) == ""
-    assert "many times" in busy_notice(RUN, threads=4, wall_s=0.01, cpu_s=0.0)
+    assert busy_notice(threads=4, wall_s=0.0, cpu_s=0.0) == ""
+    assert "many times" in busy_notice(threads=4, wall_s=0.01, cpu_s=0.0)
 
 
 @pytest.mark.parametrize(("threads", "computes", "times"), [(2, False, 1), (2, True, 0), (1, False, 0)])

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from driving import COMMANDS, environment, one_line_of, run
+from driving import COMMANDS, Process, command, environment, one_line_of, run
+from waiting import wait_until
 
 
 @pytest.mark.parametrize(
@@ -60,6 +61,22 @@ def test_the_command_that_it_ends_with_can_be_typed(installed: Path, tmp_path: P
     [activate] = [text.partition(": ")[2] for text in said if "source " in text]
     play = shlex.split(activate)[1]
     assert Path(play).exists()
+
+
+def test_where_its_commands_are_typed_is_said_when_it_is_stopped(tmp_path: Path) -> None:
+    folder = tmp_path / "demo"
+    with Process(command("bc-demo", "--share", 0.05, "--folder", folder)) as process:
+        wait_until(lambda: any(folder.glob("sessions/*.mcap")))
+        assert process.end() == 130
+        process.wait_for(rf"^bc-demo: what was made is in {folder}; type its commands there: `cd {folder}`$")
+
+
+def test_one_that_is_stopped_at_once_leaves_no_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "demo"
+    with Process(command("bc-demo", "--folder", folder)) as process:
+        wait_until(lambda: any(folder.glob("sessions/*.part")))
+        assert process.end() == 130
+    assert not folder.exists()
 
 
 def test_where_there_is_no_terminal_a_line_now_and_then_tells_how_far_it_is(

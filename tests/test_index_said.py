@@ -63,6 +63,14 @@ def test_a_log_that_was_left_out_is_told_again_when_it_has_changed(capsys: pytes
     assert sessions_not_indexed("index", "sessions") == ["bad"]
 
 
+def test_a_session_that_is_mistyped_is_asked_back(capsys: pytest.CaptureFixture[str]) -> None:
+    log_of("lake")
+    assert call(main, "laek") == 1
+    assert "laek.mcap: no such log; did you mean lake?" in capsys.readouterr().err
+    assert call(main, "beach") == 1
+    assert "no such log; the sessions are named by the files in sessions" in capsys.readouterr().err
+
+
 def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake", 320, 160)
     assert call(main, "--validation-share", 0) == 0

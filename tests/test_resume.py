@@ -254,7 +254,7 @@ def test_fewer_epochs_than_were_learnt_are_refused_and_change_nothing(index: Pat
 def test_a_run_goes_on_with_the_samples_it_was_begun_with_only(stopped: Path, tmp_path: Path) -> None:
     log = write_log(tmp_path / "toy.mcap", STEERING[:30], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1)).path
-    with pytest.raises(RunError, match="not the samples"):
+    with pytest.raises(RunError, match=r"not the samples .*`bc-train --resume .* --index .*` builds those"):
         train(other, stopped, replace(CONFIG, epochs=9), resume=True)
 
 

@@ -194,6 +194,14 @@ def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [log]
 
 
+def test_a_name_that_rerun_cannot_take_is_one_line(drive: Path, tmp_path: Path) -> None:
+    log = tmp_path / os.fsdecode(b"bad\xff.mcap")
+    log.write_bytes(drive.with_suffix(".mcap").read_bytes())
+    done = run("bc-play", log, "--save", tmp_path / "x.rrd")
+    assert done.returncode == 1
+    assert "UTF-8 text only; rename the log" in one_line_of(done)
+
+
 @pytest.mark.parametrize(
     ("platform", "variables", "expected"),
     [

@@ -20,6 +20,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from rerun.chunk import Chunk, McapReader
 
 from common import UserError
+from common.errors import shown
 from common.files import refuse_existing
 from common.progress import progress_bar, track
 from recorder import Log
@@ -125,8 +126,11 @@ def prepared_log(path: Path, beside: Beside | None = None, at_s: float | None = 
 def sound_log(path: Path) -> Iterator[tuple[Log, str]]:
     """The log at `path`, or what is whole in it where it was never finished, and its notice.
 
-    Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read.
+    Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read, UserError for a name
+    that Rerun cannot take.
     """
+    if shown(str(path)) != str(path):
+        raise UserError(f"{path}: Rerun opens names of plain UTF-8 text only; rename the log")
     with Log(path, shows_progress=True) as log:
         if not log.problem:
             yield log, ""
