@@ -267,6 +267,7 @@ def test_a_chunk_that_has_become_a_message_is_none(tmp_path: Path) -> None:
 
 HEADER_BYTES = 49  # of an uncompressed chunk
 CRC_BYTES = range(33, 37)
+MESSAGE_INDEX = 0x07
 
 
 @pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
@@ -321,6 +322,35 @@ def test_chunks_that_have_changed_places_are_put_in_order(
         recover(damaged, to, overwrite=True)
         assert Counter(contents(to).messages) == Counter(original.messages), (i, j)
         assert check(to, look=False).findings == []
+
+
+def with_indexes(data: bytes, start: int, end: int) -> tuple[int, int]:
+    """Where a chunk begins, and where the indexes of its messages end, which lie behind it."""
+    while data[end] == MESSAGE_INDEX:
+        end += 9 + int.from_bytes(data[end + 1 : end + 9], "little")
+    return start, end
+
+
+def test_a_chunk_that_moved_with_its_indexes_is_found_though_the_summary_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may end behind all the places that the summary tells of its neighbours."""
+    monkeypatch.setattr("recorder.writer.CHUNK_BYTES", 400)
+    lengths = [500, 90, 40, 900, 70, 70, 30, 60]
+    whole = write_log(
+        tmp_path / "whole.mcap", [0.1] * 8, lambda camera, row: bytes([row]) * lengths[row], cameras=("center",)
+    )
+    original, data = contents(whole), whole.read_bytes()
+    blocks = [with_indexes(data, chunk.start, chunk.end) for chunk in original.chunks]
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    complaints = []
+    for i, (a, b) in enumerate(blocks):
+        for j, (c, d) in enumerate(blocks[i + 1 :], start=i + 1):
+            damaged.write_bytes(data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:])
+            written = recover(damaged, to, overwrite=True)
+            if Counter(contents(to).messages) != Counter(original.messages) or len(written.skipped):
+                complaints.append((i, j, list(written.skipped)))
+    assert complaints == []
 
 
 def test_where_rows_are_numbered_twice_chunks_stay_where_they_are(
