@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from typing import Final
 
 from mcap.opcode import Opcode
 
@@ -16,6 +17,9 @@ from recorder.structure import Structure
 
 Found = tuple[bytes, list[StoredMessage]]
 """The records of a chunk, and the messages among them."""
+
+DATA_CRC: Final = "CRC of all data does not hold"
+"""The finding that, alone, leaves only what is outside of chunks to be damaged."""
 
 
 def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
@@ -57,8 +61,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             if length != 4:  # the one record whose header no CRC covers
                 findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             (told,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
-            if told and told != crc:
-                findings.append(Finding("CRC of all data does not hold", f"{told:08x}, found {crc:08x}"))
+            if told != crc and (told or _promises_data_crc(file, structure)):
+                findings.append(Finding(DATA_CRC, f"{told:08x}, found {crc:08x}"))
             break
         crc = zlib.crc32(record, crc)
         if opcode == Opcode.CHUNK:
@@ -102,6 +106,11 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                     f"{topic}: {counts[channel]:,} of {told_counts.get(channel, 0):,}",
                 )
             )
+
+
+def _promises_data_crc(file: McapFile, structure: Structure) -> bool:
+    """Whether 0 as the CRC of all data is damage. The earliest logs of ours have none, and no bc.quality."""
+    return file.promises_crcs and (structure.has_quality or not file.is_ours)
 
 
 def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]:

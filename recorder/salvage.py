@@ -49,7 +49,7 @@ def salvage(file: McapFile, found: Structure) -> None:
 
 
 def _all_of(found: list[int], told: list[int]) -> list[int]:
-    """Where records are: where they were found, and if that is not all that are told, where they are told to be."""
+    """Where records are: where they were found; if fewer were found than told, also where they are told to be."""
     return sorted({*found} if len({*found}) >= len(told) else {*found, *told})
 
 

@@ -33,6 +33,7 @@ from recorder.chunks import (
     prefixed,
 )
 from recorder.errors import LogError
+from recorder.topics import QUALITY_METADATA
 
 GOES_ON: Final = "unfinished: its recording is still going on"
 KILLED: Final = "unfinished: its recording was killed, or it was cut off"
@@ -62,6 +63,7 @@ class Structure:
     problem: str = ""  # why the file had to be walked through; empty for a finished one
     has_end: bool = True  # whether the data section is finished
     data_end: int = 0  # where it ends in a finished file, by the summary
+    has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
     lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
 
     def is_protobuf(self, channel: int, schema: str) -> bool:
@@ -166,6 +168,7 @@ def _summary(file: McapFile) -> Structure | None:
                     found.chunks.append(Chunk(record.chunk_start_offset, end, record.compression))
                 case MetadataIndex():
                     found.metadata_at.append(record.offset)
+                    found.has_quality |= record.name == QUALITY_METADATA
                 case AttachmentIndex():
                     found.attachments_at.append(record.offset)
                 case Statistics():
