@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from recorder.check_contents import Finding
 from recorder.chunks import CHUNK_HEADER, MAGIC, RECORD, Chunk, McapFile, StoredMessage
 from recorder.errors import LogError
-from recorder.structure import Structure
+from recorder.structure import Structure, read_structure
 
 Found = tuple[bytes, list[StoredMessage]]
 """The records of a chunk, and the messages among them."""
@@ -25,6 +25,17 @@ DATA_CRC: Final = "CRC of all data does not hold"
 def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
     """Every sound chunk, in the order of the file; what is wrong is added to `findings`."""
     return (_without_end if structure.problem else _walk)(file, structure, findings)
+
+
+def is_damaged_beside_chunks(file: McapFile) -> bool:
+    """Whether a finished file's data has another CRC than it tells, and no chunk or index is to blame: then
+    metadata, or what describes topics, is not what was written, and nothing tells where. Reads the whole file."""
+    structure, findings = read_structure(file), list[Finding]()
+    if structure.problem:
+        return False
+    for _ in sound_chunks(file, structure, findings):
+        pass
+    return {finding.kind for finding in findings} == {DATA_CRC}
 
 
 def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:

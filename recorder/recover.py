@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from common.files import final_path
 from common.locks import is_being_written
 from common.progress import track
 from recorder import topics
-from recorder.chunks import Chunk
+from recorder.check_structure import is_damaged_beside_chunks
+from recorder.chunks import Chunk, McapFile
 from recorder.errors import LogError
 from recorder.log import Log
 from recorder.new_log import LAST_ROW, Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
@@ -32,7 +34,8 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
 
     A chunk is taken if its CRC holds, wherever it lies. In a log of ours, chunks come in the order of their rows,
-    and what belongs to a row that was never finished is left out; all that is left out is in `skipped`.
+    and what belongs to a row that was never finished is left out; all that is left out is in `skipped`, and what
+    may be wrong.
 
     Raises LogError if nothing is whole, or if `to` is the name that the recording will take, which still goes on.
     """
@@ -76,9 +79,19 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     lost = (log.told_messages or 0) - count - unfinished
     if lost > 0:
         skipped.add("losses in all", f"{lost:,} of {counted(log.told_messages or 0, 'message')}")
+    if not len(skipped) and _is_doubtful(path):
+        skipped.add(
+            "parts that were kept but may be wrong",
+            "metadata, or what describes topics: the CRC of all data does not hold, and every chunk is whole",
+        )
     if goes_on:
         skipped.add("recordings' ends, because they still go on", path.name)
     return Written(to, count, len(rows), skipped)
+
+
+def _is_doubtful(path: Path) -> bool:
+    with contextlib.closing(McapFile(path)) as file:
+        return is_damaged_beside_chunks(file)
 
 
 def _in_order_of_rows(log: Log) -> tuple[list[Chunk], int]:

@@ -226,6 +226,17 @@ def test_broken_metadata_costs_a_recovery_nothing_else(whole: Path) -> None:
     assert list(written.skipped.counts) == ["damaged metadata records"]
 
 
+def test_damage_that_only_the_crc_of_all_data_shows_is_told(whole: Path) -> None:
+    """No other CRC covers metadata: nobody knows what it was."""
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(whole.read_bytes().replace(b"\x04\x00\x00\x00test", b"\x04\x00\x00\x00tesu"))
+    assert [kind for kind, _ in check(path, look=False).findings if "CRC" in kind]
+    written = recover(path, whole.with_name("recovered.mcap"))
+    assert contents(written.path).messages == contents(whole).messages
+    assert list(written.skipped.counts) == ["parts that were kept but may be wrong"]
+    assert not len(recover(whole, whole.with_name("copy.mcap")).skipped)
+
+
 def test_a_file_in_which_nothing_is_whole_is_not_recovered(whole: Path) -> None:
     path = whole.with_name("damaged.mcap")
     path.write_bytes(whole.read_bytes()[: contents(whole).chunks[0].end - 1])
