@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from common import Skipped
@@ -18,7 +21,7 @@ from recorder.errors import LogError
 from recorder.log import Log
 from recorder.new_log import LAST_ROW, Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
 from recorder.tags import Tag, read_tags
-from recorder.topics import ROW_TOPICS
+from recorder.topics import CAMERAS, ROW_TOPICS, camera_topic
 
 
 def recovered_name(path: Path) -> Path:
@@ -34,8 +37,8 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
 
     A chunk is taken if its CRC holds, wherever it lies. In a log of ours, chunks come in the order of their rows,
-    and what belongs to a row that was never finished is left out; all that is left out is in `skipped`, and what
-    may be wrong.
+    and what belongs to a row that was never finished, or of which the rest is lost, is left out. All that is left
+    out is in `skipped`, and what may be wrong.
 
     Raises LogError if nothing is whole, or if `to` is the name that the recording will take, which still goes on.
     """
@@ -45,21 +48,18 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     if goes_on and to == final_path(path):
         raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
     with Log(path, salvages=True) as log:
-        chunks, last_row = _in_order_of_rows(log)
+        order = _in_order_of_rows(log)
         records = _sound_metadata(log, skipped)
         session = dict(records).get(topics.SESSION_METADATA, {})
         tags = _sound_tags(log, skipped)
-        count, unfinished, rows = 0, 0, list[int]()
+        count, left_out, rows = 0, 0, list[int]()
         with new_log(to, session, {"recovered_from": path.name}, overwrite) as writer:
-            for chunk in track(chunks, f"recovering {path.name}", len(chunks)):
+            for chunk in track(order.chunks, f"recovering {path.name}", len(order.chunks)):
                 try:
                     for schema, channel, message in log.messages_of(chunk, skipped):
-                        if channel.topic in ROW_TOPICS and message.sequence > last_row:
-                            unfinished += 1
-                            skipped.add(
-                                "messages of a row that was never finished",
-                                f"{channel.topic} row {message.sequence}",
-                            )
+                        if channel.topic in ROW_TOPICS and (why := order.why_not(message.sequence)):
+                            left_out += 1
+                            skipped.add(why, f"{channel.topic} row {message.sequence}")
                             continue
                         writer.copy(schema, channel, message, message.sequence)
                         count += 1
@@ -76,7 +76,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
         else:
             skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
-    lost = (log.told_messages or 0) - count - unfinished
+    lost = (log.told_messages or 0) - count - left_out
     if lost > 0:
         skipped.add("losses in all", f"{lost:,} of {counted(log.told_messages or 0, 'message')}")
     if not len(skipped) and _is_doubtful(path):
@@ -94,15 +94,27 @@ def _is_doubtful(path: Path) -> bool:
         return is_damaged_beside_chunks(file)
 
 
-def _in_order_of_rows(log: Log) -> tuple[list[Chunk], int]:
-    """A log's chunks in the order in which they were written, wherever they lie now, and its last row.
+@dataclass(frozen=True)
+class _Order:
+    """A log's chunks in the order in which they were written, wherever they lie now."""
 
-    The rows tell, unless several chunks claim the same ones. Another program's log stays as it is.
-    """
+    chunks: list[Chunk]
+    last_row: int = LAST_ROW
+    torn: frozenset[int] = frozenset()  # rows of which a part is lost beside what is kept
+
+    def why_not(self, row: int) -> str:
+        """Why what is left of a row is not taken; empty if it is."""
+        if row > self.last_row:
+            return "messages of a row that was never finished"
+        return "messages of a row of which the rest is lost" if row in self.torn else ""
+
+
+def _in_order_of_rows(log: Log) -> _Order:
+    """The rows tell, unless several chunks claim the same ones. Another program's log stays as it is."""
     rows = [_rows_in(log, chunk) for chunk in log.chunks] if log.is_ours else []
     driven = [row for its_rows in rows for topic, row in its_rows if topic == topics.VEHICLE]
     if not driven:
-        return log.chunks, LAST_ROW
+        return _Order(log.chunks)
     spans = [(min(numbers), max(numbers)) for numbers in ([row for _, row in its] for its in rows) if numbers]
     firsts, first = [], -1
     for its_rows in rows:
@@ -110,7 +122,34 @@ def _in_order_of_rows(log: Log) -> tuple[list[Chunk], int]:
         firsts.append(first)
     order = sorted(range(len(firsts)), key=firsts.__getitem__)
     is_clear = all(earlier[1] <= later[0] for earlier, later in itertools.pairwise(sorted(spans)))
-    return [log.chunks[at] for at in order] if is_clear else log.chunks, max(driven)
+    if not is_clear:
+        order = list(range(len(rows)))
+    torn = _torn_rows(log, order, rows, is_clear=is_clear)
+    return _Order([log.chunks[at] for at in order], max(driven), torn)
+
+
+def _torn_rows(
+    log: Log, order: Sequence[int], rows: Sequence[list[tuple[str, int]]], *, is_clear: bool
+) -> frozenset[int]:
+    """The rows at the edges of what is lost that lack their vehicle state, or a picture."""
+    if order != sorted(order):  # nobody knows where in it something is missing
+        holes = set(range(len(order) + 1)) if log.lost else set[int]()
+    else:
+        ends = [chunk.end for chunk in log.chunks]
+        holes = {bisect.bisect_right(ends, start) for start, _ in log.lost}
+    numbers = [[row for _, row in rows[at]] for at in order]
+    edges = set[int]()
+    for hole in holes:
+        before = next((its for its in reversed(numbers[:hole]) if its), [])
+        after = next((its for its in numbers[hole:] if its), [])
+        if is_clear:
+            before, after = before and [max(before)], after and [min(after)]
+        edges.update(before, after)
+    parts: dict[int, set[str]] = {}
+    for topic, row in itertools.chain.from_iterable(rows):
+        parts.setdefault(row, set()).add(topic)
+    whole = {topics.VEHICLE, *set(map(camera_topic, CAMERAS)).intersection(set().union(*parts.values()))}
+    return frozenset(row for row in edges if not whole <= parts[row])
 
 
 def _rows_in(log: Log, chunk: Chunk) -> list[tuple[str, int]]:

@@ -127,7 +127,8 @@ def complaints_of_flips(path: Path, positions: range, recover_every: int) -> lis
     chunk_starts = {chunk.start for chunk in original.chunks}
     complaints = []
     for position in positions:
-        untouched = [m for c in original.chunks if not c.start <= position < c.end for m in c.messages]
+        hit = [m.sequence for c in original.chunks if c.start <= position < c.end for m in c.messages]
+        untouched = [m for m in original.messages if m.sequence not in hit]  # a row is kept whole
         least = [] if position < MAGIC_BYTES else untouched
         for mask in (*MASKS, CHUNK_TO_MESSAGE) if position in chunk_starts else MASKS:
             overwrite(damaged, position, whole[position] ^ mask)
@@ -213,6 +214,7 @@ def test_what_a_recovery_leaves_out_is_named(whole: Path) -> None:
         log.frames()
     written = recover(path, whole.with_name("recovered.mcap"))
     assert list(written.skipped) == [
+        ("messages of a row of which the rest is lost", "/camera/center row 0"),
         ("damaged chunks", f"bytes {middle.start:,} to {middle.end:,}"),
         ("losses in all", "1 of 4 messages"),
     ]
