@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import contextlib
+import hashlib
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,8 +38,8 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
 
     A chunk is taken if its CRC holds, wherever it lies. In a log of ours, chunks come in the order of their rows,
-    and what belongs to a row that was never finished, or of which the rest is lost, is left out. All that is left
-    out is in `skipped`, and what may be wrong.
+    and what belongs to a row that was never finished, or of which the rest is lost, is left out, and so is a
+    chunk that is there again. All that is left out is in `skipped`, and what may be wrong.
 
     Raises LogError if nothing is whole, or if `to` is the name that the recording will take, which still goes on.
     """
@@ -48,7 +49,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     if goes_on and to == final_path(path):
         raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
     with Log(path, salvages=True) as log:
-        order = _in_order_of_rows(log)
+        order = _in_order_of_rows(log, skipped)
         records = _sound_metadata(log, skipped)
         session = dict(records).get(topics.SESSION_METADATA, {})
         tags = _sound_tags(log, skipped)
@@ -109,12 +110,12 @@ class _Order:
         return "messages of a row of which the rest is lost" if row in self.torn else ""
 
 
-def _in_order_of_rows(log: Log) -> _Order:
+def _in_order_of_rows(log: Log, skipped: Skipped) -> _Order:
     """The rows tell, unless several chunks claim the same ones. Another program's log stays as it is."""
-    rows = [_rows_in(log, chunk) for chunk in log.chunks] if log.is_ours else []
+    chunks, rows = _once(log, skipped) if log.is_ours else (log.chunks, [])
     driven = [row for its_rows in rows for topic, row in its_rows if topic == topics.VEHICLE]
     if not driven:
-        return _Order(log.chunks)
+        return _Order(chunks)
     spans = [(min(numbers), max(numbers)) for numbers in ([row for _, row in its] for its in rows) if numbers]
     firsts, first = [], -1
     for its_rows in rows:
@@ -124,43 +125,64 @@ def _in_order_of_rows(log: Log) -> _Order:
     is_clear = all(earlier[1] <= later[0] for earlier, later in itertools.pairwise(sorted(spans)))
     if not is_clear:
         order = list(range(len(rows)))
-    torn = _torn_rows(log, order, rows, is_clear=is_clear)
-    return _Order([log.chunks[at] for at in order], max(driven), torn)
+    holes = _holes(order, chunks, log.lost)
+    torn = _torn_rows(holes, [rows[at] for at in order], is_clear=is_clear)
+    return _Order([chunks[at] for at in order], max(driven), torn)
 
 
-def _torn_rows(
-    log: Log, order: Sequence[int], rows: Sequence[list[tuple[str, int]]], *, is_clear: bool
-) -> frozenset[int]:
-    """The rows at the edges of what is lost that lack their vehicle state, or a picture."""
-    if order != sorted(order):  # nobody knows where in it something is missing
-        holes = set(range(len(order) + 1)) if log.lost else set[int]()
-    else:
-        ends = [chunk.end for chunk in log.chunks]
-        holes = {bisect.bisect_right(ends, start) for start, _ in log.lost}
-    numbers = [[row for _, row in rows[at]] for at in order]
+def _once(log: Log, skipped: Skipped) -> tuple[list[Chunk], list[list[tuple[str, int]]]]:
+    """The chunks and the rows in them. A chunk that is there again, byte for byte, is left out: no row comes
+    twice, but the same events may, in logs that were merged."""
+    chunks, rows, known = [], [], dict[bytes, Chunk]()
+    for chunk in log.chunks:
+        its_rows, digest = _rows_in(log, chunk)
+        first = known.setdefault(digest, chunk)
+        if its_rows and first is not chunk:
+            where = f"bytes {chunk.start:,} to {chunk.end:,}, as at {first.start:,}"
+            skipped.add("repetitions of a chunk", where)
+            continue
+        chunks.append(chunk)
+        rows.append(its_rows)
+    return chunks, rows
+
+
+def _holes(order: list[int], chunks: Sequence[Chunk], lost: Sequence[tuple[int, int]]) -> set[int]:
+    """Before which chunks of the order something is missing; its length stands for the end."""
+    if order != sorted(order):  # chunks have moved, and nobody knows from where
+        return set(range(len(order) + 1)) if lost else set()
+    ends = [chunk.end for chunk in chunks]
+    return {bisect.bisect_right(ends, start) for start, _ in lost}
+
+
+def _torn_rows(holes: set[int], rows: Sequence[list[tuple[str, int]]], *, is_clear: bool) -> frozenset[int]:
+    """The rows at the edges of what is lost that lack their vehicle state, or a picture; `rows` are by chunk."""
     edges = set[int]()
     for hole in holes:
-        before = next((its for its in reversed(numbers[:hole]) if its), [])
-        after = next((its for its in numbers[hole:] if its), [])
+        before = next(([row for _, row in its] for its in reversed(rows[:hole]) if its), [])
+        after = next(([row for _, row in its] for its in rows[hole:] if its), [])
         if is_clear:
             before, after = before and [max(before)], after and [min(after)]
         edges.update(before, after)
     parts: dict[int, set[str]] = {}
     for topic, row in itertools.chain.from_iterable(rows):
         parts.setdefault(row, set()).add(topic)
-    whole = {topics.VEHICLE, *set(map(camera_topic, CAMERAS)).intersection(set().union(*parts.values()))}
-    return frozenset(row for row in edges if not whole <= parts[row])
+    cameras = set(map(camera_topic, CAMERAS)).intersection(set().union(*parts.values()))
+    return frozenset(row for row in edges if not cameras | {topics.VEHICLE} <= parts[row])
 
 
-def _rows_in(log: Log, chunk: Chunk) -> list[tuple[str, int]]:
-    """Topic and number of every message that belongs to a row."""
+def _rows_in(log: Log, chunk: Chunk) -> tuple[list[tuple[str, int]], bytes]:
+    """Topic and number of every message that belongs to a row; and what tells the chunk's messages from others."""
+    rows, digest = [], hashlib.sha256()
     try:
-        messages = log.messages_of(chunk, Skipped())
-        return [
-            (channel.topic, message.sequence) for _, channel, message in messages if channel.topic in ROW_TOPICS
-        ]
+        for _, channel, message in log.messages_of(chunk, Skipped()):
+            if channel.topic in ROW_TOPICS:
+                rows.append((channel.topic, message.sequence))
+            key = (message.channel_id, message.sequence, message.log_time, message.publish_time, len(message.data))
+            digest.update(repr(key).encode())
+            digest.update(message.data)
     except LogError:
-        return []
+        return [], b""
+    return rows, digest.digest()
 
 
 def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str]]]:

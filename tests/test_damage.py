@@ -366,6 +366,34 @@ def test_a_chunk_that_moved_with_its_indexes_is_found_though_the_summary_says_ot
     assert complaints == []
 
 
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+def test_a_chunk_that_is_there_twice_is_taken_once(whole: Path, is_killed: bool) -> None:
+    original, data = contents(whole), whole.read_bytes()
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    for chunk in original.chunks:
+        start, end = with_indexes(data, chunk.start, chunk.end)
+        rest = data[end : original.chunks[-1].end] if is_killed else data[end:]
+        damaged.write_bytes(data[:end] + data[start:end] + rest)
+        written = recover(damaged, to, overwrite=True)
+        assert contents(to).messages == original.messages
+        where = f"bytes {end:,} to {end + chunk.end - chunk.start:,}, as at {start:,}"
+        named = [(reason, place) for reason, place in written.skipped if not reason.startswith("stretches")]
+        assert named == [("repetitions of a chunk", where)]
+
+
+def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have no row: who merges a log with itself has them twice."""
+    monkeypatch.setattr("recorder.writer.CHUNK_BYTES", 10)
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        for _ in range(3):
+            writer.event(5, "braked")
+        writer.vehicle(6, 0, VehicleState(steering=0.1))
+    assert len(contents(path).chunks) == 4
+    recover(path, tmp_path / "b.mcap")
+    assert contents(tmp_path / "b.mcap").messages == contents(path).messages
+
+
 def test_where_rows_are_numbered_twice_chunks_stay_where_they_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
