@@ -6,21 +6,36 @@ import struct
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from typing import Final
 
 from mcap.opcode import Opcode
 
 from recorder.check_contents import Finding
 from recorder.chunks import CHUNK_HEADER, MAGIC, RECORD, Chunk, McapFile, StoredMessage
 from recorder.errors import LogError
-from recorder.structure import Structure
+from recorder.structure import Structure, read_structure
 
 Found = tuple[bytes, list[StoredMessage]]
 """The records of a chunk, and the messages among them."""
+
+DATA_CRC: Final = "CRC of all data does not hold"
+"""The finding that, alone, leaves only what is outside of chunks to be damaged."""
 
 
 def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
     """Every sound chunk, in the order of the file; what is wrong is added to `findings`."""
     return (_without_end if structure.problem else _walk)(file, structure, findings)
+
+
+def is_damaged_beside_chunks(file: McapFile) -> bool:
+    """Whether a finished file's data has another CRC than it tells, and no chunk or index is to blame: then
+    metadata, or what describes topics, is not what was written, and nothing tells where. Reads the whole file."""
+    structure, findings = read_structure(file), list[Finding]()
+    if structure.problem:
+        return False
+    for _ in sound_chunks(file, structure, findings):
+        pass
+    return {finding.kind for finding in findings} == {DATA_CRC}
 
 
 def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
@@ -57,8 +72,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             if length != 4:  # the one record whose header no CRC covers
                 findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             (told,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
-            if told and told != crc:
-                findings.append(Finding("CRC of all data does not hold", f"{told:08x}, found {crc:08x}"))
+            if told != crc and (told or _promises_data_crc(file, structure)):
+                findings.append(Finding(DATA_CRC, f"{told:08x}, found {crc:08x}"))
             break
         crc = zlib.crc32(record, crc)
         if opcode == Opcode.CHUNK:
@@ -102,6 +117,11 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                     f"{topic}: {counts[channel]:,} of {told_counts.get(channel, 0):,}",
                 )
             )
+
+
+def _promises_data_crc(file: McapFile, structure: Structure) -> bool:
+    """Whether 0 as the CRC of all data is damage. The earliest logs of ours have none, and no bc.quality."""
+    return file.promises_crcs and (structure.has_quality or not file.is_ours)
 
 
 def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]:

@@ -12,12 +12,19 @@ from typing import Final
 
 from mcap.opcode import Opcode
 
-from recorder.chunks import CHUNK_HEADER, MAX_CHUNK_BYTES, NOT_UNPACKED, RECORD, Chunk, McapFile, unpack
+from recorder.chunks import CHUNK_HEADER, MAGIC, MAX_CHUNK_BYTES, NOT_UNPACKED, RECORD, Chunk, McapFile, unpack
 from recorder.errors import LogError
 from recorder.structure import Structure, definitions, next_chunk, search_budget, take
 
 _COMPRESSIONS: Final = (b"", b"zstd", b"lz4")
-_BETWEEN_CHUNKS: Final = (Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.ATTACHMENT)
+_BESIDE_CHUNKS: Final = (
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.MESSAGE_INDEX,
+    Opcode.METADATA,
+    Opcode.ATTACHMENT,
+)
 _LENGTH: Final = struct.Struct("<I")  # of the compression's name
 _SIZE: Final = struct.Struct("<Q")  # of what is stored
 _LONGEST_HEADER: Final = CHUNK_HEADER.size + _LENGTH.size + max(map(len, _COMPRESSIONS)) + _SIZE.size
@@ -26,43 +33,56 @@ _LONGEST_HEADER: Final = CHUNK_HEADER.size + _LENGTH.size + max(map(len, _COMPRE
 def salvage(file: McapFile, found: Structure) -> None:
     """Make `found` tell every chunk of the file that is whole; its `lost` are then where nothing is."""
     if found.problem:  # it was walked through: its chunks are whole
-        damaged = found.lost
+        stretches, told_ends = found.lost, dict[int, int]()
     else:
-        found.chunks, damaged = _by_summary(file, found)
+        stretches, told_ends = _beside_the_whole(file, found)
     found.lost = []
-    search = _Search(file, found)
-    for start, end in damaged:
+    told = found.metadata_at, found.attachments_at
+    if told_ends:
+        found.metadata_at, found.attachments_at = [], []  # they may have moved as well
+    search = _Search(file, found, told_ends)
+    for start, end in stretches:
         search.through(start, end)
     found.chunks.sort(key=lambda chunk: chunk.start)
-    found.metadata_at, found.attachments_at = sorted({*found.metadata_at}), sorted({*found.attachments_at})
+    found.metadata_at = _all_of(found.metadata_at, told[0])
+    found.attachments_at = _all_of(found.attachments_at, told[1])
 
 
-def _by_summary(file: McapFile, structure: Structure) -> tuple[list[Chunk], list[tuple[int, int]]]:
-    """The whole chunks, and the stretches of neighbouring others: what has moved ends where no other did."""
-    whole, damaged = list[Chunk](), list[tuple[int, int]]()
-    is_in_stretch = False
-    for chunk in structure.chunks:
+def _all_of(found: list[int], told: list[int]) -> list[int]:
+    """Where records are: where they were found; if fewer were found than told, also where they are told to be."""
+    return sorted({*found} if len({*found}) >= len(told) else {*found, *told})
+
+
+def _beside_the_whole(file: McapFile, found: Structure) -> tuple[list[tuple[int, int]], dict[int, int]]:
+    """Leave in `found` the chunks that are where the summary says. If not all are, they may lie anywhere else: the
+    stretches between the others, and where each that is not there would begin and end."""
+    whole, told_ends = list[Chunk](), dict[int, int]()
+    for chunk in found.chunks:
         try:
             file.parts(file.records(chunk))
         except LogError:
-            start = damaged.pop()[0] if is_in_stretch else chunk.start
-            damaged.append((start, chunk.end))
-            is_in_stretch = True
+            told_ends[chunk.start] = chunk.end
         else:
             whole.append(chunk)
-            is_in_stretch = False
-    return whole, damaged
+    if not told_ends:
+        return [], {}
+    found.chunks = whole
+    starts = [len(MAGIC), *(chunk.end for chunk in whole)]
+    ends = [*(chunk.start for chunk in whole), found.data_end]
+    return list(zip(starts, ends, strict=True)), told_ends
 
 
 class _Search:
     """Adds to `found` what is whole in stretches of the file, and what is lost in them."""
 
-    def __init__(self, file: McapFile, found: Structure) -> None:
+    def __init__(self, file: McapFile, found: Structure, told_ends: dict[int, int]) -> None:
         self._file = file
         self._found = found
+        self._told_ends = told_ends  # by start, of chunks that are not whole there
         self._budget = search_budget(file)
 
     def through(self, start: int, end: int) -> None:
+        start = self._behind_records(start, end)
         while start < end:
             chunk = self._chunk_at(start, end)
             if chunk is not None:
@@ -70,10 +90,17 @@ class _Search:
                 start = self._behind_records(chunk.end, end)
                 continue
             following = min(next_chunk(self._file, start + 1), end) if self._budget > 0 else end
-            if self._found.lost and self._found.lost[-1][1] == start:
-                start = self._found.lost.pop()[0]
-            self._found.lost.append((start, following))
+            self._lose(start, following)
             start = following
+
+    def _lose(self, start: int, end: int) -> None:
+        """Note that nothing is whole from `start` to `end`, but what lies behind a chunk's told end."""
+        if self._found.lost and self._found.lost[-1][1] == start:
+            start = self._found.lost.pop()[0]
+        told_end = self._told_ends.get(start, end)
+        if start < told_end < end and self._behind_records(told_end, end) == end:
+            end = told_end
+        self._found.lost.append((start, end))
 
     def _chunk_at(self, start: int, end: int) -> Chunk | None:
         """A whole chunk that begins at `start` and ends within `end`."""
@@ -96,7 +123,8 @@ class _Search:
                 break
             _, told_length, _, _, told_size, crc = CHUNK_HEADER.unpack_from(head)
             (stored_size,) = _SIZE.unpack_from(head, stored_at - _SIZE.size)
-            lengths = [RECORD.size + told_length, stored_at + stored_size, end - start]
+            told_end = min(self._told_ends.get(start, end), end)
+            lengths = [RECORD.size + told_length, stored_at + stored_size, told_end - start]
             if not name:
                 lengths.append(stored_at + told_size)
             for length in dict.fromkeys(lengths):
@@ -126,11 +154,11 @@ class _Search:
             yield found
 
     def _behind_records(self, start: int, end: int) -> int:
-        """Where what follows a chunk ends: its indexes, and metadata before the next one."""
+        """Where the sound records end that lie before the next chunk: indexes, metadata, the file's header."""
         while end - start >= RECORD.size:
             opcode, length = RECORD.unpack(self._file.read(start, RECORD.size))
             following = start + RECORD.size + length
-            if opcode not in _BETWEEN_CHUNKS or following > end:
+            if opcode not in _BESIDE_CHUNKS or following > end:
                 break
             try:
                 take(self._file, opcode, start, following, self._found)

@@ -33,11 +33,13 @@ from recorder.chunks import (
     prefixed,
 )
 from recorder.errors import LogError
+from recorder.topics import QUALITY_METADATA
 
 GOES_ON: Final = "unfinished: its recording is still going on"
 KILLED: Final = "unfinished: its recording was killed, or it was cut off"
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
+_DATA_END_BYTES: Final = RECORD.size + 4
 
 # A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
 _CHUNK_START: Final = re.compile(
@@ -60,6 +62,8 @@ class Structure:
     statistics: Statistics | None = None  # of a finished file
     problem: str = ""  # why the file had to be walked through; empty for a finished one
     has_end: bool = True  # whether the data section is finished
+    data_end: int = 0  # where it ends in a finished file, by the summary
+    has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
     lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
 
     def is_protobuf(self, channel: int, schema: str) -> bool:
@@ -146,7 +150,7 @@ def _summary(file: McapFile) -> Structure | None:
     summary = file.read(start, file.size - start)
     if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
         return None
-    found = Structure()
+    found = Structure(data_end=start - _DATA_END_BYTES)
     try:
         for record in StreamReader(
             io.BytesIO(summary),
@@ -164,6 +168,7 @@ def _summary(file: McapFile) -> Structure | None:
                     found.chunks.append(Chunk(record.chunk_start_offset, end, record.compression))
                 case MetadataIndex():
                     found.metadata_at.append(record.offset)
+                    found.has_quality |= record.name == QUALITY_METADATA
                 case AttachmentIndex():
                     found.attachments_at.append(record.offset)
                 case Statistics():

@@ -75,10 +75,22 @@ class PictureFiles:
                 if not entry.name.lower().endswith((".jpg", ".jpeg")):
                     continue
                 if entry.is_symlink() and not self.is_inside(entry.path):
-                    if self._links.add(entry.path):
-                        self._skipped.add(LINKS, entry.name)
+                    self._skip_link(entry.path)
                 elif entry.is_file():
                     yield entry.name
+
+    def skip_missing(self, name: str, places: list[Path]) -> None:
+        """Skip a picture that a row names and `find` does not; a link out of the recording is told as one."""
+        for place in places:
+            path = f"{place}/{name}"
+            if os.path.islink(path) and not self.is_inside(path):  # noqa: PTH114
+                self._skip_link(path)
+                return
+        self._skipped.add(MISSING, name)
+
+    def _skip_link(self, path: str) -> None:
+        if self._links.add(path):
+            self._skipped.add(LINKS, Path(path).name)
 
     def skip_without_row(self, named: NameSet) -> None:
         """Skip the pictures that no row names, by name: the order of a folder is another one on every disk."""
@@ -154,7 +166,7 @@ class UdacityFolder:
             yield row, paths
             for name, path in zip(row.names, paths, strict=True):
                 if name and path is None:
-                    self._skipped.add(MISSING, name)
+                    self._files.skip_missing(name, places)
         if not row_count:
             if not self.csv.stat().st_size:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")

@@ -28,7 +28,6 @@ from recorder.tail import Tail
 from recorder.topics import CAMERAS, Camera
 from recorder.udacity import (
     CSV_NAME,
-    MISSING,
     MOST_PICTURE_BYTES,
     PictureFiles,
     check_csv,
@@ -142,7 +141,7 @@ class _Watched:
         for name, uses in self._awaited.items():
             for _, _, time_ns in uses:
                 self._events.at(self._writer, time_ns)
-                self.skipped.add(self._why_not(name), name)
+                self._skip(name)
         if self.rows:
             self._events.at(self._writer, self._last_ns)
         with contextlib.suppress(OSError):
@@ -232,12 +231,14 @@ class _Watched:
                 self._writer.picture(camera, time_ns, sequence, jpeg)
                 self.pictures += 1
 
-    def _why_not(self, name: str) -> str:
-        """Why an awaited picture is not in the log."""
-        path = self._files.find(name, self._places())
+    def _skip(self, name: str) -> None:
+        """Say why an awaited picture is not in the log."""
+        places = self._places()
+        path = self._files.find(name, places)
         if path is None:
-            return MISSING
-        return UNREADABLE if self._read(path) is None else NOT_WHOLE
+            self._files.skip_missing(name, places)
+        else:
+            self.skipped.add(UNREADABLE if self._read(path) is None else NOT_WHOLE, name)
 
     def _read(self, path: str) -> bytes | None:
         """The bytes of a picture, or None if it cannot be read now, or has become something else."""

@@ -8,7 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.schema import register_schema
 
 from dataset.cli import main as bc_index
 from drive.eval_cli import main as bc_eval
@@ -18,7 +21,8 @@ from model.cli import main as bc_train
 from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
-from recorder.check import check
+from recorder.bc_pb2 import VehicleState
+from recorder.check import check, is_whole
 from recorder.cli import main as bc_record
 from recorder.edit import merge, split, trim, trim_times
 from recorder.log_cli import main as bc_log
@@ -27,6 +31,7 @@ from recorder.topics import Camera
 from udacity import call, jpeg
 from viz.cli import main as bc_play
 
+DATA_END = 0x0F
 CRC_AT = 33  # within a chunk: opcode, length, two times, size, CRC
 WITHOUT = "written without CRCs: whether it is damaged cannot be told"
 
@@ -108,7 +113,8 @@ def test_recovering_gives_it_no_new_crc(forged: Path, tmp_path: Path) -> None:
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in list(written.skipped)
     whole = write_log(tmp_path / "whole.mcap", [0.0, 0.25] * 20, picture)
     recovered, recorded = contents(written.path).messages, contents(whole)
-    assert set(recovered) == set(recorded.messages) - set(recorded.chunks[3].messages)
+    lost = {message.sequence for message in recorded.chunks[3].messages}  # nothing is kept of a row in the hole
+    assert set(recovered) == {message for message in recorded.messages if message.sequence not in lost}
 
 
 def test_a_killed_recording_is_read_without_it(forged: Path) -> None:
@@ -141,6 +147,41 @@ def test_the_summary_and_attachments_have_one_too(tmp_path: Path) -> None:
     with_note.write_bytes(note)
     with Log(with_note) as log, pytest.raises(LogError, match="CRC"):
         log.attachment(log.attachments[0])
+
+
+def without_data_crc(path: Path) -> Path:
+    data = bytearray(path.read_bytes())
+    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    assert data[summary_start - 13] == DATA_END
+    assert any(data[summary_start - 4 : summary_start])
+    data[summary_start - 4 : summary_start] = bytes(4)
+    path.write_bytes(data)
+    return path
+
+
+def test_the_data_section_has_one_too(tmp_path: Path) -> None:
+    path = without_data_crc(write_log(tmp_path / "a.mcap", [0.0, 0.25] * 20, picture))
+    assert [kind for kind, _ in check(path).findings] == ["CRC of all data does not hold"]
+    assert not is_whole(path)
+
+
+def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) -> None:
+    """They have the version number of later ones, but no bc.quality, which came with that CRC."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.NONE)
+        writer.start(profile="bc", library="behavioural-cloning-toolkit 0.1.0")
+        writer.add_metadata("bc.session", {"source": "test", "toolkit": "0.1.0"})
+        image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))
+        state = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
+        for row in range(9):
+            message = CompressedImage(data=picture("center", row), format="jpeg").SerializeToString()
+            writer.add_message(image, row * 10**8, message, row * 10**8, row)
+            data = VehicleState(steering=row / 10, throttle=0.5).SerializeToString()
+            writer.add_message(state, row * 10**8, data, row * 10**8, row)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert check(path).findings == []
+    assert is_whole(path)
 
 
 def add_attachment(path: Path, content: bytes) -> None:

@@ -127,7 +127,8 @@ def complaints_of_flips(path: Path, positions: range, recover_every: int) -> lis
     chunk_starts = {chunk.start for chunk in original.chunks}
     complaints = []
     for position in positions:
-        untouched = [m for c in original.chunks if not c.start <= position < c.end for m in c.messages]
+        hit = [m.sequence for c in original.chunks if c.start <= position < c.end for m in c.messages]
+        untouched = [m for m in original.messages if m.sequence not in hit]  # a row is kept whole
         least = [] if position < MAGIC_BYTES else untouched
         for mask in (*MASKS, CHUNK_TO_MESSAGE) if position in chunk_starts else MASKS:
             overwrite(damaged, position, whole[position] ^ mask)
@@ -212,7 +213,10 @@ def test_what_a_recovery_leaves_out_is_named(whole: Path) -> None:
     with Log(path) as log, pytest.raises(LogError, match=r"damaged\.mcap: damaged.*CRC.*bc-log recover"):
         log.frames()
     written = recover(path, whole.with_name("recovered.mcap"))
-    assert list(written.skipped) == [("damaged chunks", f"bytes {middle.start:,} to {middle.end:,}")]
+    assert list(written.skipped) == [
+        ("messages of a row of which the rest is lost", "/camera/center row 0"),
+        ("damaged chunks", f"bytes {middle.start:,} to {middle.end:,}"),
+    ]
     assert written.notices == [f"{path}: lost in all: 1 of 4 messages"]
 
 
@@ -222,6 +226,18 @@ def test_broken_metadata_costs_a_recovery_nothing_else(whole: Path) -> None:
     written = recover(path, whole.with_name("recovered.mcap"))
     assert contents(written.path).messages == contents(whole).messages
     assert list(written.skipped.counts) == ["damaged metadata records"]
+
+
+def test_damage_that_only_the_crc_of_all_data_shows_is_told(whole: Path) -> None:
+    """No other CRC covers metadata: nobody knows what it was."""
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(whole.read_bytes().replace(b"\x04\x00\x00\x00test", b"\x04\x00\x00\x00tesu"))
+    assert [kind for kind, _ in check(path, look=False).findings if "CRC" in kind]
+    written = recover(path, whole.with_name("recovered.mcap"))
+    assert contents(written.path).messages == contents(whole).messages
+    assert not len(written.skipped)
+    assert ["metadata, or what describes topics, may be wrong" in notice for notice in written.notices] == [True]
+    assert not len(recover(whole, whole.with_name("copy.mcap")).skipped)
 
 
 def test_a_file_in_which_nothing_is_whole_is_not_recovered(whole: Path) -> None:
@@ -265,6 +281,7 @@ def test_a_chunk_that_has_become_a_message_is_none(tmp_path: Path) -> None:
 
 HEADER_BYTES = 49  # of an uncompressed chunk
 CRC_BYTES = range(33, 37)
+MESSAGE_INDEX = 0x07
 
 
 @pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
@@ -319,6 +336,63 @@ def test_chunks_that_have_changed_places_are_put_in_order(
         recover(damaged, to, overwrite=True)
         assert Counter(contents(to).messages) == Counter(original.messages), (i, j)
         assert check(to, look=False).findings == []
+
+
+def with_indexes(data: bytes, start: int, end: int) -> tuple[int, int]:
+    """Where a chunk begins, and where the indexes of its messages end, which lie behind it."""
+    while data[end] == MESSAGE_INDEX:
+        end += 9 + int.from_bytes(data[end + 1 : end + 9], "little")
+    return start, end
+
+
+def test_a_chunk_that_moved_with_its_indexes_is_found_though_the_summary_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may end behind all the places that the summary tells of its neighbours."""
+    monkeypatch.setattr("recorder.writer.CHUNK_BYTES", 400)
+    lengths = [500, 90, 40, 900, 70, 70, 30, 60]
+    whole = write_log(
+        tmp_path / "whole.mcap", [0.1] * 8, lambda camera, row: bytes([row]) * lengths[row], cameras=("center",)
+    )
+    original, data = contents(whole), whole.read_bytes()
+    blocks = [with_indexes(data, chunk.start, chunk.end) for chunk in original.chunks]
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    complaints = []
+    for i, (a, b) in enumerate(blocks):
+        for j, (c, d) in enumerate(blocks[i + 1 :], start=i + 1):
+            damaged.write_bytes(data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:])
+            written = recover(damaged, to, overwrite=True)
+            if Counter(contents(to).messages) != Counter(original.messages) or len(written.skipped):
+                complaints.append((i, j, list(written.skipped)))
+    assert complaints == []
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+def test_a_chunk_that_is_there_twice_is_taken_once(whole: Path, is_killed: bool) -> None:
+    original, data = contents(whole), whole.read_bytes()
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    for chunk in original.chunks:
+        start, end = with_indexes(data, chunk.start, chunk.end)
+        rest = data[end : original.chunks[-1].end] if is_killed else data[end:]
+        damaged.write_bytes(data[:end] + data[start:end] + rest)
+        written = recover(damaged, to, overwrite=True)
+        assert contents(to).messages == original.messages
+        where = f"bytes {end:,} to {end + chunk.end - chunk.start:,}, as at {start:,}"
+        named = [(reason, place) for reason, place in written.skipped if not reason.startswith("stretches")]
+        assert named == [("repetitions of a chunk", where)]
+
+
+def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have no row: who merges a log with itself has them twice."""
+    monkeypatch.setattr("recorder.writer.CHUNK_BYTES", 10)
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        for _ in range(3):
+            writer.event(5, "braked")
+        writer.vehicle(6, 0, VehicleState(steering=0.1))
+    assert len(contents(path).chunks) == 4
+    recover(path, tmp_path / "b.mcap")
+    assert contents(tmp_path / "b.mcap").messages == contents(path).messages
 
 
 def test_where_rows_are_numbered_twice_chunks_stay_where_they_are(
