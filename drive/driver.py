@@ -19,6 +19,7 @@ from drive.steering import SteeringFilter
 from drive.takeover import Takeover
 from model import Pilot
 from recorder.locale_numbers import POINT
+from recorder.log_time import CLOCK_STANDS
 from recorder.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.world import World
 
@@ -79,7 +80,7 @@ class Driver:
         """The command for what the simulator told.
 
         `received_s` is when the last byte of it had come, by `time.perf_counter()`; `now_s` the time of a
-        monotonic clock, for smoothing and braking where the simulator does not tell its own.
+        monotonic clock, for smoothing where the simulator does not tell its own, and for braking always.
 
         Never raises, because an unanswered telemetry would stop the simulator's loop for good. Where one cannot be
         used, the steering is kept and the throttle let go; after `NONSENSE_S` of nothing else the car is braked.
@@ -99,10 +100,12 @@ class Driver:
             self._note(speed_mph, told.decimal_separator)
             time_s = self._clock.at(now_s, world)
             decision = self._answer(told, parsed_s, time_s)
+        if self._clock.stands:
+            problems = (*problems, CLOCK_STANDS)
         if events := self._of_world(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
         if self._last_brake is not None:
-            throttle = self._last_brake.throttle(time_s, self._speed_mph)
+            throttle = self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
             decision = replace(decision, throttle=throttle, driver="brake")
         self._steering = decision.steering
         return replace(decision, speed_mph=speed_mph, parse_ms=(parsed_s - received_s) * 1e3)
@@ -175,9 +178,10 @@ class Driver:
 
     def _without(self, problem: TelemetryError, time_s: float) -> Decision:
         """There is nothing to drive on."""
+        now_s = self._clock.safety_s
         if self._nonsense_since_s is None:
-            self._nonsense_since_s = time_s
-        if not self._brake.is_on and time_s - self._nonsense_since_s < NONSENSE_S:
+            self._nonsense_since_s = now_s
+        if not self._brake.is_on and now_s - self._nonsense_since_s < NONSENSE_S:
             self._filter.note(time_s, self._steering)
             return self._decision(self._steering, 0.0, str(problem), problem.kind)
         return self._braked(str(problem), problem.kind, time_s, f"{NOTHING_USABLE}: ")
@@ -191,7 +195,7 @@ class Driver:
     def _braked(self, problem: str, kind: str, time_s: float, why: str = "") -> Decision:
         events = [] if self._brake.is_on else [why + _what_a_brake_does(self._speed_mph)]
         self._filter.note(time_s, self._steering)
-        throttle = self._brake.throttle(time_s, self._speed_mph)
+        throttle = self._brake.throttle(self._clock.safety_s, self._speed_mph)
         return replace(self._decision(self._steering, throttle, problem, kind, events), driver="brake")
 
     def _decision(

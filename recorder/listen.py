@@ -14,7 +14,7 @@ from common.progress import StatusLine
 from recorder.bad_telemetry import BadTelemetry
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log_time import LogClock
+from recorder.log_time import CLOCK_STANDS, LogClock
 from recorder.pose import pose_message
 from recorder.record import Imported
 from recorder.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
@@ -166,6 +166,8 @@ class _Session:
             return
         self._warn_of_world(told.world_problems)
         time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
+        if self._clock.stands:
+            self._warn_of_world((CLOCK_STANDS,))
         self._writer.picture("center", time_ns, self.rows, told.jpeg)
         state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
         self._writer.vehicle(time_ns, self.rows, state)
