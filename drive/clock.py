@@ -21,7 +21,7 @@ class DriveClock:
         self._world_s: float | None = None
         self._standing = StandingClock()
         self.safety_s = 0.0
-        """Of each step, what the clock says that says more: no simulator's clock puts off a brake, or its release."""
+        """Of each step, what that clock says that says more: none puts off a brake, or its release."""
         self.missed_s = 0.0
         """What was taken for no time, and was found at the last telemetry to be that of a clock that stands."""
         self.is_simulated = False

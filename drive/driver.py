@@ -114,6 +114,13 @@ class Driver:
         """From now on the car is braked to a stand, and steered as before meanwhile."""
         self._last_brake = EmergencyBrake()
 
+    def unasked_brake(self, now_s: float | None = None) -> tuple[float, float]:
+        """After `stop`, while nothing is told: the steering, and the throttle that brakes or lets go."""
+        self._clock.at(time.monotonic() if now_s is None else now_s, None)
+        if self._last_brake is None:
+            return self._steering, 0.0
+        return self._steering, self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
+
     def _note(self, speed_mph: float | None, decimal_separator: str | None) -> None:
         if speed_mph is not None:
             self._speed_mph = speed_mph
