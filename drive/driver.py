@@ -70,7 +70,7 @@ class Driver:
         self._course = CourseEvents()
         self._steering = 0.0
         self._speed_mph: float | None = None  # until it is told
-        self._decimal_separator = POINT
+        self._decimal_separator: str | None = None  # until it is told
         self._nonsense_since_s: float | None = None
         self._gave_number = True
         self._said_size = False
@@ -87,7 +87,7 @@ class Driver:
         """
         now_s = time.monotonic() if now_s is None else now_s
         try:
-            told = parse_telemetry(data)
+            told = parse_telemetry(data, self._decimal_separator)
         except TelemetryError as error:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = error.world, error.world_problems, error.speed_mph
@@ -97,7 +97,7 @@ class Driver:
         else:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = told.world, told.world_problems, told.speed_mph
-            self._note(speed_mph, told.decimal_separator)
+            self._note(speed_mph, told.told_separator)
             time_s = self._clock.at(now_s, world)
             decision = self._answer(told, parsed_s, time_s)
         if self._clock.stands:
@@ -212,7 +212,7 @@ class Driver:
         return Decision(
             steering,
             throttle,
-            self._decimal_separator,
+            self._decimal_separator or POINT,
             driver="expert" if is_expert else "pilot",
             set_speed_mph=self._speed.set_speed_for(steering),
             problem=problem,

@@ -73,6 +73,7 @@ class _Session:
         self._manuals = 0
         self._clock = LogClock(from_wall_clock=True)
         self._said_of_world: set[str] = set()
+        self._separators: dict[str, str] = {}  # of decimals, by connection
         self._last_s = 0.0
         self._rate_from = (time.monotonic(), 0)
         self._rate = 0.0
@@ -88,12 +89,13 @@ class _Session:
             self.say("connected, waiting for telemetry")
 
     def disconnected(self, sid: str, reason: str) -> None:
+        self._separators.pop(sid, None)
         self._event(time.time_ns(), f"disconnected: {reason}")
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         received_ns = time.time_ns()
         self._last_s = time.monotonic()
-        return Answer(None, lambda _: self._note(received_ns, data))
+        return Answer(None, lambda _: self._note(sid, received_ns, data))
 
     def stopping(self, sid: str) -> Steer | None:
         return None  # nobody was steered
@@ -147,7 +149,7 @@ class _Session:
             return "nothing was recorded: a client connected, but told no telemetry; start its autonomous mode"
         return "nothing was recorded: no simulator connected; start its autonomous mode while this waits for it"
 
-    def _note(self, received_ns: int, data: object) -> None:
+    def _note(self, sid: str, received_ns: int, data: object) -> None:
         self._telemetries += 1
         if data is None:  # a human holds a key
             self._manuals += 1
@@ -155,7 +157,9 @@ class _Session:
                 self._event(received_ns, "manual: a human drives")
             return
         try:
-            told = parse_telemetry(data)
+            told = parse_telemetry(data, self._separators.get(sid))
+            if told.told_separator is not None:
+                self._separators[sid] = told.told_separator
             check_whole_jpeg(told.jpeg)
         except TelemetryError as error:
             if error.kind not in self._bad.counts:
