@@ -30,6 +30,7 @@ from common.streams import trusted
 _COMMAND: Final = re.compile(
     r"(`|--no-python )(bc-(?:record|log|index|train|drive|play|sim|eval|demo)|rerun|torchrun|pip)(?![\w-])"
 )
+_drawing: list[Console] = []  # the consoles of bars and status lines that are shown, the last on top
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
 )
@@ -46,7 +47,8 @@ def print_result(*lines: str) -> None:
 def print_message(text: str, *, heading: str = "", style: str = "") -> None:
     """Print one line of stderr; in colour is its heading, or all of it where there is none."""
     start = Text.assemble((heading, style), " ") if heading else Text()
-    message_console().print(start.append(safe_line(text), "" if heading else style))
+    console = _drawing[-1] if _drawing else message_console()  # above what draws itself, never glued to it
+    console.print(start.append(safe_line(text), "" if heading else style))
 
 
 def ask(question: str) -> bool | None:
@@ -68,8 +70,19 @@ def message_console() -> Console:
     return _SafeConsole(file=trusted(sys.stderr), soft_wrap=True, highlight=False, emoji=False)
 
 
+def begins_to_draw(console: Console) -> None:
+    """Messages stand above what draws itself by `console`, until `has_drawn`."""
+    _drawing.append(console)
+
+
+def has_drawn(console: Console) -> None:
+    if console in _drawing:
+        _drawing.remove(console)
+
+
 def end_bar() -> None:
     """Take away what a progress bar that was not ended has left on the terminal."""
+    _drawing.clear()
     message_console().control(_WITHOUT_BAR)
 
 

@@ -24,7 +24,7 @@ from rich.status import Status
 from rich.text import Text
 
 from common.errors import shown
-from common.output import message_console, print_message, safe_line
+from common.output import begins_to_draw, has_drawn, message_console, print_message, safe_line
 
 Item = TypeVar("Item")
 
@@ -45,10 +45,13 @@ class _Bar(Progress):
         super().start()
         if self.disable:
             self._teller.start()
+        else:
+            begins_to_draw(self.console)
 
     def stop(self) -> None:
         self._has_ended.set()
         super().stop()
+        has_drawn(self.console)
 
     def _tell(self) -> None:
         while not self._has_ended.wait(LINE_EVERY_S):
@@ -111,9 +114,11 @@ class StatusLine:
     def __enter__(self) -> Self:
         if self._is_shown:
             self._status.start()
+            begins_to_draw(self._status.console)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._status.stop()
+        has_drawn(self._status.console)

@@ -103,8 +103,8 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
     """For each flag the rows (N,) that it holds for.
 
     `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
-    number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for long
-    while the car moves.
+    number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for
+    long while the car moves.
     """
     drive = drive_numbers(states.time_ns)
     standing = states.speed_mph < STANDING_MPH  # False for an unknown speed
