@@ -73,6 +73,11 @@ class Stopping:
         self._heard += 1
         return True
 
+    def was_said(self) -> None:
+        """The command itself has said how it is ended at once: `on_slow` need not."""
+        if self.is_asked:
+            self._told.put(False)
+
     def repeat(self) -> None:
         """The next signal is one that was heard before, and put off."""
         self._is_repeated = True
@@ -95,6 +100,12 @@ class Stopping:
                 self._told.get(timeout=SLOW_S)
             except Empty:
                 self._on_slow()
+
+
+def way_out_was_said() -> None:
+    """To be called where a command has said how a second Ctrl-C ends it at once."""
+    if Stopping.current is not None:
+        Stopping.current.was_said()
 
 
 @contextlib.contextmanager

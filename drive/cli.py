@@ -144,10 +144,7 @@ def drive(config: Drive) -> int:
             if course is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                 status.note(f"bc-drive: {waiting}")
-                if config.takeover:
-                    told = "--takeover needs a simulator that tells where its car is: `bc-sim --tell-world`"
-                    status.note(f"bc-drive: {told}; Udacity's cannot, there a human takes over by holding a key")
-                server.run(until=stopped.is_set, at_once=stopped.again.is_set)
+                server.run(stopped=stopped)
             else:
                 drive_built_in(server, course, stopped, shows_progress=False)
             if server.session.is_empty:

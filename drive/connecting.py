@@ -50,7 +50,7 @@ class Connecting:
         Raises DriveError where it tells of no expert who could take over, ListenError if the port is taken,
         KeyboardInterrupt if it was stopped; the log is finished then too.
         """
-        with StatusLine() as status, stop_signals() as stopped:
+        with StatusLine() as status, stop_signals(most=2) as stopped:
 
             def say(text: str) -> None:
                 status.note(f"bc-drive: {text}")
@@ -60,7 +60,7 @@ class Connecting:
             ) as server:
                 session = server.session
                 say(f"{pilot.run} is waiting for a simulator on {self.host}:{server.port}")
-                server.run(until=lambda: stopped.is_set() or self._is_over(session))
+                server.run(until=lambda: self._is_over(session), stopped=stopped)
                 if stopped.is_set():
                     raise KeyboardInterrupt
         summary = session.summary

@@ -19,6 +19,7 @@ from drive.steering import SteeringFilter
 from drive.takeover import Takeover
 from model import Pilot
 from recorder.locale_numbers import POINT
+from recorder.log_time import CLOCK_STANDS
 from recorder.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.world import World
 
@@ -69,7 +70,7 @@ class Driver:
         self._course = CourseEvents()
         self._steering = 0.0
         self._speed_mph: float | None = None  # until it is told
-        self._decimal_separator = POINT
+        self._decimal_separator: str | None = None  # until it is told
         self._nonsense_since_s: float | None = None
         self._gave_number = True
         self._said_size = False
@@ -79,14 +80,14 @@ class Driver:
         """The command for what the simulator told.
 
         `received_s` is when the last byte of it had come, by `time.perf_counter()`; `now_s` the time of a
-        monotonic clock, for smoothing and braking where the simulator does not tell its own.
+        monotonic clock, for smoothing where the simulator does not tell its own, and for braking always.
 
         Never raises, because an unanswered telemetry would stop the simulator's loop for good. Where one cannot be
         used, the steering is kept and the throttle let go; after `NONSENSE_S` of nothing else the car is braked.
         """
         now_s = time.monotonic() if now_s is None else now_s
         try:
-            told = parse_telemetry(data)
+            told = parse_telemetry(data, self._decimal_separator)
         except TelemetryError as error:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = error.world, error.world_problems, error.speed_mph
@@ -96,13 +97,15 @@ class Driver:
         else:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = told.world, told.world_problems, told.speed_mph
-            self._note(speed_mph, told.decimal_separator)
+            self._note(speed_mph, told.told_separator)
             time_s = self._clock.at(now_s, world)
             decision = self._answer(told, parsed_s, time_s)
+        if self._clock.stands:
+            problems = (*problems, CLOCK_STANDS)
         if events := self._of_world(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
         if self._last_brake is not None:
-            throttle = self._last_brake.throttle(time_s, self._speed_mph)
+            throttle = self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
             decision = replace(decision, throttle=throttle, driver="brake")
         self._steering = decision.steering
         return replace(decision, speed_mph=speed_mph, parse_ms=(parsed_s - received_s) * 1e3)
@@ -110,6 +113,13 @@ class Driver:
     def stop(self) -> None:
         """From now on the car is braked to a stand, and steered as before meanwhile."""
         self._last_brake = EmergencyBrake()
+
+    def unasked_brake(self, now_s: float | None = None) -> tuple[float, float]:
+        """After `stop`, while nothing is told: the steering, and the throttle that brakes or lets go."""
+        self._clock.at(time.monotonic() if now_s is None else now_s, None)
+        if self._last_brake is None:
+            return self._steering, 0.0
+        return self._steering, self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
 
     def _note(self, speed_mph: float | None, decimal_separator: str | None) -> None:
         if speed_mph is not None:
@@ -175,9 +185,10 @@ class Driver:
 
     def _without(self, problem: TelemetryError, time_s: float) -> Decision:
         """There is nothing to drive on."""
+        now_s = self._clock.safety_s
         if self._nonsense_since_s is None:
-            self._nonsense_since_s = time_s
-        if not self._brake.is_on and time_s - self._nonsense_since_s < NONSENSE_S:
+            self._nonsense_since_s = now_s
+        if not self._brake.is_on and now_s - self._nonsense_since_s < NONSENSE_S:
             self._filter.note(time_s, self._steering)
             return self._decision(self._steering, 0.0, str(problem), problem.kind)
         return self._braked(str(problem), problem.kind, time_s, f"{NOTHING_USABLE}: ")
@@ -191,7 +202,7 @@ class Driver:
     def _braked(self, problem: str, kind: str, time_s: float, why: str = "") -> Decision:
         events = [] if self._brake.is_on else [why + _what_a_brake_does(self._speed_mph)]
         self._filter.note(time_s, self._steering)
-        throttle = self._brake.throttle(time_s, self._speed_mph)
+        throttle = self._brake.throttle(self._clock.safety_s, self._speed_mph)
         return replace(self._decision(self._steering, throttle, problem, kind, events), driver="brake")
 
     def _decision(
@@ -201,7 +212,7 @@ class Driver:
         return Decision(
             steering,
             throttle,
-            self._decimal_separator,
+            self._decimal_separator or POINT,
             driver="expert" if is_expert else "pilot",
             set_speed_mph=self._speed.set_speed_for(steering),
             problem=problem,

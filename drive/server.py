@@ -14,6 +14,7 @@ from typing import Final, Literal, Self
 
 from common import UserError
 from common.errors import counted
+from common.interrupts import Stop, way_out_was_said
 from dataset.preprocess import DESCRIPTION
 from drive.config import DriveConfig
 from drive.session import DriveSession
@@ -94,20 +95,21 @@ class DriveServer:
             return "a simulator connected, but told no telemetry; choose Autonomous Mode there"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
 
-    def run(self, until: Callable[[], bool], at_once: Callable[[], bool] = lambda: False) -> None:
-        """Serve until `until()` is true, or a log cannot be written any more, and every car is braked to a stand.
-        The latter is not waited for when `at_once()` is true.
+    def run(self, until: Callable[[], bool] = lambda: False, stopped: Stop | None = None) -> None:
+        """Serve until `until()` is true, `stopped` is set, or a log cannot be written any more, and every car is
+        braked to a stand. The latter is not waited for when `stopped` is set again.
 
         Raises UserError if a log could not be written.
         """
 
         def is_over() -> bool:
-            is_asked = until()
-            if not is_asked and self._failure is None:
+            is_asked = stopped is not None and stopped.is_set()
+            if not (is_asked or until() or self._failure is not None):
                 return False
             if self._stopping_since_s is None:
-                self.stop(may_hurry=is_asked)
-            return self._is_at_rest() or at_once()
+                self.stop()
+            self._say_how_it_stops(may_hurry=is_asked)
+            return self._is_at_rest() or (stopped is not None and stopped.again.is_set())
 
         self._server.run(is_over)
         for session in self._braked:
@@ -116,13 +118,12 @@ class DriveServer:
         if self._failure is not None:
             raise self._failure
 
-    def stop(self, *, may_hurry: bool = False) -> None:
-        """From now on every car is braked to a stand. `may_hurry`: it is said how to end sooner."""
+    def stop(self) -> None:
+        """From now on every car is braked to a stand."""
         self._stopping_since_s = time.monotonic()
         for session in self._of.values():
             self._brake(session)
-        if self._braked:
-            self.say("the car is braked to a stand" + ("; Ctrl-C again ends at once" if may_hurry else ""))
+        self._push(DriveSession.push_brake)
 
     def connected(self, sid: str) -> None:
         """Whose log it gets is seen when it tells telemetry: others connect too, and tell none."""
@@ -157,8 +158,7 @@ class DriveServer:
 
     def tick(self) -> None:
         now_s = time.monotonic()
-        if not self._is_built_in and self._stopping_since_s is None:
-            self._push_the_silent()
+        self._push(DriveSession.push if self._stopping_since_s is None else DriveSession.push_brake)
         shown = next((session for session in self.sessions if session.is_connected), self.session)
         if text := shown.status(now_s):
             self._show(text)
@@ -197,9 +197,21 @@ class DriveServer:
             self._said.add(text)
             self.say(text)
 
-    def _push_the_silent(self) -> None:
+    def _say_how_it_stops(self, *, may_hurry: bool) -> None:
+        """Only what was sent. `may_hurry`: Ctrl-C was pressed, and a second one ends sooner."""
+        for text in sorted({session.stopping for session in self._braked if session.stopping}):
+            if not may_hurry:
+                self._say_once(text)
+            elif (text := f"{text}; Ctrl-C again ends at once") not in self._said:
+                self._say_once(text)
+                way_out_was_said()
+
+    def _push(self, what: Callable[[DriveSession], Steer | None]) -> None:
+        """To whoever tells nothing; the built-in simulator's silence is no fault."""
+        if self._is_built_in:
+            return
         for sid, session in list(self._of.items()):  # whoever cannot be sent anything disconnects meanwhile
-            steer = session.push()
+            steer = what(session)
             if steer is not None:
                 self._server.push(sid, steer)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from types import TracebackType
 from typing import Final, Self
 
@@ -20,6 +21,9 @@ from recorder.topics import DRIVE_METADATA
 
 WATCHDOG_S: Final = 1.0
 """The real simulator tells nothing more once all its telemetries are lost; a steer makes it go on."""
+
+SILENT_S: Final = 0.2
+"""Whoever tells nothing for so long while it is braked is sent the brake, and its release, without being asked."""
 
 STEADY_S: Final = 10.0
 """Whoever stays so long does not come and go."""
@@ -54,6 +58,8 @@ class DriveSession:
         """What speaks against it that the car stands, at the end of a drive; empty where it does."""
         self.is_braked = False
         """Whether it stands, or all was done that can be done without knowing its speed."""
+        self.stopping = ""
+        """How it is stopped, once that has been sent."""
 
     def connected(self) -> None:
         self._driver = Driver(self._pilot, self._config)
@@ -74,6 +80,8 @@ class DriveSession:
         self._last_telemetry_s, self._is_pushed = time.monotonic(), False
         if data is None:  # a human holds a key
             self.rolls = "a human drives it"
+            if self._is_stopping:
+                self.stopping = "a human drives the car: it cannot be braked"
             return Answer(None, self._note_manual)
         decision = self._driver.decide(data, received_s)
         if self._is_stopping:
@@ -88,7 +96,22 @@ class DriveSession:
             return None
         self._is_pushed = True
         self.log.event("no telemetry for a second: sent a steer, to make the simulator go on", is_problem=True)
-        return self._last_steer or Steer(0.0, 0.0)
+        last = self._last_steer or Steer(0.0, 0.0)
+        # Whoever stays silent keeps it for ever, and a brake would reverse the car in the end.
+        return replace(last, throttle=max(0.0, last.throttle))
+
+    def push_brake(self) -> Steer | None:
+        """What to send unasked to one that is stopping and tells nothing: the brake, and its release."""
+        if not (self.is_connected and self._is_stopping) or self.silent_s < SILENT_S:
+            return None
+        steering, throttle = self._driver.unasked_brake()
+        last = self._last_steer or Steer(0.0, 0.0)
+        self.rolls, self.is_braked = "it tells nothing any more", throttle == 0.0
+        self._note_braking(throttle < 0)
+        if last.throttle == throttle:
+            return None
+        self._last_steer = replace(last, steering=steering, throttle=throttle)
+        return self._last_steer
 
     @property
     def silent_s(self) -> float:
@@ -99,7 +122,7 @@ class DriveSession:
         """From now on it is braked to a stand."""
         self._driver.stop()
         self._is_stopping, self.is_braked = True, False
-        self._was_braking = False
+        self._was_braking, self.stopping = False, ""
         self.rolls = "it tells nothing any more"
 
     def rest(self) -> Steer:
@@ -156,9 +179,7 @@ class DriveSession:
 
     def _see_whether_it_stands(self, decision: Decision) -> None:
         speed_mph, is_braking = decision.speed_mph, decision.throttle < 0
-        if is_braking and not self._was_braking:
-            self._was_braking = True
-            self.log.event("the drive ends: the car is braked to a stand")
+        self._note_braking(is_braking)
         if speed_mph is None:
             self.rolls = "its speed is not told"
             self.is_braked = not is_braking
@@ -166,6 +187,11 @@ class DriveSession:
             stands = speed_mph <= WALKING_MPH
             self.rolls = "" if stands else f"it goes {speed_mph:.1f} mph"
             self.is_braked = stands
+
+    def _note_braking(self, is_braking: bool) -> None:
+        if is_braking and not self._was_braking:
+            self._was_braking, self.stopping = True, "the car is braked to a stand"
+            self.log.event(f"the drive ends: {self.stopping}")
 
     def _note_manual(self, total_ms: float) -> None:
         self.log.manual(total_ms)

@@ -266,13 +266,14 @@ class DriveSummary:
         now_s = time.monotonic() if now_s is None else now_s
         self._telemetries += 1
         self._total_ms += total_ms
+        is_pause = now_s - self._last_s > GAP_S
         self._last_ms, self._last_s = total_ms, now_s
         time_s = self._clock.at(now_s, world)
-        passed_s = time_s - self._time_s
+        passed_s = time_s - self._time_s + self._clock.missed_s
         self._time_s = time_s
         if self._clock.is_simulated:
             self._simulated_s += passed_s
-        elif passed_s > GAP_S:
+        elif is_pause:
             return 0.0
         self.elapsed_s += passed_s
         return passed_s
@@ -280,7 +281,7 @@ class DriveSummary:
     def _course(self, world: World) -> None:
         before = self._world
         self._world = world
-        if before is None or _is_another_drive(before, world):
+        if before is None or (not self._clock.stands and _is_another_drive(before, world)):
             before = world
         self.has_expert |= world.offset is not None and world.expert is not None
         if world.laps is not None:

@@ -25,6 +25,9 @@ HAND_BACK_S: Final = 1.0
 NEEDED: Final = ("offset", "expert_steering", "expert_throttle")
 """What a simulator's world must tell, that an expert can take over."""
 
+MISSING_S: Final = 1.0
+"""So long nothing of that may be told until it is said: some simulators tell it from the second telemetry on."""
+
 PILOT_DRIVES: Final = "the pilot drives again"
 _LONGEST_GAP_S: Final = 0.5  # between two telemetries that tell a sideways speed
 
@@ -36,6 +39,7 @@ class Takeover:
         self.expert_drives = False
         self._last: tuple[float, float, int | None] | None = None  # time, offset, interventions
         self._well_since_s: float | None = None
+        self._missing_since_s: float | None = None
         self._said_missing = False
 
     def after(self, time_s: float, world: World | None, predicted_steering: float) -> list[str]:
@@ -43,7 +47,8 @@ class Takeover:
         it. Where nobody tells where the car is, or what an expert would do, the network drives."""
         if world is None or world.offset is None or world.expert is None:
             self._last = None
-            return self._without_expert(world)
+            return self._without_expert(time_s, world)
+        self._missing_since_s = None
         ahead = world.offset + TAKE_OVER_AHEAD_S * self._sideways_per_s(time_s, world.offset, world.interventions)
         self._last = time_s, world.offset, world.interventions
         if self.expert_drives:
@@ -73,14 +78,17 @@ class Takeover:
             return [PILOT_DRIVES]
         return []
 
-    def _without_expert(self, world: World | None) -> list[str]:
+    def _without_expert(self, time_s: float, world: World | None) -> list[str]:
         events = [PILOT_DRIVES] if self.expert_drives else []
-        if not self._said_missing:
+        self.expert_drives = False
+        if self._missing_since_s is None:
+            self._missing_since_s = time_s
+        if not self._said_missing and time_s - self._missing_since_s >= MISSING_S:
+            self._said_missing = True
             told = world or World()
             missing = [name for name in NEEDED if getattr(told, name) is None]
             events.append(
                 f"nobody can take over: the simulator does not tell {', '.join(missing)} (`bc-sim --tell-world`"
                 " does); in Udacity's, a human takes over by holding a key"
             )
-        self.expert_drives, self._said_missing = False, True
         return events

@@ -15,7 +15,7 @@ from common.progress import StatusLine
 from recorder.bad_telemetry import BadTelemetry
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log_time import LogClock
+from recorder.log_time import CLOCK_STANDS, LogClock
 from recorder.pose import pose_message
 from recorder.record import Imported
 from recorder.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
@@ -74,6 +74,7 @@ class _Session:
         self._manuals = 0
         self._clock = LogClock(from_wall_clock=True)
         self._said_of_world: set[str] = set()
+        self._separators: dict[str, str] = {}  # of decimals, by connection
         self._last_s = 0.0
         self._rate_from = (time.monotonic(), 0)
         self._rate = 0.0
@@ -89,12 +90,13 @@ class _Session:
             self.say("connected, waiting for telemetry")
 
     def disconnected(self, sid: str, reason: str) -> None:
+        self._separators.pop(sid, None)
         self._event(time.time_ns(), f"disconnected: {reason}")
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         received_ns = time.time_ns()
         self._last_s = time.monotonic()
-        return Answer(None, lambda _: self._note(received_ns, data))
+        return Answer(None, lambda _: self._note(sid, received_ns, data))
 
     def stopping(self, sid: str) -> Steer | None:
         return None  # nobody was steered
@@ -149,7 +151,7 @@ class _Session:
             return "nothing was recorded: a client connected, but told no telemetry; start its autonomous mode"
         return "nothing was recorded: no simulator connected; start its autonomous mode while this waits for it"
 
-    def _note(self, received_ns: int, data: object) -> None:
+    def _note(self, sid: str, received_ns: int, data: object) -> None:
         self._telemetries += 1
         if data is None:  # a human holds a key
             self._manuals += 1
@@ -157,7 +159,9 @@ class _Session:
                 self._event(received_ns, "manual: a human drives")
             return
         try:
-            told = parse_telemetry(data)
+            told = parse_telemetry(data, self._separators.get(sid))
+            if told.told_separator is not None:
+                self._separators[sid] = told.told_separator
             check_whole_jpeg(told.jpeg)
         except TelemetryError as error:
             if error.kind not in self._bad.counts:
@@ -168,6 +172,8 @@ class _Session:
             return
         self._warn_of_world(told.world_problems)
         time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
+        if self._clock.stands:
+            self._warn_of_world((CLOCK_STANDS,))
         self._writer.picture("center", time_ns, self.rows, told.jpeg)
         state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
         self._writer.vehicle(time_ns, self.rows, state)

@@ -23,20 +23,32 @@ _NUMBER: Final = re.compile(
 _MOST_CHARACTERS: Final = 64
 
 
-def decimal_separator(text: object) -> str:
-    """The one in a number without thousands, as one of at most 1 is; a point where there is none."""
-    if not isinstance(text, str):
-        return POINT
-    return next((character for character in reversed(text) if character in _DECIMALS), POINT)
+def decimal_separator(text: str) -> str | None:
+    """The one that `text` tells without doubt; None for a whole number, and for 1,234, which may be 1234."""
+    groups = re.split(f"([{re.escape(_DECIMALS + _THOUSANDS)}])", re.sub("[^0-9]+$", "", text))
+    separators = groups[1::2]
+    last = next((separator for separator in reversed(separators) if separator in _DECIMALS), None)
+    if last is None or last not in _THOUSANDS:
+        return last
+    whole = re.sub("[^0-9]", "", groups[0])
+    if any(other != last and other in _THOUSANDS for other in separators):
+        return last
+    if any(len(group) != 3 for group in groups[2::2]) or len(whole) > 3 or whole.startswith("0"):
+        return last  # no groups of thousands
+    if len(separators) == 1:
+        return None
+    return POINT if last != POINT else ","
 
 
 def read_number(text: str, decimal: str = POINT) -> float | None:
-    """The number (perhaps infinite) that `text` says where `decimal` separates decimals; None if it says none."""
+    """The number (perhaps infinite) that `text` says; None if it says none. `decimal` separates decimals where
+    `text` does not tell that itself."""
     if len(text) >= _MOST_CHARACTERS:
         return None
     found = _NUMBER.fullmatch(_INVISIBLE.sub("", text).replace("\u2212", "-").strip())
     if found is None or (found["sign"] and found["behind"]):
         return None
+    decimal = decimal_separator(found["digits"]) or decimal
     digits = re.sub(f"[{re.escape(_THOUSANDS.replace(decimal, ''))}]", "", found["digits"]).replace(decimal, POINT)
     try:
         number = float(digits + (found["exponent"] or ""))

@@ -9,15 +9,45 @@ from recorder.quality import GAP_S
 
 LONGEST_STEP_S: Final = 60.0
 """Simulated time that jumps farther than this from one telemetry to the next is another clock."""
+STANDS_S: Final = 1.0
+"""So long a simulated clock may stand, or only go back, while this computer's runs on; then it is not used."""
+CLOCK_STANDS: Final = "time_s does not advance: this computer's clock counts instead"
+"""What is said of such a clock."""
 BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # rows that far apart belong to two drives
+
+
+class StandingClock:
+    """Finds out whether a simulated clock stands, or only goes back, for `STANDS_S` of this computer's.
+
+    Pauses (`recorder.quality.GAP_S`) say nothing of it: a simulator in its menu stops its clock. One that stood is
+    not trusted any more.
+    """
+
+    def __init__(self) -> None:
+        self.stands = False
+        self.stood_s = 0.0
+        """For how long now; of this computer's clock."""
+        self._now_s = 0.0
+        self._simulated_s: float | None = None
+
+    def note(self, now_s: float, simulated_s: float | None) -> bool:
+        """What the simulated clock shows, None if nothing, at `now_s` of this computer's; whether it stands."""
+        passed_s, self._now_s = now_s - self._now_s, now_s
+        last_s, self._simulated_s = self._simulated_s, simulated_s
+        if simulated_s is None or last_s is None or simulated_s > last_s:
+            self.stood_s = 0.0
+        elif 0 < passed_s <= GAP_S:
+            self.stood_s += passed_s
+        self.stands |= self.stood_s >= STANDS_S
+        return self.stands
 
 
 class LogClock:
     """Gives every row and every event its time.
 
     A row's is that of the simulated clock, from the moment at which its first telemetry came; where no such clock
-    is told, the moment at which its telemetry came. Rows on either side of another clock, or of one that begins
-    anew, are so far apart that nobody takes them for neighbours.
+    is told, or it stands, the moment at which its telemetry came. Rows on either side of another clock, or of one
+    that begins anew, are so far apart that nobody takes them for neighbours.
 
     Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is looked at once, so that setting it while
     the car drives moves no row. With `from_wall_clock` they are those of `time.time_ns`.
@@ -29,9 +59,17 @@ class LogClock:
         self._simulated_ns: int | None = None  # of the last row; None: the clock in use is ours
         self._last_ns = 0
         self._has_rows = False
+        self._standing = StandingClock()
+
+    @property
+    def stands(self) -> bool:
+        """Whether the simulated clock was found not to run."""
+        return self._standing.stands
 
     def row(self, received_ns: int, simulated_s: float | None) -> int:
         """The log time of a row; `simulated_s` is what the simulated clock shows there."""
+        if self._standing.note(received_ns / 1e9, simulated_s):
+            simulated_s = None
         simulated_ns = None if simulated_s is None else round(simulated_s * 1e9)
         clock_ns = received_ns if simulated_ns is None else simulated_ns
         if self._is_another(simulated_ns):

@@ -18,6 +18,8 @@ from recorder.bc_pb2 import VehicleState
 
 GAP_S: Final = 1.0
 STANDING_MPH: Final = 0.5
+SPEED_RANGE_MPH: Final = (-30.0, 300.0)
+"""No car reverses faster, and no simulator's that anybody drives goes faster; the real simulator's reaches 30."""
 STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MOST_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
@@ -101,13 +103,16 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
     """For each flag the rows (N,) that it holds for.
 
     `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
-    number; `standing_still`; `stuck_steering`: the very same steering for long while the car moves.
+    number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for
+    long while the car moves.
     """
     drive = drive_numbers(states.time_ns)
     standing = states.speed_mph < STANDING_MPH  # False for an unknown speed
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     for pedal in (states.throttle, states.brake):
         in_range &= (pedal >= 0) & (pedal <= 1)
+    slowest_mph, fastest_mph = SPEED_RANGE_MPH
+    in_range &= ~((states.speed_mph < slowest_mph) | (states.speed_mph > fastest_mph))  # unknown, NaN, is allowed
     return {
         "gap": np.diff(drive, prepend=drive[:1]) > 0,
         "out_of_range": ~in_range,

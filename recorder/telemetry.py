@@ -60,16 +60,20 @@ class Telemetry:
     speed_mph: float
     jpeg: bytes
     decimal_separator: str = POINT  # as the simulator's machine writes numbers, and wants to read them
+    told_separator: str | None = None  # the same, if this telemetry tells it without doubt
     world: World | None = None  # None unless the simulator tells more than the real one does
     world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
 
 
-def parse_telemetry(data: object) -> Telemetry:
-    """Raises TelemetryError with the reason, and what could be read all the same."""
+def parse_telemetry(data: object, known_separator: str | None = None) -> Telemetry:
+    """Raises TelemetryError with the reason, and what could be read all the same.
+
+    `known_separator` is what the same connection told before: whole numbers, and 1,234, do not tell it.
+    """
     if not isinstance(data, dict):
         raise TelemetryError(f"not an object but a {type(data).__name__}")
     told = _decimal_separator(data)
-    decimal = told or POINT
+    decimal = told or known_separator or POINT  # by default as "N4" writes it, where three decimals never are
     numbers: dict[str, float] = {}
     problems: list[TelemetryError] = []
     if missing := [name for name in _FIELDS if data.get(name) is None]:
@@ -96,6 +100,7 @@ def parse_telemetry(data: object) -> Telemetry:
         speed_mph=numbers["speed"],
         jpeg=jpeg,
         decimal_separator=decimal,
+        told_separator=told,
         world=world,
         world_problems=world_problems,
     )
@@ -122,14 +127,11 @@ def format_command(steering: float, throttle: float, decimal_separator: str = PO
 
 
 def _decimal_separator(data: dict[object, object]) -> str | None:
-    """The throttle tells: at most 1, it has no thousands to separate. Nor has an angle, and hardly a speed.
-    None where none of them is a number."""
+    """What a number tells without doubt; None where none does."""
     for name in ("throttle", "steering_angle", "speed"):
-        separator = decimal_separator(value := data.get(name))
-        if isinstance(value, int | float) or (
-            isinstance(value, str) and read_number(value, separator) is not None
-        ):
-            return separator
+        value = data.get(name)
+        if isinstance(value, str) and read_number(value) is not None and (told := decimal_separator(value)):
+            return told
     return None
 
 

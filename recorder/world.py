@@ -10,7 +10,8 @@ from typing import Any, Final
 from recorder.locale_numbers import POINT
 from simulator.pose import Pose
 
-MAX_WORLD_NUMBER: Final = 1e9  # of any unit: 31 years, a million kilometres; what is beyond is no world
+MAX_WORLD_NUMBER: Final = 1e9  # of any unit but time_s: a million kilometres; what is beyond is no world
+MAX_TIME_S: Final = 1e12  # Unix time is about 2e9; milliseconds of it are beyond
 
 _TOGETHER: Final = (
     ("x_m", "y_m", "z_m", "heading_rad", "pitch_rad", "roll_rad"),
@@ -26,7 +27,7 @@ class World:
     Of the pose there is all or nothing, as of the expert.
     """
 
-    time_s: float | None = None  # the simulated clock; it may begin anywhere
+    time_s: float | None = None  # the simulated clock; it may begin anywhere, as Unix time does
     x_m: float | None = None  # of the ground under the middle of the rear axle: east, north, up
     y_m: float | None = None
     z_m: float | None = None
@@ -102,8 +103,9 @@ def _member(name: str, value: object, decimal: str) -> float | int:
     else:
         raise ValueError(f"is not a number but a {type(value).__name__}")
     # neither NaN, nor what overflows where somebody calculates with it
-    if not -MAX_WORLD_NUMBER <= number <= MAX_WORLD_NUMBER:
-        raise ValueError(f"is beyond {MAX_WORLD_NUMBER:g}, or no number")
+    most = MAX_TIME_S if name == "time_s" else MAX_WORLD_NUMBER
+    if not -most <= number <= most:
+        raise ValueError(f"is beyond {most:g}, or no number")
     if name == "interventions":
         if number != int(number) or number < 0:
             raise ValueError("is no count: a whole number from 0 on was expected")

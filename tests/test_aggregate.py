@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
+import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.simulated import SimulatedDrive, record_simulated
 from recorder.topics import DRIVE_METADATA
+from serving import ModernClient, fields
 from waiting import wait_until
 
 TRACK, LAPS, SPEED = "random:3", 0.04, 20
@@ -171,6 +173,8 @@ def test_a_simulator_that_connects_by_itself_is_waited_for_in_every_round(aggreg
         port = process.wait_for(r"first-connected-1 is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
         with simulate(port, "--laps", 50):
             assert process.join() == 0, process.stderr
+    assert any(line.endswith("the car is braked to a stand") for line in process.stderr)
+    assert not any("Ctrl-C" in line for line in process.stderr)  # nobody pressed it
     _, first, second = process.stdout.splitlines()
     assert (first.split()[0], second.split()[0]) == ("first", "first-connected-1")
     assert second.split()[-1] == "drives/first-connected-1.mcap"
@@ -183,6 +187,22 @@ def test_a_simulator_that_connects_by_itself_is_waited_for_in_every_round(aggreg
     assert PilotCommand.EXPERT in drivers[0]
     learnt = json.loads((aggregated.folder / "runs" / "first-connected-1" / "config.json").read_text())
     assert set(learnt["data"]["logs"]) == {"lake", "first-connected-0"}
+
+
+def test_a_second_ctrl_c_brakes_no_longer_and_finishes_the_log(aggregated: Aggregated) -> None:
+    shutil.copytree(aggregated.folder / "runs" / "first", aggregated.folder / "runs" / "twice")
+    with Process(command("bc-drive", "twice", "--port", 0, "--aggregate", 1), aggregated.folder) as process:
+        port = process.wait_for(r"twice is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        client = ModernClient(int(port))  # it tells once, and is silent then
+        client.tell(fields(0, speed="30.0000"))
+        process.popen.send_signal(signal.SIGINT)
+        process.wait_for("the car is braked to a stand; Ctrl-C again ends at once")
+        process.popen.send_signal(signal.SIGINT)
+        assert process.join() == 130
+        client.close()
+    assert not any(".part" in line for line in process.stderr), process.stderr
+    with Log(aggregated.folder / "drives" / "twice-connected-0.mcap") as opened:
+        assert not opened.problem
 
 
 def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregated: Aggregated) -> None:

@@ -633,7 +633,7 @@ def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
     """It tells 9 mph, and then nothing any more."""
     with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
         client = OldClient(process.wait_until_it_listens())
-        client.tell(fields(0))
+        client.tell(fields(0, speed="30.0000"))
         process.popen.send_signal(signal.SIGINT)
         process.wait_for("the car is braked to a stand; Ctrl-C again ends at once")
         process.popen.send_signal(signal.SIGINT)
@@ -641,6 +641,74 @@ def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
         client.close()
     assert process.stderr[-1] == "bc-drive: the car may still roll: it tells nothing any more"
     assert (tmp_path / "run.mcap").exists()
+
+
+@pytest.mark.parametrize("answers_braked", [0, 2])
+def test_a_silent_simulator_is_sent_the_brake_and_its_release_without_being_asked(
+    pilot_run: Path, tmp_path: Path, answers_braked: int
+) -> None:
+    """One that is silent for long when Ctrl-C is pressed, and one that falls silent while it is braked: both keep
+    their last command for ever."""
+    log = tmp_path / "run.mcap"
+    with DriveProcess(pilot_run, log) as process:
+        client = ModernClient(process.wait_until_it_listens())
+        client.tell(fields(0))
+        if answers_braked:
+            process.popen.send_signal(signal.SIGINT)
+            while client.answers[-1]["throttle"] != "-1.000000" or answers_braked > 1:
+                answers_braked -= client.tell(fields(0))["throttle"] == "-1.000000"
+        else:
+            client.wait_for(2)  # it was pushed on, and stays silent
+            process.popen.send_signal(signal.SIGINT)
+        assert process.join() == 0
+        client.close()
+    throttles = [float(answer["throttle"]) for answer in client.answers]
+    braked = throttles[throttles.index(-1.0) :]
+    assert set(braked[: braked.index(0.0)]) == {-1.0}
+    assert set(braked[braked.index(0.0) :]) == {0.0}
+    said = [line for line in process.stderr if "brake" in line or "roll" in line]
+    assert said == [
+        "bc-drive: the car is braked to a stand; Ctrl-C again ends at once",
+        "bc-drive: the car may still roll: it tells nothing any more",
+    ]
+    events = [LogMessage.FromString(data).message for _, _, data in messages(log, "/events")]
+    assert events.count("the drive ends: the car is braked to a stand") == 1
+
+
+def test_a_brake_is_released_after_the_stopping_time_and_said_only_once_it_was_sent(
+    pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a clock of the test's own: at 9 mph the car needs about 0.6 s."""
+    now_s = 100.0
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
+        session = server.session
+        monkeypatch.setattr(time, "monotonic", lambda: now_s)
+        server.connected("a")
+        server.telemetry("a", fields(0), time.perf_counter()).then(1.0)
+        now_s += 0.5
+        session.stop()
+        assert session.stopping == ""
+        sent = {}
+        for tick in range(20):
+            if (steer := session.push_brake()) is not None:
+                sent[tick] = steer.throttle
+            now_s += 0.1
+        assert session.stopping == "the car is braked to a stand"
+        (braked, released) = sent
+        assert (braked, list(sent.values())) == (0, [-1.0, 0.0])
+        assert 4 <= released <= 9
+        assert session.is_braked
+        assert session.end() == "the car may still roll: it tells nothing any more"
+        session.connected()  # silence on the drive: a brake is not repeated
+        server.telemetry("a", fields(0, speed="30.0000"), time.perf_counter()).then(1.0)
+        for _ in range(30):
+            now_s += 0.1
+            answer = server.telemetry("a", fields(0, speed="30.0000", image="@"), time.perf_counter())
+        assert answer.command is not None
+        now_s += 1.5
+        pushed = session.push()
+        assert pushed is not None
+        assert pushed.throttle == 0.0
 
 
 def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path) -> None:

@@ -275,7 +275,7 @@ moments = st.one_of(
 )
 
 
-@given(st.lists(st.tuples(st.integers(0, 10**9), moments), max_size=30))
+@given(st.lists(st.tuples(st.integers(0, 3 * 10**7), moments), max_size=30))  # in under a second, no clock stands
 def test_no_time_is_the_same_or_back_and_simulated_time_is_kept(told: list[tuple[int, Any]]) -> None:
     clock = LogClock()
     received_ns, last_ns = 0, 0
@@ -305,6 +305,14 @@ def test_a_clock_that_jumps_about_moves_the_log_by_seconds_and_not_by_years() ->
     clock = LogClock()
     first_ns, *_, last_ns = (clock.row(row, 1e9 * (row % 2)) for row in range(40))
     assert last_ns - first_ns < 40 * 2e9
+
+
+@pytest.mark.parametrize("step_s", [0.0, -0.1])
+def test_rows_by_a_simulated_clock_that_does_not_advance_have_the_time_at_which_they_came(step_s: float) -> None:
+    clock = LogClock()
+    times_ns = [clock.row(row * 50_000_000, 9 + row * step_s) for row in range(60)]
+    assert clock.stands
+    assert times_ns[-1] - times_ns[-31] == 30 * 50_000_000
 
 
 def test_rows_without_a_simulated_clock_have_the_time_at_which_they_came() -> None:

@@ -161,6 +161,16 @@ def test_a_simulated_clock_counts_and_not_ours() -> None:
     assert summary.laps == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize("step_s", [0.0, -1.0])
+def test_a_simulated_clock_that_does_not_advance_is_not_used(step_s: float) -> None:
+    summary = DriveSummary()
+    for i in range(41):
+        summary.decision(decided(world=World(time_s=7 + i * step_s)), 2.0, now_s=1000 + i / 20)
+    assert summary.elapsed_s == summary.driven_s == pytest.approx(2.0)
+    assert summary.clock == "computer"
+    assert summary.distance_m == pytest.approx(10 * MPH * 2)
+
+
 @pytest.mark.parametrize("clocks_s", [0.004, 0.4])
 def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float) -> None:
     """Faster or slower than the clock: 20 mph for 60 of its seconds are a third of a mile."""

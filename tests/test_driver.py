@@ -141,6 +141,17 @@ def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> N
     ] == [".", ".", ",", ",", ",", ".", "."]
 
 
+def test_a_separator_once_told_is_kept_and_a_whole_throttle_changes_nothing(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    answers = [
+        drive(driver, told(steering_angle="-1,5", throttle="01"[k % 2] if k % 3 else "0,5", speed=speed))
+        for k, speed in enumerate(["9,25", "9", "9,125", "9,1", "9"])
+    ]
+    assert [answer.speed_mph for answer in answers] == [9.25, 9.0, 9.125, 9.1, 9.0]
+    assert {answer.decimal_separator for answer in answers} == {","}
+    assert drive(driver, told(steering_angle="1", throttle="0", speed="9")).decimal_separator == ","
+
+
 # Nonsense
 
 
@@ -151,6 +162,41 @@ def test_nonsense_keeps_the_steering_and_lets_go_of_the_throttle(half_right: Pil
         decision = drive(driver, NONSENSE, now_s)
         assert (decision.steering, decision.throttle, decision.telemetry) == (0.5, 0.0, None)
         assert (decision.kind, decision.events) == ("steering_angle, throttle and image are missing", ())
+
+
+def test_a_simulators_clock_that_stands_puts_off_no_brake_and_no_release(half_right: Pilot) -> None:
+    """Also one that stands from the first nonsense on; the second is this computer's then."""
+    nonsense = told(image="@@", speed_mph=20.0, world=World(0.0))
+    for good in (0, 20):
+        driver = Driver(half_right, DriveConfig())
+        for k in range(good):
+            drive(driver, told(speed_mph=20.0, world=replace(MIDDLE, time_s=0.0)), k / 20)
+        throttles = [drive(driver, nonsense, (good + k) / 20).throttle for k in range(100)]
+        assert throttles[:19] == [0.0] * 19
+        assert throttles[21] == -1.0
+        assert throttles[-1] == 0.0
+        assert 1.0 < throttles.count(-1.0) / 20 < 2.5
+
+
+@pytest.mark.parametrize("step_s", [0.0, -0.1])
+def test_a_clock_that_does_not_advance_is_not_used_and_that_is_said_once(half_right: Pilot, step_s: float) -> None:
+    driver = Driver(half_right, DriveConfig(max_steering_per_s=0.1))
+    decisions = [drive(driver, told(world=replace(MIDDLE, time_s=9 + k * step_s)), 5 + k / 20) for k in range(60)]
+    said = [(k, event) for k, decision in enumerate(decisions) for event in decision.events]
+    text = "time_s does not advance: this computer's clock counts instead"
+    assert [event for _, event in said] == [f"the simulator's world is not used whole: {text}"]
+    assert 1.0 <= said[0][0] / 20 <= 1.1
+    assert decisions[-1].steering - decisions[-21].steering == pytest.approx(0.1)
+
+
+def test_a_pause_and_telemetries_of_the_same_moment_are_no_clock_that_stands(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    times_s, now_s = (
+        [0.0, 0.0, 0.1, 0.1, 0.1, 0.2, 0.2, 0.0, 0.1],
+        [0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 602.0, 602.4, 603],
+    )
+    for time_s, now in zip(times_s, now_s, strict=True):
+        assert drive(driver, told(world=replace(MIDDLE, time_s=time_s)), now).events == ()
 
 
 def test_good_telemetry_in_between_is_driven_and_begins_the_second_again(half_right: Pilot) -> None:

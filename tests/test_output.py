@@ -108,6 +108,27 @@ def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
     return said.decode()
 
 
+def test_a_message_stands_above_a_status_line_and_the_way_out_is_said_once(tmp_path: Path) -> None:
+    """Whoever prints it: the status line is erased before, and drawn anew below."""
+    code = (
+        "import threading; from common.interrupts import Stopping, way_out_was_said\n"
+        "from common.output import print_message; from common.progress import StatusLine, track\n"
+        "slow = threading.Event(); asked = Stopping(lambda: None, slow.set)\n"
+        "with StatusLine() as line:\n"
+        "    line.show('the live line')\n"
+        "    print_message('MESSAGE')\n"
+        "for item in track([1], 'the live line', 1):\n"
+        "    print_message('MESSAGE')\n"
+        "with asked:\n"
+        "    asked.heard(2, 2); way_out_was_said()\n"
+        "    print_message(f'said again: {slow.wait(2.5)}')\n"
+    )
+    shown = on_terminal([sys.executable, "-c", code], tmp_path)
+    lines = [re.sub(r"^.*\x1b\[2K", "", line) for line in shown.replace("\r\n", "\n").split("\n")]
+    assert sum(re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]|\r", "", line) == "MESSAGE" for line in lines) == 2, ascii(shown)
+    assert "said again: False" in shown
+
+
 def test_results_get_into_the_file_while_a_bar_is_on_the_terminal(tmp_path: Path) -> None:
     """A bar takes over what is printed, so that it stands above it."""
     index = toy_index(tmp_path)

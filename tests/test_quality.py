@@ -76,6 +76,11 @@ def test_a_gap_is_more_than_a_second_or_time_that_goes_back() -> None:
         ({"brake": 1.1}, True),
         ({"brake": 1.0}, False),
         ({"speed_mph": math.nan}, False),
+        ({"speed_mph": -30.0}, False),
+        ({"speed_mph": -40.0}, True),
+        ({"speed_mph": 300.0}, False),
+        ({"speed_mph": 99999.0}, True),
+        ({"speed_mph": math.inf}, True),
     ],
 )
 def test_values_out_of_range(values: dict[str, float], is_out: bool) -> None:

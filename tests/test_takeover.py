@@ -126,11 +126,20 @@ def test_without_a_world_the_network_drives_and_that_is_said_once() -> None:
         "nobody can take over: the simulator does not tell offset, expert_steering, expert_throttle"
         " (`bc-sim --tell-world` does); in Udacity's, a human takes over by holding a key"
     ]
-    assert [takeover.after(time_s, None, 0.0) for time_s in (0.0, 0.1, 0.2)] == [missing, [], []]
-    takeover.after(0.3, replace(MIDDLE, offset=0.95), 0.0)
+    times_s = (0.0, 0.9, 1.0, 1.1, 3.0)
+    assert [takeover.after(time_s, None, 0.0) for time_s in times_s] == [[], [], missing, [], []]
+    takeover.after(3.3, replace(MIDDLE, offset=0.95), 0.0)
     assert takeover.expert_drives
-    assert takeover.after(0.4, None, 0.0) == ["the pilot drives again"]
+    assert takeover.after(3.4, None, 0.0) == ["the pilot drives again"]
     assert not takeover.expert_drives
+
+
+def test_a_first_telemetry_without_an_expert_is_not_judged_by() -> None:
+    takeover = Takeover()
+    said = takeover.after(0.0, World(time_s=0.0), 0.0)
+    for k in range(1, 50):
+        said += takeover.after(k / 10, replace(MIDDLE, time_s=k / 10, offset=0.95), 0.0)
+    assert [text.partition(":")[0] for text in said] == ["the expert takes over"]
 
 
 def test_a_simulator_without_poses_laps_or_a_clock_of_its_own_has_an_expert_all_the_same() -> None:
@@ -143,7 +152,9 @@ def test_a_simulator_without_poses_laps_or_a_clock_of_its_own_has_an_expert_all_
 
 
 def test_what_an_expert_needs_and_is_not_told_is_named() -> None:
-    (said,) = Takeover().after(0.0, World(time_s=1.0, offset=0.95), 0.0)
+    takeover = Takeover()
+    takeover.after(0.0, World(time_s=1.0, offset=0.95), 0.0)
+    (said,) = takeover.after(1.0, World(time_s=2.0, offset=0.95), 0.0)
     assert "does not tell expert_steering, expert_throttle (" in said
 
 

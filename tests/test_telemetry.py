@@ -36,7 +36,7 @@ def telemetry(**fields: Any) -> dict[str, Any]:
 
 
 def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
-    assert parse_telemetry(telemetry()) == Telemetry(-0.5, 0.25, 9.01, PICTURE)
+    assert parse_telemetry(telemetry()) == Telemetry(-0.5, 0.25, 9.01, PICTURE, told_separator=".")
 
 
 @pytest.mark.parametrize(
@@ -68,6 +68,38 @@ def test_numbers_as_every_machine_writes_them(told: object, throttle: object, sp
 )
 def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object, separator: str) -> None:
     assert parse_telemetry(telemetry(throttle=throttle)).decimal_separator == separator
+
+
+@pytest.mark.parametrize(
+    ("known", "throttle", "speed", "angle", "speed_mph", "degrees", "separator"),
+    [
+        (None, "0", "9,25", "-1,5", 9.25, -1.5, ","),  # C#'s ToString()
+        (None, "1", "9.25", "-1.5", 9.25, -1.5, "."),
+        (None, "0,5", "9", "0", 9.0, 0.0, ","),
+        (",", "0", "9", "0", 9.0, 0.0, ","),
+        (",", "0", "1,234", "0", 1.234, 0.0, ","),
+        (".", "0", "1,234", "0", 1234.0, 0.0, "."),
+        (None, "0", "1,234", "0", 1234.0, 0.0, "."),  # "N4" never has three decimals
+        (",", "0", "1,234", "0.5", 1234.0, 0.5, "."),  # it is told anew
+        (None, "0", "0,125", "0", 0.125, 0.0, ","),
+        (",", "0", "1,234.5000", "0", 1234.5, 0.0, "."),
+        (",", 0, "9", "-1,125", 9.0, -1.125, ","),
+        (".", "0.5000", "9,25", "0", 9.25, 0.0, "."),
+        (None, "0", "1.234.567", "0", 1234567.0, 0.0, ","),
+    ],
+)
+def test_whole_numbers_do_not_tell_the_separator_and_what_is_known_of_it_is_kept(
+    known: str | None,
+    throttle: object,
+    speed: str,
+    angle: str,
+    speed_mph: float,
+    degrees: float,
+    separator: str,
+) -> None:
+    told = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), known)
+    assert (told.speed_mph, told.decimal_separator) == (speed_mph, separator)
+    assert told.steering == pytest.approx(degrees / 25)
 
 
 # Mono's "N4" of -1234.5, of 0.25 and of -0.2167 in all its cultures, one a row, and newer .NET's in two of them
