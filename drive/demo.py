@@ -25,7 +25,7 @@ from common.streams import drain
 class Demo:
     """Record half a lap of each track, index, train, and drive a full lap of both.
 
-    Every command is printed before it runs. Takes about 5 minutes on two idle cores, and 0.3 GB of disk.
+    Every command is printed before it runs. Takes about 5 minutes on two idle cores, and 0.9 GB of disk.
     """
 
     folder: Path | None = None
