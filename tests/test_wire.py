@@ -149,7 +149,16 @@ def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
         # a terabyte that is only announced
         (b"\x82\xff" + struct.pack("!Q", 1 << 40), TOO_LARGE, 1009),
     ],
-)
+    ids=[
+        "no text",
+        "goes on with nothing",
+        "not masked",
+        "no such kind",
+        "within a text",
+        "too large",
+        "a terabyte",
+    ],
+)  # masks are random, and names of tests must not be
 def test_who_breaks_the_protocol_is_told_and_heard_no_more(
     ends: tuple[Wire, socket.socket], data: bytes, reason: str, code: int
 ) -> None:
