@@ -19,10 +19,12 @@ from urllib.parse import urlsplit
 import rerun_cli
 
 from common import UserError
+from common.interrupts import leave_signals_to_main_thread
 from common.output import print_message
 from viz.saying import or_in_a_browser
 
 LOCAL: Final = "127.0.0.1"
+_LOOK_S: Final = 0.1
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
 """What Rerun may print where data is sent: a viewer that is closed while it gets some is no error."""
 
@@ -78,6 +80,7 @@ class Viewer(subprocess.Popen[bytes]):
         return self._trouble
 
     def _read(self) -> None:
+        leave_signals_to_main_thread()
         assert self.stderr is not None  # noqa: S101
         with self.stderr as lines:
             for line in lines:
@@ -149,7 +152,9 @@ def wait_until_it_listens(viewer: Viewer, url: str) -> None:
 
 def wait_until_closed(viewer: Viewer) -> None:
     """Raises UserError if the viewer ends otherwise than by being closed."""
-    code = viewer.wait()
+    # A signal may be given to one of Rerun's own threads: only who looks up now and then then hears of it.
+    while (code := viewer.poll()) is None:
+        time.sleep(_LOOK_S)
     if code:
         how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
         if trouble := viewer.trouble():
