@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 import rerun_cli
 
 from common import UserError
-from common.interrupts import leave_signals_to_main_thread
+from common.interrupts import Stopping, leave_signals_to_main_thread
 from common.output import print_message
 from viz.saying import or_in_a_browser
 
@@ -155,6 +155,8 @@ def wait_until_closed(viewer: Viewer) -> None:
     # A signal may be given to one of Rerun's own threads: only who looks up now and then then hears of it.
     while (code := viewer.poll()) is None:
         time.sleep(_LOOK_S)
+        if Stopping.current is not None and Stopping.current.is_asked:
+            raise KeyboardInterrupt  # again: raised while Python tidied up, it was lost
     if code:
         how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
         if trouble := viewer.trouble():
