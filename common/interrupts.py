@@ -8,6 +8,7 @@ sends SIGHUP, its shell another one), so that only a Ctrl-C counts as a second w
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import math
 import signal
@@ -15,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from enum import Enum
 from queue import Empty, SimpleQueue
 from types import FrameType, TracebackType
 from typing import ClassVar, Final, Self
@@ -30,7 +32,6 @@ STOPPING: Final[tuple[signal.Signals, ...]] = (
 SLOW_S: Final = 2.0
 """What takes longer to end says how it is ended at once."""
 
-
 _TICK_S: Final = 0.02
 
 
@@ -39,6 +40,15 @@ def leave_signals_to_main_thread() -> None:
     which alone runs handlers."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+
+
+class _Heard(Enum):
+    """What the thread of a `Stopping` hears."""
+
+    ASKED = "the first signal has come"
+    SAID = "how the command is ended at once was said"
+    LOST = "what a handler raised went no further"
+    ENDED = "the command has ended"
 
 
 class Stopping:
@@ -52,8 +62,10 @@ class Stopping:
         self._heard = 0
         self._at_once = at_once
         self._on_slow = on_slow
-        self._told: SimpleQueue[bool] = SimpleQueue()  # a handler may take no lock: whom it interrupts may have it
+        # a handler may take no lock: whom it interrupts may have it
+        self._told: SimpleQueue[_Heard] = SimpleQueue()
         self._is_repeated = False
+        self._unraisable = sys.unraisablehook
 
     @property
     def is_asked(self) -> bool:
@@ -69,14 +81,14 @@ class Stopping:
         if self._heard >= most:
             self._at_once()
         if not self.is_asked:
-            self._told.put(True)
+            self._told.put(_Heard.ASKED)
         self._heard += 1
         return True
 
     def was_said(self) -> None:
         """The command itself has said how it is ended at once: `on_slow` need not."""
         if self.is_asked:
-            self._told.put(False)
+            self._told.put(_Heard.SAID)
 
     def repeat(self) -> None:
         """The next signal is one that was heard before, and put off."""
@@ -84,6 +96,7 @@ class Stopping:
 
     def __enter__(self) -> Self:
         Stopping.current = self
+        self._unraisable, sys.unraisablehook = sys.unraisablehook, self._hear_of_lost
         threading.Thread(target=self._watch, name="stopping", daemon=True).start()
         return self
 
@@ -91,15 +104,40 @@ class Stopping:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         Stopping.current = None
-        self._told.put(False)
+        sys.unraisablehook = self._unraisable
+        self._told.put(_Heard.ENDED)
+
+    def _hear_of_lost(self, what: sys.UnraisableHookArgs) -> None:
+        """What is raised where Python tidies up goes no further, and a handler may be called there (`__del__`, a
+        callback of a weak reference) as anywhere else."""
+        if self.is_asked and issubclass(what.exc_type, KeyboardInterrupt):
+            self._told.put(_Heard.LOST)
+        else:
+            self._unraisable(what)
 
     def _watch(self) -> None:
         leave_signals_to_main_thread()
-        if self._told.get():
+        patience_s: float | None = None
+        while True:
             try:
-                self._told.get(timeout=SLOW_S)
+                heard = self._told.get(timeout=patience_s)
             except Empty:
                 self._on_slow()
+                patience_s = None
+                continue
+            if heard is _Heard.ENDED:
+                return
+            if heard is _Heard.LOST:
+                self.repeat()
+                _interrupt_main_thread()
+            patience_s = None if heard is _Heard.SAID else SLOW_S
+
+
+def _interrupt_main_thread() -> None:
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    elif (main := threading.main_thread().ident) is not None:
+        signal.pthread_kill(main, signal.SIGINT)  # wakes it, whatever it waits for
 
 
 def way_out_was_said() -> None:

@@ -172,12 +172,13 @@ def run_action(body: str) -> subprocess.CompletedProcess[str]:
         env=environment(),
         capture_output=True,
         text=True,
+        timeout=PATIENCE_S,
         check=False,
     )
 
 
 ACTION = """
-import sys, time
+import os, signal, sys, time, weakref
 from dataclasses import dataclass
 from pathlib import Path
 from common.command import run_command
@@ -198,6 +199,11 @@ def noted(stopped):
 
 def begun():
     print("begun", file=sys.stderr)
+
+def interrupted_in_a_callback():
+    thing = Nothing()
+    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT) or sleep())
+    del thing
 
 def slow(work):
     try:
@@ -241,6 +247,12 @@ def test_a_second_ctrl_c_ends_at_once_and_says_so(way: str, tmp_path: Path) -> N
             process.kill()
         assert process.stderr.read() == "bc-test: ended at once; files that were not finished end in .part\n"
     assert all(path.suffix == ".part" for path in tmp_path.iterdir())
+
+
+def test_a_ctrl_c_that_comes_while_python_tidies_up_is_not_lost() -> None:
+    """What is raised in a callback of a weak reference goes no further, and the command would wait for ever."""
+    done = run_action("interrupted_in_a_callback(); sleep()")
+    assert (done.returncode, done.stderr) == (130, "bc-test: stopped\n")
 
 
 def test_every_command_is_begun_here() -> None:

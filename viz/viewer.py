@@ -19,12 +19,11 @@ from urllib.parse import urlsplit
 import rerun_cli
 
 from common import UserError
-from common.interrupts import Stopping, leave_signals_to_main_thread
+from common.interrupts import leave_signals_to_main_thread
 from common.output import print_message
 from viz.saying import or_in_a_browser
 
 LOCAL: Final = "127.0.0.1"
-_LOOK_S: Final = 0.1
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
 """What Rerun may print where data is sent: a viewer that is closed while it gets some is no error."""
 
@@ -152,11 +151,7 @@ def wait_until_it_listens(viewer: Viewer, url: str) -> None:
 
 def wait_until_closed(viewer: Viewer) -> None:
     """Raises UserError if the viewer ends otherwise than by being closed."""
-    # A signal may be given to one of Rerun's own threads: only who looks up now and then then hears of it.
-    while (code := viewer.poll()) is None:
-        time.sleep(_LOOK_S)
-        if Stopping.current is not None and Stopping.current.is_asked:
-            raise KeyboardInterrupt  # again: raised while Python tidied up, it was lost
+    code = viewer.wait()
     if code:
         how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
         if trouble := viewer.trouble():
