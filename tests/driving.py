@@ -54,6 +54,12 @@ def run(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.Co
     )
 
 
+def run_code(code: str) -> subprocess.CompletedProcess[str]:
+    """Run Python code, with our sources on its path, to its end."""
+    line = [sys.executable, "-c", code]
+    return subprocess.run(line, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
 def one_line_of(done: subprocess.CompletedProcess[str]) -> str:
     """The only line on stderr: an error that a user sees has no traceback, and nothing is on stdout."""
     lines = done.stderr.splitlines()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from driving import COMMANDS, PATIENCE_S, command, environment, run
+from driving import COMMANDS, PATIENCE_S, command, environment, run, run_code
 from test_rooms import MAY_IMPORT, ROOT
 
 HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
@@ -167,14 +167,7 @@ def test_a_bug_keeps_its_traceback() -> None:
 
 
 def run_action(body: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", ACTION.format(body=body)],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    return run_code(ACTION.format(body=body))
 
 
 ACTION = """

@@ -524,23 +524,28 @@ def test_a_file_full_of_chunks_that_lie_is_given_up(tmp_path: Path, monkeypatch:
     assert total < read_bytes < 100 * total
 
 
+def sizes_unpacked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """What compressed chunks are unpacked to from now on, in bytes."""
+    sizes: list[int] = []
+    unpack = chunks.unpack
+
+    def counting(stored: memoryview, compression: bytes, size: int) -> bytes:
+        sizes.append(size)
+        return unpack(stored, compression, size)
+
+    monkeypatch.setattr(chunks, "unpack", counting)
+    return sizes
+
+
 def test_a_file_full_of_bombs_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each chunk is of a few hundred bytes, unpacks to megabytes, and has another CRC than it tells."""
     zeros = bytes(1 << 22)
     bomb = chunk(b"?", size=len(zeros), compression=b"zstd", stored=zstandard.compress(zeros))
     path = unfinished(tmp_path / "a.mcap", *[bomb] * 100)
-    unpacked_bytes = 0
-    unpack = chunks.unpack
-
-    def counting(stored: memoryview, compression: bytes, size: int) -> bytes:
-        nonlocal unpacked_bytes
-        unpacked_bytes += size
-        return unpack(stored, compression, size)
-
-    monkeypatch.setattr(chunks, "unpack", counting)
+    sizes = sizes_unpacked(monkeypatch)
     with Log(path) as log:
         assert (log.chunks, log.lost) == ([], [(MAGIC_BYTES, path.stat().st_size)])
-    assert len(zeros) <= unpacked_bytes < 8 * len(zeros)
+    assert len(zeros) <= sum(sizes) < 8 * len(zeros)
 
 
 def test_a_file_full_of_bombs_whose_crcs_hold_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -549,19 +554,11 @@ def test_a_file_full_of_bombs_whose_crcs_hold_is_given_up(tmp_path: Path, monkey
     message = struct.pack("<BQHIQQ", 5, 22 + (1 << 21), 1, 0, 5, 5) + bytes(1 << 21)
     bomb = chunk(message, size=len(message), compression=b"zstd", stored=zstandard.compress(message))
     path = unfinished(tmp_path / "a.mcap", *[bomb] * 300)
-    unpacked_bytes = 0
-    unpack = chunks.unpack
-
-    def counting(stored: memoryview, compression: bytes, size: int) -> bytes:
-        nonlocal unpacked_bytes
-        unpacked_bytes += size
-        return unpack(stored, compression, size)
-
-    monkeypatch.setattr(chunks, "unpack", counting)
+    sizes = sizes_unpacked(monkeypatch)
     with Log(path) as log:
         assert 0 < len(log.chunks) < 300
         assert log.lost
-    assert unpacked_bytes < 200 * path.stat().st_size + (1 << 23)
+    assert sum(sizes) < 200 * path.stat().st_size + (1 << 23)
 
 
 @pytest.mark.parametrize("opcode", [0, 5, 0x80])

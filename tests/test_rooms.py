@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import ast
 import importlib
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from driving import environment
-from waiting import PATIENCE_S
+from driving import run_code
 
 ROOT = Path(__file__).parent.parent
 
@@ -92,14 +89,7 @@ def test_every_module_begins_by_saying_what_it_is() -> None:
 )
 def test_a_room_loads_only_what_it_needs(rooms: str, unloaded: list[str]) -> None:
     code = f"import sys, {rooms}; print(*(name for name in {unloaded} if name in sys.modules))"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=PATIENCE_S,
-    )
+    done = run_code(code)
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from dataset import decode
-from driving import PATIENCE_S, environment
+from driving import run_code
 from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
 from model.evaluation import evaluate_sessions
 from model.run import create_run, find_started
@@ -150,12 +148,5 @@ def test_a_name_that_is_nearly_that_of_a_run_is_recognised(tmp_path: Path) -> No
 @pytest.mark.parametrize("package", ["dataset", "drive", "model", "recorder", "viz"])
 def test_dir_of_a_package_shows_its_public_names_before_they_are_loaded(package: str) -> None:
     code = f"import {package}; print(set({package}.__all__) <= set(dir({package})), '__doc__' in dir({package}))"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=True,
-    )
-    assert done.stdout.split() == ["True", "True"]
+    done = run_code(code)
+    assert (done.returncode, done.stdout.split()) == (0, ["True", "True"]), done.stderr
