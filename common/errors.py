@@ -16,9 +16,10 @@ traceback.
 
 from __future__ import annotations
 
+import difflib
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 KEPT_NAMES: Final = 1000
@@ -33,6 +34,12 @@ def shown(text: str) -> str:
 def counted(number: int, what: str, whats: str = "") -> str:
     """A number and its noun, whose plural is `whats` if it is not made by an s: "1 frame", "2,000 frames"."""
     return f"{number:,} {what if number == 1 else whats or f'{what}s'}"
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """ "did you mean lake?" if one of `names` is nearly `name`, else ""."""
+    near = difflib.get_close_matches(name, list(names), n=1)
+    return f"did you mean {near[0]}?" if near else ""
 
 
 class UserError(Exception):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
-from common.errors import shown
+from common.errors import did_you_mean, shown
 from dataset.errors import DatasetError
 from dataset.frames import read_metadata, session_name
 from dataset.samples_format import SAMPLES_NAME
@@ -28,12 +27,10 @@ def find_logs(sessions: Sequence[Path | str], folder: Path | str) -> list[Path]:
     for given in map(str, sessions):
         log = Path(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap"
         if not log.is_file():
-            names = [session_name(other) for other in folder.glob("*.mcap")]
-            close = difflib.get_close_matches(given, names, n=1)
-            meant = (
-                f"; did you mean {close[0]}?" if close else f"; the sessions are named by the files in {folder}"
+            meant = did_you_mean(given, [session_name(other) for other in folder.glob("*.mcap")])
+            raise DatasetError(
+                f"{log}: no such log; {meant or f'the sessions are named by the files in {folder}'}"
             )
-            raise DatasetError(f"{log}: no such log{meant}")
         if problem := name_problem(log):
             raise DatasetError(problem)
         other = by_name.setdefault(session_name(log), log)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
+
+from common.errors import did_you_mean
 
 RUNS: Final = Path("runs")
 """Where runs are kept, unless --runs says otherwise."""
@@ -29,7 +30,7 @@ def known_runs(name: str, names: Sequence[str], runs: Path) -> str:
     """Which runs there are in `runs`, for who has mistyped `name`."""
     if not names:
         return f"none is in {runs}: `bc-train` makes one"
-    if near := difflib.get_close_matches(name, names, 1):
-        return f"did you mean {near[0]}?"
+    if meant := did_you_mean(name, names):
+        return meant
     more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""
     return f"in {runs} are {', '.join(names[:_MOST_NAMES])}{more}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import math
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import tyro
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, complain, run_command, usage_errors, warn
-from common.errors import UsageError, counted, shown
+from common.errors import UsageError, counted, did_you_mean, shown
 from common.files import final_path
 from common.output import ask, print_message, print_result
 from recorder.check import check, is_whole
@@ -237,9 +236,9 @@ class NameRows:
         used = names_used(self.log.parent)
         if name in used:
             return
-        close = difflib.get_close_matches(name, used, n=1)
-        told = f"new tag {name!r}" + (f"; did you mean {close[0]}?" if close else "")
-        answer = ask(f"{told} Give {name!r} all the same?") if close else None
+        meant = did_you_mean(name, used)
+        told = f"new tag {name!r}" + (f"; {meant}" if meant else "")
+        answer = ask(f"{told} Give {name!r} all the same?") if meant else None
         if answer is None:
             print_message(told)
         elif not answer:

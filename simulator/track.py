@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import re
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import did_you_mean
 from simulator.centreline import Centreline
 from simulator.layout import Floats, Look, trace
 from simulator.random_road import random_road
@@ -52,14 +52,11 @@ def load_track(name: str) -> Track:
         return make_track(name, points, tuple(s.look for s in built_in), index)
     seed = re.fullmatch(r"random:([0-9]{1,18})", name)
     if seed is None:
-        raise ValueError(f"no such track{_meant(name)} Choose lake, mountain or random:SEED (such as random:7)")
+        meant = did_you_mean(name.lower(), ("lake", "mountain", "random:7"))
+        choice = "Choose lake, mountain or random:SEED (such as random:7)"
+        raise ValueError(f"no such track{f'; {meant}' if meant else '.'} {choice}")
     points, looks, index = random_road(int(seed[1]))
     return make_track(name, points, looks, index)
-
-
-def _meant(name: str) -> str:
-    close = difflib.get_close_matches(name.lower(), ("lake", "mountain", "random:7"), n=1)
-    return f"; did you mean {close[0]}?" if close else "."
 
 
 def make_track(name: str, points_m: Floats, looks: tuple[Look, ...], index: NDArray[np.intp]) -> Track:
