@@ -21,10 +21,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.status import Status
-from rich.text import Text
 
 from common.errors import shown
-from common.output import begin_bar, message_console, print_message, safe_line, stop_bar
+from common.output import begin_bar, message_console, print_message, stop_bar
 
 Item = TypeVar("Item")
 
@@ -106,10 +105,6 @@ class StatusLine:
         self.show(text)
         if not self._is_shown:
             print_message(text)
-
-    def note(self, text: str) -> None:
-        """Print a line that stays, above the status line."""
-        self._status.console.print(Text(safe_line(text)))
 
     def __enter__(self) -> Self:
         if self._is_shown:

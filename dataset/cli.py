@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tyro
 
-from common.command import DONE, FAILED, run_command, usage_errors, warn
+from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, shown
 from common.output import print_message, print_result, print_table
 from dataset.config import IndexConfig
@@ -20,9 +20,9 @@ from dataset.index import Indexed, build_index, check_settings
 from dataset.leaks import find_leaks
 from dataset.looks import look_at_all
 from dataset.oddities import print_report, report
-from dataset.report import balance_table, mixed_sizes, sessions_table
+from dataset.report import balance_table, sessions_table, tell_of_logs
 from dataset.samples_format import SAMPLES_NAME
-from dataset.sessions import find_logs, sessions_beside, unfinished_recordings
+from dataset.sessions import find_logs, sessions_beside
 from dataset.where import Condition
 
 
@@ -71,14 +71,10 @@ def index(config: Index) -> int:
         look_at_all({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
     others = [] if is_any else sessions_beside(logs, config.folder)
     indexed = build_index(logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others)
-    code = DONE
-    for notice in [
-        *indexed.notices,
-        *_one_sided(indexed, config.config),
-        *unfinished_recordings(config.folder, config.sessions),
-    ]:
+    code = tell_of_logs(indexed, config.folder, config.sessions)
+    for notice in _one_sided(indexed, config.config):
         code = warn(notice)
-    for told in [*indexed.remarks, *mixed_sizes(indexed.sizes_px), *_passed_over(others, config)]:
+    for told in _passed_over(others, config):
         print_message(told)
     print_table(sessions_table(indexed))
     print_table(balance_table(indexed.balance))

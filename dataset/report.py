@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from rich.markup import escape
 from rich.table import Table
 
+from common.command import DONE, warn
 from common.errors import shown
+from common.output import print_message
 from dataset.index import Indexed
 from dataset.preprocess import SIZE_PX
 from dataset.samples import Balance
+from dataset.sessions import unfinished_recordings
 
 BAR_CELLS = 13  # so that a line fits 80 columns
 _MOST_NAMES = 8
@@ -54,6 +58,15 @@ def balance_table(balance: Balance) -> Table:
             note,
         )
     return table
+
+
+def tell_of_logs(indexed: Indexed, folder: Path, sessions: Sequence[str] = ()) -> int:
+    """Print what a person should know of the logs of an index, and of recordings in `folder` that are not finished
+    (with `sessions`, of these only); the exit code that says so."""
+    code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])
+    for remark in [*indexed.remarks, *mixed_sizes(indexed.sizes_px)]:
+        print_message(remark)
+    return code
 
 
 def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:

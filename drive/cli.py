@@ -130,20 +130,20 @@ def drive(config: Drive) -> int:
             port=config.port if course is None else 0,  # nobody else's simulator
             mode=config.server,
             is_built_in=course is not None,
-            say=lambda text: status.note(f"bc-drive: {text}"),
+            say=_say,
             show=status.show,
         )
 
         with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
-            if (viewer := _viewer(config, path, status)) is not None:
+            if (viewer := _viewer(config, path)) is not None:
                 # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
                 part, force = server.session.writer.part, config.force
                 after.enter_context(
-                    preview(part, viewer, overwrite=force, never_in_the_way=True, said=status.note)
+                    preview(part, viewer, overwrite=force, never_in_the_way=True, said=print_message)
                 )
             if course is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
-                status.note(f"bc-drive: {waiting}")
+                _say(waiting)
                 server.run(stopped=stopped)
             else:
                 drive_built_in(server, course, stopped, shows_progress=False)
@@ -171,10 +171,14 @@ def _refuse_contradictions(config: Drive) -> None:
         )
 
 
-def _viewer(config: Drive, log: Path, status: StatusLine) -> str | None:
+def _say(text: str) -> None:
+    print_message(f"bc-drive: {text}")
+
+
+def _viewer(config: Drive, log: Path) -> str | None:
     """Where the drive is shown; where it could be only by another command, that is said."""
     if config.viewer == "auto" and not has_display():
-        status.note(f"bc-drive: watch it with `bc-play {shlex.quote(str(log))} --follow`")
+        _say(f"watch it with `bc-play {shlex.quote(str(log))} --follow`")
         return None
     if config.viewer == "auto":
         return "window" if sys.platform != "win32" else None  # where no log is shown that grows
@@ -186,7 +190,7 @@ def _told(server: DriveServer) -> int:
     code = DONE
     for session in server.sessions:
         log, summary = session.writer.path, session.summary
-        look = f"; look at it with `bc-play {log}`" if session.log.frames else ""
+        look = f"; look at it with `bc-play {shlex.quote(str(log))}`" if session.log.frames else ""
         print_result(f"{log}: {counted(session.log.frames, 'frame')}{look}")
         for line in summary.lines():
             print_result(f"  {line}")
@@ -212,9 +216,6 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     rounds: list[Round] = []
     codes = [DONE]
 
-    def say(text: str) -> None:
-        print_message(f"bc-drive: {text}")
-
     assert config.aggregate is not None  # noqa: S101
     with usage_errors(DriveError, ValueError):
         check_rounds(config.aggregate)
@@ -227,7 +228,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     run = find_run(config.run, config.runs)
     aggregation = Aggregation(run, course, settings, config.aggregate, places, training)
     try:
-        for done in aggregation.rounds(config.server, say, lambda notice: codes.append(warn(notice))):
+        for done in aggregation.rounds(config.server, _say, lambda notice: codes.append(warn(notice))):
             rounds.append(done)
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:

@@ -6,7 +6,6 @@ import json
 import math
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.files import refuse_existing
-from common.interrupts import stop_signals
+from common.interrupts import Stop, stop_signals
 from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.server import DriveServer
@@ -138,7 +137,7 @@ def drive_course(
 
 
 def drive_built_in(
-    server: DriveServer, course: Course, stopped: threading.Event, *, shows_progress: bool = True
+    server: DriveServer, course: Course, stopped: Stop, *, shows_progress: bool = True
 ) -> dict[str, Any]:
     """Serve until the built-in simulator has driven its course or `stopped` is set; the simulator's book, which is
     kept in the log too, empty if it was stopped. Raises DriveError if the simulator fails.
@@ -146,7 +145,7 @@ def drive_built_in(
     Without `shows_progress`, the simulator draws no bar on the terminal.
     """
     with _simulator(server, course, shows_progress=shows_progress) as process:
-        server.run(until=lambda: stopped.is_set() or process.poll() is not None)
+        server.run(until=lambda: process.poll() is not None, stopped=stopped)
         if process.poll() is None:
             return {}
         output, said = process.communicate()

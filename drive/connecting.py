@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from common.interrupts import stop_signals
+from common.output import print_message
 from common.progress import StatusLine
 from drive.closed_loop import check_laps
 from drive.config import DriveConfig
@@ -53,7 +54,7 @@ class Connecting:
         with StatusLine() as status, stop_signals(most=2) as stopped:
 
             def say(text: str) -> None:
-                status.note(f"bc-drive: {text}")
+                print_message(f"bc-drive: {text}")
 
             with DriveServer(
                 pilot, config, log, host=self.host, port=self.port, mode=mode, say=say, show=status.show

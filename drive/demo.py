@@ -77,7 +77,8 @@ def demo(config: Demo) -> int:
             code = max(code, _run(step.command, folder))
         except KeyboardInterrupt:
             if any(folder.iterdir()):
-                print_message(f"bc-demo: what was made is in {folder}; type its commands there: `cd {folder}`")
+                there = f"`cd {shlex.quote(str(folder))}`"
+                print_message(f"bc-demo: what was made is in {folder}; type its commands there: {there}")
             else:
                 folder.rmdir()
             raise

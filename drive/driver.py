@@ -19,9 +19,8 @@ from drive.steering import SteeringFilter
 from drive.takeover import Takeover
 from model import Pilot
 from recorder.locale_numbers import POINT
-from recorder.log_time import CLOCK_STANDS
 from recorder.telemetry import Telemetry, TelemetryError, parse_telemetry
-from recorder.world import World
+from recorder.world import World, WorldProblems
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 NONSENSE_S: Final = 1.0
@@ -74,7 +73,7 @@ class Driver:
         self._nonsense_since_s: float | None = None
         self._gave_number = True
         self._said_size = False
-        self._said_of_world: set[str] = set()
+        self._problems = WorldProblems()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
         """The command for what the simulator told.
@@ -100,8 +99,6 @@ class Driver:
             self._note(speed_mph, told.told_separator)
             time_s = self._clock.at(now_s, world)
             decision = self._answer(told, parsed_s, time_s)
-        if self._clock.stands:
-            problems = (*problems, CLOCK_STANDS)
         if events := self._of_world(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
         if self._last_brake is not None:
@@ -130,11 +127,7 @@ class Driver:
     def _of_world(self, world: World | None, problems: Sequence[str]) -> list[str]:
         """What has happened on the course, and, once, what of the world cannot be used."""
         events = [] if world is None else self._course.after(world)
-        for problem in problems:
-            if problem not in self._said_of_world:
-                self._said_of_world.add(problem)
-                events.append(f"the simulator's world is not used whole: {problem}")
-        return events
+        return events + self._problems.news(problems, clock_stands=self._clock.stands)
 
     def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
         """The answer to a telemetry; whether its picture can be used is found out here."""

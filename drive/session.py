@@ -28,6 +28,8 @@ SILENT_S: Final = 0.2
 STEADY_S: Final = 10.0
 """Whoever stays so long does not come and go."""
 
+_REST: Final = Steer(0.0, 0.0)
+
 
 class DriveSession:
     """Answers one simulator, also when it comes back, and writes everything to one log.
@@ -46,7 +48,7 @@ class DriveSession:
         self._config = config
         self._driver = Driver(pilot, config)
         self._notes: dict[str, dict[str, str]] = {}
-        self._last_steer: Steer | None = None
+        self._last_steer = _REST
         self._last_telemetry_s = time.monotonic()
         self._is_pushed = False
         self._is_stopping = self._was_braking = False
@@ -63,7 +65,7 @@ class DriveSession:
 
     def connected(self) -> None:
         self._driver = Driver(self._pilot, self._config)
-        self._last_steer, self._last_telemetry_s, self._is_pushed = None, time.monotonic(), False
+        self._last_steer, self._last_telemetry_s, self._is_pushed = _REST, time.monotonic(), False
         self.is_connected, self._is_stopping = True, False
         self.comings += 1
         self._connected_s = time.monotonic()
@@ -96,21 +98,19 @@ class DriveSession:
             return None
         self._is_pushed = True
         self.log.event("no telemetry for a second: sent a steer, to make the simulator go on", is_problem=True)
-        last = self._last_steer or Steer(0.0, 0.0)
         # Whoever stays silent keeps it for ever, and a brake would reverse the car in the end.
-        return replace(last, throttle=max(0.0, last.throttle))
+        return replace(self._last_steer, throttle=max(0.0, self._last_steer.throttle))
 
     def push_brake(self) -> Steer | None:
         """What to send unasked to one that is stopping and tells nothing: the brake, and its release."""
         if not (self.is_connected and self._is_stopping) or self.silent_s < SILENT_S:
             return None
         steering, throttle = self._driver.unasked_brake()
-        last = self._last_steer or Steer(0.0, 0.0)
         self.rolls, self.is_braked = "it tells nothing any more", throttle == 0.0
         self._note_braking(throttle < 0)
-        if last.throttle == throttle:
+        if self._last_steer.throttle == throttle:
             return None
-        self._last_steer = replace(last, steering=steering, throttle=throttle)
+        self._last_steer = replace(self._last_steer, steering=steering, throttle=throttle)
         return self._last_steer
 
     @property
@@ -127,8 +127,7 @@ class DriveSession:
 
     def rest(self) -> Steer:
         """The last command: the simulator's car keeps it for ever."""
-        last = self._last_steer or Steer(0.0, 0.0)
-        return Steer(0.0, 0.0, last.decimal_separator)
+        return replace(_REST, decimal_separator=self._last_steer.decimal_separator)
 
     def status(self, now_s: float) -> str:
         """The live line."""

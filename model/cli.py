@@ -240,13 +240,10 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
 def _build_index(config: Train) -> int:
     """As `bc-index` does: what cannot be read is left out, and said; the exit code that says so."""
     from dataset import build_index, find_logs
-    from dataset.report import mixed_sizes
-    from dataset.sessions import unfinished_recordings
+    from dataset.report import tell_of_logs
 
     indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
-    for told in [*indexed.remarks, *mixed_sizes(indexed.sizes_px)]:
-        print_message(told)
-    return max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(config.sessions, ())])])
+    return tell_of_logs(indexed, config.sessions)
 
 
 def _defaults() -> Train:

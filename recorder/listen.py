@@ -11,15 +11,17 @@ from common import Skipped
 from common.errors import counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
+from common.output import print_message
 from common.progress import StatusLine
 from recorder.bad_telemetry import BadTelemetry
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log_time import CLOCK_STANDS, LogClock
+from recorder.log_time import LogClock
 from recorder.pose import pose_message
 from recorder.record import Imported
 from recorder.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
 from recorder.telemetry_server import QUIET_S, Answer, Steer, TelemetryServer
+from recorder.world import WorldProblems
 from recorder.writer import EventLevel, LogWriter
 
 RATE_S = 1.0  # the rows a second that are shown are those of this last while
@@ -73,7 +75,7 @@ class _Session:
         self._telemetries = 0
         self._manuals = 0
         self._clock = LogClock(from_wall_clock=True)
-        self._said_of_world: set[str] = set()
+        self._problems = WorldProblems()
         self._separators: dict[str, str] = {}  # of decimals, by connection
         self._last_s = 0.0
         self._rate_from = (time.monotonic(), 0)
@@ -165,15 +167,14 @@ class _Session:
             check_whole_jpeg(told.jpeg)
         except TelemetryError as error:
             if error.kind not in self._bad.counts:
-                self._status.note(f"telemetry that cannot be used: {error}")
+                print_message(f"telemetry that cannot be used: {error}")
             self.skipped.add(f"telemetries that cannot be used ({error.kind})", f"number {self._telemetries}")
             if (text := self._bad.take(error.kind, str(error))) is not None:
                 self._event(received_ns, text, "WARNING")
             return
-        self._warn_of_world(told.world_problems)
         time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
-        if self._clock.stands:
-            self._warn_of_world((CLOCK_STANDS,))
+        for text in self._problems.news(told.world_problems, clock_stands=self._clock.stands):
+            self.warn(text)
         self._writer.picture("center", time_ns, self.rows, told.jpeg)
         state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
         self._writer.vehicle(time_ns, self.rows, state)
@@ -184,9 +185,3 @@ class _Session:
 
     def _event(self, time_ns: int, text: str, level: EventLevel = "INFO") -> None:
         self._writer.event(self._clock.event(time_ns), text, level, "recorder")
-
-    def _warn_of_world(self, problems: tuple[str, ...]) -> None:
-        for problem in problems:
-            if problem not in self._said_of_world:
-                self._said_of_world.add(problem)
-                self.warn(f"the simulator's world is not used whole: {problem}")

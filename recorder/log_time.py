@@ -11,8 +11,6 @@ LONGEST_STEP_S: Final = 60.0
 """Simulated time that jumps farther than this from one telemetry to the next is another clock."""
 STANDS_S: Final = 1.0
 """So long a simulated clock may stand, or only go back, while this computer's runs on; then it is not used."""
-CLOCK_STANDS: Final = "time_s does not advance: this computer's clock counts instead"
-"""What is said of such a clock."""
 BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # rows that far apart belong to two drives
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -12,6 +12,9 @@ from simulator.pose import Pose
 
 MAX_WORLD_NUMBER: Final = 1e9  # of any unit but time_s: a million kilometres; what is beyond is no world
 MAX_TIME_S: Final = 1e12  # Unix time is about 2e9; milliseconds of it are beyond
+
+CLOCK_STANDS: Final = "time_s does not advance: this computer's clock counts instead"
+"""What is said of a clock that does (`recorder.log_time.StandingClock`)."""
 
 _TOGETHER: Final = (
     ("x_m", "y_m", "z_m", "heading_rad", "pitch_rad", "roll_rad"),
@@ -51,6 +54,20 @@ class World:
         if self.expert_steering is None or self.expert_throttle is None:
             return None
         return self.expert_steering, self.expert_throttle
+
+
+class WorldProblems:
+    """Says of everything that is wrong with what one simulator tells of its world, once."""
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def news(self, problems: Iterable[str], *, clock_stands: bool) -> list[str]:
+        """What there is to say of a telemetry with these problems (`parse_world`)."""
+        told = [*problems, CLOCK_STANDS] if clock_stands else problems
+        new = [problem for problem in told if problem not in self._said]
+        self._said.update(new)
+        return [f"the simulator's world is not used whole: {problem}" for problem in new]
 
 
 MEMBERS: Final = tuple(field.name for field in fields(World))
