@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from simulator.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
+from simulator.protocol.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
 
 PATIENCE_S: Final = 10.0  # the server listens already
 SHOWN: Final = 20  # commands that are handed back, to compare networks by

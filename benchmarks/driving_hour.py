@@ -23,8 +23,9 @@ import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 from driving_servers import Server, Turn, start_ours, write_pictures
 
-from recorder import Log, topics
-from recorder.topics import camera_topic
+from recorder import Log
+from recorder.log import topics
+from recorder.log.topics import camera_topic
 
 RATE_HZ: Final = 60
 SAMPLE_S: Final = 1.0

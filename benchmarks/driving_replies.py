@@ -5,10 +5,11 @@ classic/bin/pip install python-socketio==4.6.1 python-engineio==3.13.2 eventlet 
     tensorflow-cpu torch
 python benchmarks/driving_replies.py RUN --recording lake_windows --classic-python classic/bin/python
 
-The client is `simulator/client.py`, which has the real simulator's wire behaviour, with one telemetry in flight;
-it and each server are processes of their own. A turn is a connection; the turns go round, and who waits for one is
-suspended with all that it has started. The first round warms up and is not counted. All drive with the network of
-RUN, and whoever steers otherwise is named. Without --recording, the pictures are those of the built-in simulator.
+The client is `simulator/protocol/client.py`, which has the real simulator's wire behaviour, with one telemetry in
+flight; it and each server are processes of their own. A turn is a connection; the turns go round, and who waits
+for one is suspended with all that it has started. The first round warms up and is not counted. All drive with the
+network of RUN, and whoever steers otherwise is named. Without --recording, the pictures are those of the built-in
+simulator.
 The second table is what `bc-drive` wrote down of itself in its log.
 """
 
@@ -28,7 +29,7 @@ from typing import Final
 import numpy as np
 from driving_servers import HERE, Server, free_port, start, start_ours, write_pictures
 
-from model.run import load_network
+from model.runs.run_folder import load_network
 from recorder import Log
 
 WARM_UP: Final = 50  # telemetries

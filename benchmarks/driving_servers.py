@@ -23,9 +23,9 @@ import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 
 from recorder import Log
-from recorder.topics import camera_topic
+from recorder.log.topics import camera_topic
+from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
-from simulator.simulation import Simulation
 
 HERE: Final = Path(__file__).parent
 PATIENCE_S: Final = 120.0  # until a server listens, or has ended

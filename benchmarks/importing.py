@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from recorder import import_udacity
-from recorder.jpeg import is_whole_jpeg
-from recorder.udacity import read_recording
+from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.sources.udacity_recording import read_recording
 
 RUNS = 7
 

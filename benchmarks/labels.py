@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from dataset import IndexConfig, Samples, build_index
 from model import TrainConfig, train
-from model.evaluation import evaluate
-from model.measures import Errors, constant_errors, errors
+from model.evaluation.evaluate import evaluate
+from model.metrics import Errors, constant_errors, errors
 
 RECORDED: Final = "recorded"
 AROUND_S: Final = 1.0  # 0.5 s before and after

@@ -133,7 +133,7 @@ MODULES: Final = {
     "log": "recorder.log_cli",
     "index": "dataset.cli",
     "train": "model.cli",
-    "eval": "drive.eval_cli",
+    "eval": "drive.evaluation.eval_cli",
 }
 
 

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dataset import load
-from dataset.samples_format import FORMAT, METADATA_KEY, SAMPLES_NAME
+from dataset.index.samples_format import FORMAT, METADATA_KEY, SAMPLES_NAME
 from recorder import Log, LogWriter
 
 SESSIONS = 100

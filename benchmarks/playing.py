@@ -29,10 +29,10 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from rerun.experimental import ViewerClient
 
 from recorder import Log, LogWriter
-from recorder.topics import CAMERAS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
-from viz.clock import LOG_TIME
-from viz.showing import WINDOW_MEMORY
-from viz.viewer import free_port, viewer_program
+from recorder.log.topics import CAMERAS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from viz.targets import WINDOW_MEMORY
+from viz.timelines import LOG_TIME
+from viz.viewer_process import free_port, viewer_program
 
 ROWS_A_SECOND: Final = 25
 REPEATED: Final = 500  # rows

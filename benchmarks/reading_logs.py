@@ -19,8 +19,8 @@ from pathlib import Path
 
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.topics import CAMERAS
-from recorder.udacity import read_recording
+from recorder.log.topics import CAMERAS
+from recorder.sources.udacity_recording import read_recording
 
 RUNS = 3
 ROW_NS = 100_000_000

@@ -14,10 +14,10 @@ import time
 import cv2
 import numpy as np
 
-from simulator.camera import Renderer
 from simulator.pose import Pose
-from simulator.track import Track, load_track
-from simulator.world import World, build_world
+from simulator.rendering.camera import Renderer
+from simulator.rendering.world_maps import World, build_world
+from simulator.roads.track_names import Track, load_track
 
 RUNS, STEPS = 5, 60
 

@@ -26,8 +26,8 @@ from typing import IO, Final
 import numpy as np
 
 from dataset import Samples
-from dataset.frames import write_table
-from dataset.samples_format import SAMPLES_NAME
+from dataset.index.frames import write_table
+from dataset.index.samples_format import SAMPLES_NAME
 
 HERE: Final = Path(__file__).parent
 KERAS: Final = "Keras, `fit`"  # with its defaults: what the original used

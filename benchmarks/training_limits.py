@@ -23,10 +23,10 @@ import torch
 
 from common import UserError
 from dataset import IndexConfig, build_index
-from dataset.crops import CROP_BYTES
+from dataset.loader.crops import CROP_BYTES
 from model.config import TrainConfig
-from model.progress import Epoch, Step
-from model.training import train
+from model.runs.training_progress import Epoch, Step
+from model.training.trainer import train
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 

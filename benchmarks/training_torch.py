@@ -24,11 +24,11 @@ from torch.nn import functional
 from torch.utils.data import DataLoader, Dataset
 
 from model.config import TrainConfig
-from model.machine import choose_machine
-from model.network import PARAMETERS, SteeringNetwork
-from model.progress import Epoch, Step
-from model.step import learn, make_optimizer
-from model.training import train
+from model.device import choose_machine
+from model.network.layers import PARAMETERS, SteeringNetwork
+from model.runs.training_progress import Epoch, Step
+from model.training.step import learn, make_optimizer
+from model.training.trainer import train
 
 
 def wait_for_turn() -> None:

@@ -62,7 +62,7 @@ def preview(
         flags += ["--force"] if overwrite else []
     others = _parts_of(file)
     # -P: not the modules that happen to lie in the working folder
-    line = [sys.executable, "-P", "-m", "viz.preview", str(growing), "--follow", *flags]
+    line = [sys.executable, "-P", "-m", "viz.preview_command", str(growing), "--follow", *flags]
     viewer = _started(line, said)
     if viewer is None:
         yield

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 from common.lazy import lazy_names
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.loader import Batch, Loader, load
+from dataset.index.samples_file import Samples
+from dataset.loader.loader import Batch, Loader, load
+from dataset.loader.torch_dataset import SamplesDataset
 from dataset.preprocess import decode, preprocess
-from dataset.samples_dataset import SamplesDataset
-from dataset.samples_file import Samples
-from recorder.topics import MAX_STEERING_DEG
+from recorder.log.topics import MAX_STEERING_DEG
 
 if TYPE_CHECKING:
-    from dataset.index import Indexed, build_index
-    from dataset.sessions import find_logs, sessions_not_indexed
+    from dataset.index.build import Indexed, build_index
+    from dataset.index.sessions import find_logs, sessions_not_indexed
 
 __all__ = [
     "MAX_STEERING_DEG",
@@ -41,9 +41,9 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Indexed": "dataset.index",
-        "build_index": "dataset.index",
-        "find_logs": "dataset.sessions",
-        "sessions_not_indexed": "dataset.sessions",
+        "Indexed": "dataset.index.build",
+        "build_index": "dataset.index.build",
+        "find_logs": "dataset.index.sessions",
+        "sessions_not_indexed": "dataset.index.sessions",
     },
 )

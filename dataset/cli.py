@@ -15,15 +15,15 @@ from common.errors import UsageError, counted, shown
 from common.output import print_message, print_result, print_table
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.frames import SCHEMA, session_name
-from dataset.index import Indexed, build_index, check_settings
-from dataset.leaks import find_leaks
-from dataset.looks import look_at_all
-from dataset.oddities import print_report, report
-from dataset.report import balance_table, sessions_table, tell_of_logs
-from dataset.samples_format import SAMPLES_NAME
-from dataset.sessions import find_logs, sessions_beside
-from dataset.where import Condition
+from dataset.index.build import Indexed, build_index, check_settings
+from dataset.index.filter import Condition
+from dataset.index.frames import SCHEMA, session_name
+from dataset.index.image_check_cache import look_at_all
+from dataset.index.index_report import balance_table, sessions_table, tell_of_logs
+from dataset.index.leaks import find_leaks
+from dataset.index.quality_report import print_report, report
+from dataset.index.samples_format import SAMPLES_NAME
+from dataset.index.sessions import find_logs, sessions_beside
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def index(config: Index) -> int:
     # before anything is written, or takes long
     check_settings(logs, config.index, config.config)
     if config.figures is not None:
-        from dataset.figures import check_figures, write_figures
+        from dataset.index_figures import check_figures, write_figures
 
         check_figures(config.figures, config.force)
     is_any = (

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
 from common.flags import arg
-from dataset.alter import Alteration
-from recorder.topics import Camera
+from dataset.augment import Alteration
+from recorder.log.topics import Camera
 
 Drives = Literal["all", "takeovers"]
 

@@ -12,12 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from dataset.alter import alter
+from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
+from dataset.index.samples import Balance
+from dataset.index.samples_file import Samples
 from dataset.preprocess import BOTTOM_SHARE, TOP_SHARE, Image, decode
-from dataset.samples import Balance
-from dataset.samples_file import Samples
 
 TURN: Final = 0.1  # steering from which a frame counts as a turn: 2.5 degrees
 

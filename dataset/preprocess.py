@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import counted
-from recorder.picture_size import MOST_PIXELS, pixels
+from recorder.pictures.picture_size import MOST_PIXELS, pixels
 
 Image = NDArray[np.uint8]
 

@@ -27,11 +27,11 @@ from viewer_pictures import screenshot
 
 from dataset.figure_style import DPI, figure_style
 from drive.demo import Demo, demo
-from model.figures import draw_curves
-from model.history import read_history
+from model.runs.history import read_history
+from model.runs.run_figures import draw_curves
 from recorder import Log
-from viz.clock import LOG_TIME
-from viz.comparison import PLACE
+from viz.playback.comparison import PLACE
+from viz.timelines import LOG_TIME
 
 DEMO: Final = Path("demo/pictures")
 TRACK: Final = "mountain"
@@ -91,7 +91,7 @@ def main(config: Pictures) -> None:
 def driven(run: Path, session: Path, laps: float, folder: Path) -> Made:
     """Let `run` drive at two speeds."""
     where = ["--simulator", TRACK, "--laps", f"{laps:g}", "--logs", str(folder)]
-    _bc("drive.eval_cli", str(run), *where, "--speed", str(SLOW_MPH), str(FAST_MPH))
+    _bc("drive.evaluation.eval_cli", str(run), *where, "--speed", str(SLOW_MPH), str(FAST_MPH))
     slow, fast = (next(folder.glob(f"*-{TRACK}-{mph}mph.mcap")) for mph in (SLOW_MPH, FAST_MPH))
     return Made(run, session, slow.rename(folder / "slow.mcap"), fast.rename(folder / "fast.mcap"))
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.camera import Renderer
-from simulator.course import Course
-from simulator.track import Track, load_track
-from simulator.world import build_world
+from simulator.driving.course import Course
+from simulator.rendering.camera import Renderer
+from simulator.rendering.world_maps import build_world
+from simulator.roads.track_names import Track, load_track
 
 Picture = NDArray[np.uint8]
 

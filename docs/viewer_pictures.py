@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from viz.viewer import LOCAL, end_viewer, free_port, viewer_program
+from viz.viewer_process import LOCAL, end_viewer, free_port, viewer_program
 
 Picture = NDArray[np.uint8]
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from common.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from drive.closed_loop import Course, Result, evaluate
     from drive.config import DriveConfig
-    from drive.driver import Decision, Driver
+    from drive.control.driver import Decision, Driver
+    from drive.control.speed_controller import SpeedController
     from drive.errors import DriveError
+    from drive.evaluation.closed_loop import Course, Result, evaluate
     from drive.server import DriveServer
-    from drive.speed import SpeedController
 
 __all__ = [
     "Course",
@@ -32,14 +32,14 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Course": "drive.closed_loop",
-        "Decision": "drive.driver",
+        "Course": "drive.evaluation.closed_loop",
+        "Decision": "drive.control.driver",
         "DriveConfig": "drive.config",
         "DriveError": "drive.errors",
         "DriveServer": "drive.server",
-        "Driver": "drive.driver",
-        "Result": "drive.closed_loop",
-        "SpeedController": "drive.speed",
-        "evaluate": "drive.closed_loop",
+        "Driver": "drive.control.driver",
+        "Result": "drive.evaluation.closed_loop",
+        "SpeedController": "drive.control.speed_controller",
+        "evaluate": "drive.evaluation.closed_loop",
     },
 )

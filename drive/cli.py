@@ -107,8 +107,8 @@ def drive(config: Drive) -> int:
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
 
-    from drive.closed_loop import Course, check_laps, drive_built_in
-    from drive.process import prepare_process
+    from drive.evaluation.closed_loop import Course, check_laps, drive_built_in
+    from drive.low_latency import prepare_process
     from drive.server import DriveServer
     from model import find_run, load_pilot
 
@@ -208,9 +208,9 @@ def _told(server: DriveServer) -> int:
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
     """Drive and train by turns."""
-    from drive.aggregate import Aggregation, Places, Round, check_rounds
-    from drive.closed_loop import Course, check_laps
-    from drive.connecting import Connecting
+    from drive.evaluation.aggregation import Aggregation, Places, Round, check_rounds
+    from drive.evaluation.closed_loop import Course, check_laps
+    from drive.evaluation.external_simulator import Connecting
     from model import TrainConfig, find_run
 
     rounds: list[Round] = []

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from drive.control.speed_controller import check_set_speed
 from drive.errors import DriveError
-from drive.speed import check_set_speed
 
 
 @dataclass(frozen=True)

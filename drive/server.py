@@ -20,7 +20,7 @@ from drive.config import DriveConfig
 from drive.session import DriveSession
 from model import Pilot
 from recorder import LogWriter
-from recorder.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
 
 QUIET_S: Final = 3.0
 """Whoever has connected and tells nothing for so long is in its menu, or no simulator."""

@@ -9,15 +9,15 @@ from types import TracebackType
 from typing import Final, Self
 
 from common.errors import counted
-from drive.braking import WALKING_MPH
 from drive.config import DriveConfig
-from drive.driver import Decision, Driver
-from drive.log import DriveLog
-from drive.summary import DriveSummary
+from drive.control.braking import WALKING_MPH
+from drive.control.driver import Decision, Driver
+from drive.log.drive_log import DriveLog
+from drive.log.summary import DriveSummary
 from model import Pilot
 from recorder import LogWriter
-from recorder.telemetry_server import Answer, Steer
-from recorder.topics import DRIVE_METADATA
+from recorder.log.topics import DRIVE_METADATA
+from recorder.server.telemetry_server import Answer, Steer
 
 WATCHDOG_S: Final = 1.0
 """The real simulator tells nothing more once all its telemetries are lost; a steer makes it go on."""

@@ -12,14 +12,14 @@ from common.lazy import lazy_names
 if TYPE_CHECKING:
     from model.config import TrainConfig
     from model.errors import RunError
-    from model.evaluation import Evaluation, evaluate
-    from model.export import export_onnx
+    from model.evaluation.evaluate import Evaluation, evaluate
+    from model.evaluation.log_predictions import LogPredictions
+    from model.evaluation.predict_log import predict_log
+    from model.onnx_export import export_onnx
     from model.pilot import Pilot, load_pilot
-    from model.predictions import LogPredictions
-    from model.progress import Epoch, Listener, Step
-    from model.replay import predict_log
-    from model.run import find_run
-    from model.training import Trained, train
+    from model.runs.run_folder import find_run
+    from model.runs.training_progress import Epoch, Listener, Step
+    from model.training.trainer import Trained, train
 
 __all__ = [
     "Epoch",
@@ -42,20 +42,20 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Epoch": "model.progress",
-        "Evaluation": "model.evaluation",
-        "Listener": "model.progress",
-        "LogPredictions": "model.predictions",
+        "Epoch": "model.runs.training_progress",
+        "Evaluation": "model.evaluation.evaluate",
+        "Listener": "model.runs.training_progress",
+        "LogPredictions": "model.evaluation.log_predictions",
         "Pilot": "model.pilot",
         "RunError": "model.errors",
-        "Step": "model.progress",
+        "Step": "model.runs.training_progress",
         "TrainConfig": "model.config",
-        "Trained": "model.training",
-        "evaluate": "model.evaluation",
-        "export_onnx": "model.export",
-        "find_run": "model.run",
+        "Trained": "model.training.trainer",
+        "evaluate": "model.evaluation.evaluate",
+        "export_onnx": "model.onnx_export",
+        "find_run": "model.runs.run_folder",
         "load_pilot": "model.pilot",
-        "predict_log": "model.replay",
-        "train": "model.training",
+        "predict_log": "model.evaluation.predict_log",
+        "train": "model.training.trainer",
     },
 )

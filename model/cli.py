@@ -23,7 +23,7 @@ from common.streams import end_process
 from model.config import TrainConfig
 
 if TYPE_CHECKING:
-    from model.progress import Epoch, Listener, Step
+    from model.runs.training_progress import Epoch, Listener, Step
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,15 @@ class Train:
 def train(config: Train) -> int:
     _refuse_contradictions(config)
 
-    from model.distributed import FirstRankError, local_rank_of_process, rank_of_process
+    from model.device import choose_machine
     from model.errors import RunWriteError
-    from model.hints import run_argument
-    from model.history import read_history
-    from model.machine import choose_machine
-    from model.network import PARAMETERS
-    from model.run import WEIGHTS, find_run, load_config
-    from model.training import train as train_network
-    from model.verdict import verdict
+    from model.network.layers import PARAMETERS
+    from model.runs.hints import run_argument
+    from model.runs.history import read_history
+    from model.runs.run_folder import WEIGHTS, find_run, load_config
+    from model.runs.training_outcome import verdict
+    from model.training.distributed import FirstRankError, local_rank_of_process, rank_of_process
+    from model.training.trainer import train as train_network
 
     is_first = rank_of_process() == 0
     settings = config.config
@@ -116,8 +116,8 @@ def train(config: Train) -> int:
 
 def _going_on(run: Path) -> str:
     """Where a run that was stopped is gone on with."""
-    from model.checkpoint import read_position
-    from model.run import is_unbegun
+    from model.runs.checkpoint import read_position
+    from model.runs.run_folder import is_unbegun
 
     if is_unbegun(run):
         return ", begun again from its seed: it was stopped before anything was saved"
@@ -127,8 +127,8 @@ def _going_on(run: Path) -> str:
 
 def _resume(run: Path, index: Path) -> str:
     """The command that goes on with a run."""
-    from model.hints import run_argument
-    from model.places import index_of
+    from model.runs.hints import run_argument
+    from model.runs.run_places import index_of
 
     command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
     told = index_of(run)
@@ -174,7 +174,7 @@ def _listeners(config: Train, run: Path) -> list[Listener]:
         raise UserError("--viewer: the viewer is not installed here: `pip install rerun-sdk` brings it")
     if not config.tensorboard:
         return [Printer()]
-    from model.tensorboard import TensorBoard
+    from model.training.tensorboard import TensorBoard
 
     return [Printer(), TensorBoard(run)]
 
@@ -197,7 +197,7 @@ def _refuse_contradictions(config: Train) -> None:
 
 
 def _run_of(config: Train) -> Path:
-    from model.run import find_started, refuse_existing_run
+    from model.runs.run_folder import find_started, refuse_existing_run
 
     if config.resume is not None:
         return find_started(config.resume, config.runs)
@@ -209,12 +209,12 @@ def _run_of(config: Train) -> Path:
 def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
     """The index to train on, built if need be; what it does not hold is told, which is the exit code."""
     from dataset import sessions_not_indexed
-    from dataset.samples_format import SAMPLES_NAME
+    from dataset.index.samples_format import SAMPLES_NAME
 
     is_there = (config.index / SAMPLES_NAME).exists()
     if config.like is not None or (config.resume is not None and not is_there):
-        from model.like import index_of_run
-        from model.run import find_started
+        from model.runs.reproduce import index_of_run
+        from model.runs.run_folder import find_started
 
         name = config.like if config.like is not None else config.resume
         assert name is not None  # noqa: S101
@@ -240,7 +240,7 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
 def _build_index(config: Train) -> int:
     """As `bc-index` does: what cannot be read is left out, and said; the exit code that says so."""
     from dataset import build_index, find_logs
-    from dataset.report import tell_of_logs
+    from dataset.index.index_report import tell_of_logs
 
     indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
     return tell_of_logs(indexed, config.sessions)
@@ -255,9 +255,9 @@ def _defaults() -> Train:
     with contextlib.suppress(argparse.ArgumentError):  # tyro says what is wrong
         flags, _ = given.parse_known_args()
         if name := flags.resume if flags.resume is not None else flags.like:
-            from model.places import index_of, init_of, sessions_of
-            from model.provenance import training_of
-            from model.run import CONFIG, find_started, load_config
+            from model.runs.provenance import training_of
+            from model.runs.run_folder import CONFIG, find_started, load_config
+            from model.runs.run_places import index_of, init_of, sessions_of
 
             run = find_started(name, flags.runs)
             init = init_of(run, flags.runs) if flags.resume is None else None

@@ -28,8 +28,8 @@ class Export:
 
 
 def export(config: Export) -> int:
-    from model.export import export_onnx
-    from model.run import find_run, run_name
+    from model.onnx_export import export_onnx
+    from model.runs.run_folder import find_run, run_name
 
     run = find_run(config.run, config.runs)
     path = config.onnx[0] if config.onnx else run / f"{run_name(run)}.onnx"

@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import torch
 
-from common.memory import keep_freed_memory
+from common.memory_allocator import keep_freed_memory
 from dataset.preprocess import Image, preprocess
 from model.config import Precision
-from model.machine import training_dtype
-from model.network import SteeringNetwork
-from model.packing import pack_weights
-from model.pooling import slice_max_pools
-from model.predict import as_input
-from model.run import checksum, load_config, load_network, run_name
+from model.device import training_dtype
+from model.evaluation.predict import as_input
+from model.network.layers import SteeringNetwork
+from model.network.packing import pack_weights
+from model.network.pooling import slice_max_pools
+from model.runs.run_folder import checksum, load_config, load_network, run_name
 
 WARM_UPS = 20
 

@@ -9,16 +9,20 @@ from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names
 from recorder.errors import LogError, RecordingError
-from recorder.log import Log, Pictures
+from recorder.log.reader import Log, Pictures
 
 if TYPE_CHECKING:
-    from recorder.record import Imported, import_udacity
-    from recorder.writer import LogWriter
+    from recorder.log.writer import LogWriter
+    from recorder.sources.import_recording import Imported, import_udacity
 
 __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingError", "import_udacity"]
 
 # training reads logs where what writes them is not installed
 __getattr__, __dir__ = lazy_names(
     __name__,
-    {"Imported": "recorder.record", "LogWriter": "recorder.writer", "import_udacity": "recorder.record"},
+    {
+        "Imported": "recorder.sources.import_recording",
+        "LogWriter": "recorder.log.writer",
+        "import_udacity": "recorder.sources.import_recording",
+    },
 )

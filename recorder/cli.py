@@ -15,11 +15,11 @@ from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
-from recorder.foreign import check_scale
-from recorder.frame_rate import check_rate
-from recorder.record import Imported
-from recorder.simulated import SimulatedDrive, check_drive, record_simulated
-from recorder.sources import Topics, import_from, refuse_to_watch
+from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
+from recorder.sources.frame_rate import check_rate
+from recorder.sources.import_mcap import check_scale
+from recorder.sources.import_recording import Imported
+from recorder.sources.recording_kinds import Topics, import_from, refuse_to_watch
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _recorded(config: Record, log: Path) -> Imported:
                 stack.enter_context(preview(growing, never_in_the_way=True))
 
         if config.listen:
-            from recorder.listen import listen_for_telemetry  # Socket.IO: a second to load
+            from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
 
             return listen_for_telemetry(
                 log,
@@ -94,7 +94,7 @@ def _recorded(config: Record, log: Path) -> Imported:
                 on_started=show,
             )
         if config.source is not None and config.watch:
-            from recorder.watch import watch_udacity
+            from recorder.sources.udacity_follow import watch_udacity
 
             refuse_to_watch(config.source)
             return watch_udacity(

@@ -17,14 +17,14 @@ from common.command import DONE, DONE_BUT_SKIPPED, FAILED, complain, run_command
 from common.errors import UsageError, counted, did_you_mean, shown
 from common.files import final_path
 from common.output import ask, print_message, print_result
-from recorder.check import check, is_whole
-from recorder.chunks import WITHOUT_CRCS
-from recorder.edit import check_rows, merge, rows_between, split, trim, trim_times
-from recorder.info import describe
-from recorder.log import Log
+from recorder.log.check import check, is_whole
+from recorder.log.edit import check_rows, merge, rows_between, split, trim, trim_times
+from recorder.log.log_info import describe
+from recorder.log.mcap_file import WITHOUT_CRCS
+from recorder.log.reader import Log
+from recorder.log.recover import recover, recovered_name
+from recorder.log.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
 from recorder.log_report import print_checked, print_info, print_written, rows_of
-from recorder.recover import recover, recovered_name
-from recorder.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
 
 LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
@@ -90,7 +90,7 @@ class Cameras:
         return _each(self.logs, self._one)
 
     def _one(self, path: Path) -> int:
-        from recorder.side_cameras import UDACITY_SPACING, side_cameras  # OpenCV
+        from recorder.log.side_cameras import UDACITY_SPACING, side_cameras  # OpenCV
 
         code = _noted(path)
         with Log(path) as log:

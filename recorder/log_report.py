@@ -11,11 +11,11 @@ from common import Skipped
 from common.command import warn, warn_skipped
 from common.errors import counted, shown
 from common.output import print_result, print_table
-from recorder.check import Checked
-from recorder.info import Info
-from recorder.new_log import Written
-from recorder.tags import Tag
-from recorder.topics import VEHICLE
+from recorder.log.check import Checked
+from recorder.log.derived_log import Written
+from recorder.log.log_info import Info
+from recorder.log.tags import Tag
+from recorder.log.topics import VEHICLE
 
 MOST_PLACES: Final = 6
 """So many are named of a kind; --json names all."""

@@ -17,7 +17,7 @@ from common.command import DONE, FAILED, flags_given, refuse_no_port, run_comman
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.progress import progress_bar, track
-from simulator.client import NoHostError, SimulatorClient, WaitTimeoutError
+from simulator.protocol.client import NoHostError, SimulatorClient, WaitTimeoutError
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,10 @@ def sim(config: Sim) -> int:
 def _drive(config: Sim, client: SimulatorClient) -> int:
     import cv2
 
-    from simulator.autonomous import GIVE_UP_S, drive_autonomously
-    from simulator.expert import Expert
-    from simulator.recovery import steps_each
-    from simulator.simulation import Simulation
+    from simulator.driving.expert import Expert
+    from simulator.driving.recovery_driving import steps_each
+    from simulator.driving.simulation import Simulation
+    from simulator.protocol.autonomous_mode import GIVE_UP_S, drive_autonomously
 
     if not 0 < config.expert_speed < math.inf:
         raise UsageError(f"--expert-speed {config.expert_speed:g}: a set speed is a number of mph above 0")
@@ -126,7 +126,7 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
 
 
 def _replay(config: Sim, client: SimulatorClient) -> int:
-    from simulator.replay import pictures_of, replay
+    from simulator.protocol.replay import pictures_of, replay
 
     assert config.replay is not None  # noqa: S101
     if config.tell_world:

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from repository import ROOT
+
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
 settings.register_profile("tests", deadline=None, derandomize=True, database=None)
 settings.load_profile("tests")
@@ -27,7 +29,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def recordings() -> Path:
     """The folder of real recordings: ../shared/recordings, or BC_RECORDINGS."""
-    beside = Path(__file__).parent.parent.parent / "shared" / "recordings"
+    beside = ROOT.parent / "shared" / "recordings"
     folder = Path(os.environ.get("BC_RECORDINGS", beside))
     if not folder.is_dir():
         pytest.skip(f"real recordings were not tried: there is no {folder}; BC_RECORDINGS names another folder")

@@ -15,9 +15,9 @@ from driving import DriveProcess
 from logs import plain_read, read_messages
 from model import TrainConfig, load_pilot, train
 from recorder import import_udacity
-from recorder.topics import CAMERAS
-from simulator.client import SimulatorClient
-from simulator.replay import replay
+from recorder.log.topics import CAMERAS
+from simulator.protocol.client import SimulatorClient
+from simulator.protocol.replay import replay
 from viz import save_rrd
 
 

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from driving import run_code
+from repository import ROOT
 
-ROOT = Path(__file__).parent.parent
-
-# docs and design: each room imports from those under it only; `common` is the floor under all of them.
+# Each room imports from those under it only; `common` is the floor under all of them (ARCHITECTURE.md).
 MAY_IMPORT = {
     "common": set[str](),
     "simulator": {"common"},
@@ -51,7 +50,7 @@ def test_imports_go_downwards_only(room: str) -> None:
     upwards = [
         f"{path.relative_to(ROOT)}:{line} imports {name}"
         for path in SOURCES
-        if path.parent.name == room
+        if path.relative_to(ROOT).parts[0] == room
         for line, name in imported(path)
         if name.split(".")[0] in MAY_IMPORT.keys() - allowed
     ]
@@ -59,7 +58,7 @@ def test_imports_go_downwards_only(room: str) -> None:
 
 
 def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
-    helpers = {path.stem for path in (ROOT / "tests").glob("*.py")} | {"tests", "benchmarks"}
+    helpers = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests", "benchmarks"}
     assert [path for path in SOURCES for _, name in imported(path) if name.split(".")[0] in helpers] == []
 
 

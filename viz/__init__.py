@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 from common.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from viz.follow import save_growing
-    from viz.layout import log_layout
-    from viz.playback import curves, save_rrd
+    from viz.live.follow import save_growing
+    from viz.playback.blueprint import log_layout
+    from viz.playback.rerun_recording import curves, save_rrd
 
 __all__ = ["curves", "log_layout", "save_growing", "save_rrd"]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "curves": "viz.playback",
-        "log_layout": "viz.layout",
-        "save_growing": "viz.follow",
-        "save_rrd": "viz.playback",
+        "curves": "viz.playback.rerun_recording",
+        "log_layout": "viz.playback.blueprint",
+        "save_growing": "viz.live.follow",
+        "save_rrd": "viz.playback.rerun_recording",
     },
 )

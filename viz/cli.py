@@ -21,8 +21,8 @@ from common.files import refuse_existing
 from common.output import print_message, print_result
 
 if TYPE_CHECKING:
-    from model.predictions import LogPredictions
-    from viz.showing import Shown, Where
+    from model.evaluation.log_predictions import LogPredictions
+    from viz.targets import Shown, Where
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def play(config: Play) -> int:
 def _prepare_rerun() -> None:
     if find_spec("rerun") is None or find_spec("rerun_cli") is None:
         raise UserError("the viewer is not installed here: `pip install rerun-sdk` brings it")
-    from viz.viewer import SENDER_LOG
+    from viz.viewer_process import SENDER_LOG
 
     os.environ.setdefault("RUST_LOG", SENDER_LOG)  # read when Rerun starts
 
@@ -173,11 +173,11 @@ def _show_or_save(config: Play, shown: Shown) -> int:
 
 
 def _what(config: Play) -> Shown:
-    from viz.comparison import prepared_comparison
-    from viz.growing import find_log, is_finished
-    from viz.playback import prepared_log
-    from viz.showing import GrowingLogShown, GrowingTraining, Whole
-    from viz.training import prepared_training, refuse_no_training
+    from viz.live.live_log import find_log, is_finished
+    from viz.playback.comparison import prepared_comparison
+    from viz.playback.rerun_recording import prepared_log
+    from viz.targets import GrowingLogShown, GrowingTraining, Whole
+    from viz.training_curves import prepared_training, refuse_no_training
 
     if len(config.logs) > 1:
         folders = [path for path in config.logs if path.is_dir()]
@@ -201,7 +201,7 @@ def _what(config: Play) -> Shown:
 def _look_at(paths: Sequence[Path]) -> None:
     """Raise LogError for what is no log at all, before a viewer opens to show it; say it of a log without CRCs."""
     from recorder import Log
-    from recorder.chunks import WITHOUT_CRCS, McapFile
+    from recorder.log.mcap_file import WITHOUT_CRCS, McapFile
 
     for path in dict.fromkeys(paths):
         with contextlib.closing(McapFile(path)) as file:
@@ -213,8 +213,8 @@ def _look_at(paths: Sequence[Path]) -> None:
 
 
 def _where(config: Play) -> Where:
-    from viz.showing import Where
-    from viz.viewer import Ports
+    from viz.targets import Where
+    from viz.viewer_process import Ports
 
     address = None if config.connect is None else "".join(config.connect)
     return Where(config.web, address, Ports(config.web_port, config.port))
@@ -255,9 +255,9 @@ def _is_run(config: Play) -> bool:
 def _play_predicted(config: Play) -> int:
     """A log, and what networks say of it; the exit code."""
     from model import find_run
-    from model.replay import predict_log
-    from viz.predictions import prepared_predictions
-    from viz.showing import Whole
+    from model.evaluation.predict_log import predict_log
+    from viz.playback.predicted_recording import prepared_predictions
+    from viz.targets import Whole
 
     if config.log.is_dir():
         raise UserError(f"{config.log} is a folder: --run shows what a network says of a log; give one")
@@ -290,7 +290,7 @@ def _play_predicted(config: Play) -> int:
 
 def _tell(config: Play, found: LogPredictions) -> int:
     """Keep what networks say, if that is wanted, and print it in short; the exit code."""
-    from viz.prediction_log import write_predictions
+    from viz.playback.prediction_log import write_predictions
 
     if config.write is not None:
         write_predictions(found, config.write, overwrite=config.force)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from recorder.quality import GAP_S
-from recorder.topics import DRIVE_METADATA
+from recorder.log.row_quality import GAP_S
+from recorder.log.topics import DRIVE_METADATA
 from viz.video_overlay import Driver, Reading
 
 _DRIVERS: Final[dict[float, Driver]] = {

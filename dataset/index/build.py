@@ -1,0 +1,295 @@
+"""Building the index: `index/frames/*.parquet` and `index/samples.parquet`, from logs.
+
+Only what changed is read again: logs, tags and frames files whose sizes and times are remembered
+(`dataset.index.build_state`) are not even opened. Whatever came before, the files are those that the logs
+which can be read give.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import filecmp
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import IO, Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from common.locks import lock
+from common.progress import track
+from dataset.config import IndexConfig
+from dataset.errors import DatasetError, naming
+from dataset.index.build_state import (
+    FRAMES_FOLDER,
+    STATE_NAME,
+    Entry,
+    State,
+    read_state,
+    sources_of,
+    stat_of,
+    write_state,
+)
+from dataset.index.duplicates import refuse_shared_pictures
+from dataset.index.filter import Condition
+from dataset.index.frames import (
+    FORMAT,
+    SCHEMA,
+    FramesError,
+    frames_metadata,
+    frames_settings,
+    frames_table,
+    place_of,
+    read_metadata,
+    session_name,
+    write_table,
+)
+from dataset.index.image_check_cache import LOOKS_FOLDER
+from dataset.index.samples import Balance, SessionCounts, write_samples
+from dataset.index.samples_format import FORMAT as SAMPLES_FORMAT
+from dataset.index.samples_format import SAMPLES_NAME
+from dataset.index.sessions import name_problem
+from dataset.index.staging import clear_up, staged, strangers_to
+from recorder import Log, LogError
+from recorder.log.mcap_file import WITHOUT_CRCS
+from recorder.log.tags import read_tags
+from recorder.log.topics import CAMERAS, camera_topic
+from recorder.pictures.picture_size import width_and_height
+
+LOCK_NAME: Final = ".lock"
+
+
+class _NotAsRememberedError(Exception):
+    """A file is not what its size and time tell, or has changed at this very moment."""
+
+
+@dataclass(frozen=True)
+class Indexed:
+    """What an index holds."""
+
+    path: Path
+    sessions: list[str]
+    read: list[str]  # those whose frames are new
+    balance: Balance
+    counts: dict[str, SessionCounts]
+    notices: list[str]  # logs that were never finished, or that cannot be read at all
+    remarks: list[str]  # logs in which damage is not noticed
+    sizes_px: dict[str, list[tuple[int, int]]]  # of each session, width and height of its cameras' first pictures
+
+    @cached_property
+    def frames(self) -> pa.Table:
+        return pa.concat_tables(
+            pq.read_table(self.path / FRAMES_FOLDER / f"{session}.parquet") for session in self.sessions
+        )
+
+    @cached_property
+    def samples(self) -> pa.Table:
+        return pq.read_table(self.path / SAMPLES_NAME)
+
+
+def build_index(
+    logs: Sequence[Path | str],
+    index: Path | str,
+    config: IndexConfig | None = None,
+    *,
+    leave_out_unreadable: bool = False,
+    passed_over: Sequence[str] = (),
+) -> Indexed:
+    """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
+
+    It changes whole or, where anything is raised, not at all. Raises LogError if a log cannot be read
+    (`leave_out_unreadable`: it is left out, and the notices name it), DatasetError if nothing in them can be used,
+    if a picture is in two of them, if `config` names a session that is not among them, or if a file cannot be
+    written; and what `check_settings` does. `passed_over` are the sessions that somebody chose not to have in the
+    index: `sessions_not_indexed` does not tell of them.
+    """
+    index, config = Path(index), config or IndexConfig()
+    by_name = dict(sorted((session_name(Path(path)), Path(path)) for path in logs))
+    check_settings(list(by_name.values()), index, config)
+    with _alone(index):
+        clear_up(index)
+        state = read_state(index)
+        try:
+            return _build(by_name, index, config, state, leave_out_unreadable, passed_over)
+        except _NotAsRememberedError:
+            return _build(by_name, index, config, State(), leave_out_unreadable, passed_over)
+
+
+def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> None:
+    """Raise what `build_index` could raise without having read anything.
+
+    That is DatasetError for a session to hold out that is not among `logs`, for a condition that is none, and for
+    an index that is no plain folder; UserError if DuckDB is missing.
+    """
+    names = sorted(map(session_name, logs))
+    if missing := set(config.validation) - set(names):
+        raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
+    for folder in (index / FRAMES_FOLDER, index / LOOKS_FOLDER):
+        # what is written and deleted in a link would be somebody else's
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise DatasetError(f"{folder}: not a plain folder; remove it")
+    if config.where is not None:
+        Condition(config.where).check(SCHEMA.empty_table())
+
+
+def _build(
+    by_name: dict[str, Path],
+    index: Path,
+    config: IndexConfig,
+    state: State,
+    leave_out_unreadable: bool,
+    passed_over: Sequence[str],
+) -> Indexed:
+    entries: dict[str, Entry] = {}
+    with staged(index) as stage:
+        for name, path in track(by_name.items(), "indexing", len(by_name)):
+            try:
+                entries[name] = _known(name, path, index, config, state) or _read(name, path, index, config, stage)
+            except LogError as error:
+                if not leave_out_unreadable or name in config.validation:
+                    raise
+                entries[name] = Entry(sources_of(name, path, index), notice=f"{error}; left out")
+        read = sorted(file.stem for file in (stage / FRAMES_FOLDER).iterdir())
+        held = {name: entry for name, entry in entries.items() if entry.fingerprint}
+        notices = [entry.notice for entry in entries.values() if entry.notice]
+        if not held:
+            raise LogError("; ".join(notices))
+        remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
+        places = {
+            name: {"log": place_of(by_name[name], index), "fingerprint": entry.fingerprint}
+            for name, entry in held.items()
+        }
+        sizes_px = {name: sorted({(width, height) for width, height in held[name].sizes_px}) for name in held}
+        made = _as_it_is(index, held, places, config, state)
+        samples = (index if made else stage) / SAMPLES_NAME
+        if made is None:
+            frames = {
+                name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
+            }
+            try:
+                refuse_shared_pictures(frames, by_name)
+                with naming(index / SAMPLES_NAME):
+                    made = write_samples(frames, samples, config, places)
+            except (LogError, FramesError):
+                if state.logs:
+                    raise _NotAsRememberedError from None
+                raise
+        if samples.parent == stage or (entries, sorted(passed_over)) != (state.logs, state.passed_over):
+            with naming(index / STATE_NAME):
+                write_state(samples.with_name(STATE_NAME), stat_of(samples), entries, passed_over)
+    return Indexed(index, list(held), read, *made, notices, remarks, sizes_px)
+
+
+@contextlib.contextmanager
+def _alone(index: Path) -> Iterator[None]:
+    """Let one at a time build this index; where none comes of it, nothing stays of what this has made."""
+    made = [folder for folder in (index, *index.parents) if not folder.exists()]
+    with _locked(index) as stream:
+        try:
+            yield
+        finally:
+            if not (index / SAMPLES_NAME).exists():
+                with contextlib.suppress(OSError):  # somebody else's files; Windows removes no open one
+                    Path(stream.name).unlink()
+                    for folder in made:
+                        folder.rmdir()
+
+
+def _locked(index: Path) -> IO[bytes]:
+    """The lock's file, locked until it is closed."""
+    path = index / LOCK_NAME
+    while True:
+        index.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as stack, contextlib.suppress(FileNotFoundError):
+            stream = stack.enter_context(path.open("ab"))
+            lock(stream)
+            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
+                stack.pop_all()
+                return stream
+        # who held the lock has removed the file: the next one would lock another
+
+
+def _known(name: str, log: Path, index: Path, config: IndexConfig, state: State) -> Entry | None:
+    """What is remembered of a session whose frames are up to date, if its log need not be opened for that.
+
+    One that was left out is always tried again: whether a file may be read, its size and time do not tell.
+    """
+    entry = state.logs.get(name)
+    file = index / FRAMES_FOLDER / f"{name}.parquet"
+    if entry is None or not entry.fingerprint:
+        return None
+    if entry.sources != sources_of(name, log, index) or entry.frames is None or entry.frames != stat_of(file):
+        return None
+    expected = {
+        "format": FORMAT,
+        "settings": frames_settings(config, name),
+        "log": place_of(log, index),
+        "fingerprint": entry.fingerprint,
+    }
+    stored = read_metadata(file) or {}
+    return entry if all(stored.get(key) == value for key, value in expected.items()) else None
+
+
+def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> Entry:
+    """Read a log, all of it: its fingerprint does not tell of damage within a chunk. Its frames file is put into
+    `stage`, unless the index has the very same.
+
+    Raises LogError for a log that is damaged, or whose name no index can hold.
+    """
+    sources = sources_of(name, path, index)  # before anything is read: what changes from now on will be noticed
+    if problem := name_problem(path):
+        raise LogError(problem)
+    with Log(path) as log:
+        tags = read_tags(path, log.fingerprint)
+        table = frames_table(log, index, config, tags)
+        metadata = frames_metadata(log, index, config, tags)
+        entry = Entry(sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log))
+    file = index / FRAMES_FOLDER / f"{name}.parquet"
+    new = stage / FRAMES_FOLDER / file.name
+    with naming(file):
+        write_table(new, table, metadata)
+    if _are_equal(new, file):
+        new.unlink()
+        return replace(entry, frames=stat_of(file))
+    return replace(entry, frames=stat_of(new))
+
+
+def _sizes_px(log: Log) -> list[list[int]]:
+    """Width and height of the first picture of each camera, as its header has it."""
+    sizes = []
+    for camera in CAMERAS:
+        found = log.pictures(camera_topic(camera))
+        if len(found.sequence):
+            data = log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0]))
+            sizes += [list(size) for size in [width_and_height(data)] if size]
+    return sizes
+
+
+def _are_equal(new: Path, old: Path) -> bool:
+    try:
+        return not old.is_symlink() and filecmp.cmp(new, old, shallow=False)
+    except OSError:
+        return False
+
+
+def _as_it_is(
+    index: Path, held: Mapping[str, Entry], places: Mapping[str, object], config: IndexConfig, state: State
+) -> tuple[Balance, dict[str, SessionCounts]] | None:
+    """What samples.parquet says of itself, if it would be made the same of these frames, and no other is there."""
+    before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}
+    if {name: entry.frames for name, entry in held.items()} != before or strangers_to(set(held), index):
+        return None
+    samples = index / SAMPLES_NAME
+    stored = read_metadata(samples) or {}
+    expected = {"format": SAMPLES_FORMAT, "logs": places, "settings": json.loads(json.dumps(config.as_dict()))}
+    if state.samples != stat_of(samples) or any(stored.get(key) != value for key, value in expected.items()):
+        return None
+    try:
+        counts = {name: SessionCounts.from_dict(stored["counts"][name]) for name in held}
+        return Balance.from_dict(stored["balance"]), counts
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
+        return None

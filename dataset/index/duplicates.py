@@ -1,0 +1,92 @@
+"""The same pictures in two sessions: in training and in validation, they would make every error look small.
+
+A log may have been imported twice, or trimmed, merged, recovered beside its original. Logs name no ancestors that
+could be trusted, so the pictures themselves are compared: those of equal time, camera and length, byte by byte.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from common.open_file_limit import allow_open_files
+from dataset.errors import DatasetError
+from dataset.index.frames import read_frames
+from dataset.index.samples import is_excluded
+from recorder import Log
+from recorder.log.topics import CAMERAS
+
+_PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
+
+
+def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path]) -> None:
+    """Raise DatasetError if two sessions hold the same picture; frames tagged `exclude` do not count.
+
+    `frames` and `logs`: the frames file and the log of each session.
+    """
+    if len(frames) < 2:
+        return
+    names = list(frames)
+    keys, owners, positions = [], [], []
+    for number, name in enumerate(names):
+        table = read_frames(frames[name], ("log_time_ns", "length", "camera", "tags"))
+        at = np.flatnonzero(~is_excluded(table))
+        keys.append(_key(table)[at])
+        owners.append(np.full(len(at), number, np.int32))
+        positions.append(at.astype(np.int32))
+    key, owner, position = np.concatenate(keys), np.concatenate(owners), np.concatenate(positions)
+    order = np.argsort(key, kind="stable")  # and so by owner where keys are equal
+    alike = np.flatnonzero((np.diff(key[order]) == 0) & (np.diff(owner[order]) != 0))
+    # the groups of equal keys in which several sessions have a part
+    groups = np.unique(np.searchsorted(key[order], key[order][alike]))
+    allow_open_files(len(frames))
+    with contextlib.ExitStack() as stack:
+        opened: dict[int, _Session] = {}
+        for start in groups.tolist():
+            end = int(np.searchsorted(key[order], key[order][start], side="right"))
+            seen: dict[bytes, tuple[int, int]] = {}
+            for at in order[start:end].tolist():
+                number = int(owner[at])
+                if number not in opened:
+                    log = stack.enter_context(Log(logs[names[number]]))
+                    opened[number] = _Session(log, frames[names[number]])
+                row, data = opened[number].picture(int(position[at]))
+                other, other_row = seen.setdefault(hashlib.sha256(data).digest(), (number, row))
+                if other != number:
+                    one, two = logs[names[other]], logs[names[number]]
+                    raise DatasetError(
+                        f"{one} and {two}: the same picture in both (rows {other_row} and {row}); index only one"
+                        " of them, or tag the rows `exclude` in one: `bc-log tag`"
+                    )
+
+
+class _Session:
+    """An open log and where its frames are."""
+
+    def __init__(self, log: Log, frames: Path) -> None:
+        table = read_frames(frames, ("row", "offset", "length", "chunk"))
+        self._log = log
+        self._columns = [table[name].to_numpy() for name in ("row", "offset", "length", "chunk")]
+
+    def picture(self, position: int) -> tuple[int, bytes]:
+        """Row and bytes of a frame."""
+        row, offset, length, chunk = (int(column[position]) for column in self._columns)
+        return row, self._log.read(offset, length, chunk)
+
+
+def _key(frames: pa.Table) -> NDArray[np.uint64]:
+    """One number for time, length and camera; different ones seldom share it: their bytes tell them apart."""
+    camera = pc.index_in(frames["camera"].cast(pa.string()), pa.array(CAMERAS)).to_numpy()
+    columns = (frames["log_time_ns"].to_numpy(), frames["length"].to_numpy(), camera)
+    mixed = np.zeros(len(frames), np.uint64)
+    for column in columns:
+        mixed = mixed * _PRIME + column.astype(np.uint64)
+    return mixed

@@ -1,0 +1,110 @@
+"""What is odd about the frames of a session, as names in the column `flags` of its frames table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, row_flags
+from recorder.log.topics import Camera
+
+PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture"]
+FrameFlag = RowFlag | PictureFlag
+FRAME_FLAGS: Final[tuple[FrameFlag, ...]] = (*ROW_FLAGS, *get_args(PictureFlag))
+
+UNUSABLE: Final[tuple[FrameFlag, ...]] = ("out_of_range", "broken_picture")
+"""What keeps a frame out of the samples, `out_of_range` only where it is the steering; the rest is only told."""
+
+Stretches = tuple[tuple[int, int], ...]
+"""First and last position of each stretch, in their order and without overlap."""
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What looking at the pictures of a log has found, as positions among a camera's pictures (`Log.pictures`)."""
+
+    pictures: int  # that were looked at
+    broken: Mapping[Camera, Stretches]
+    frozen: Mapping[Camera, Stretches]
+
+
+@dataclass(frozen=True)
+class Paired:
+    """The frames of one camera (N,): positions of their vehicle states, and of their pictures (`Log.pictures`)."""
+
+    state: NDArray[np.int64]
+    picture: NDArray[np.int64]
+
+
+def frame_flags(states: States, frames: Mapping[Camera, Paired], looked: Looked | None) -> pa.ListArray:
+    """The flags of each frame, as lists of strings, for the frames of all cameras one after the other.
+
+    Those of `recorder.log.row_quality.row_flags`, and `missing_picture`: its row lacks the picture of another
+    camera that the session has. Only with `looked`: `broken_picture`, which does not decode, and
+    `frozen_picture`, one of three or more equal ones in a row from a moving car.
+    """
+    flags: dict[FrameFlag, NDArray[np.bool_]] = {
+        flag: _joined(mask[paired.state] for paired in frames.values()) for flag, mask in row_flags(states).items()
+    }
+    lacks = _lacks_a_picture(len(states.row), frames)
+    flags["missing_picture"] = _joined(lacks[paired.state] for paired in frames.values())
+    if looked is not None:
+        found: dict[PictureFlag, Mapping[Camera, Stretches]] = {
+            "broken_picture": looked.broken,
+            "frozen_picture": looked.frozen,
+        }
+        for flag, stretches in found.items():
+            flags[flag] = _joined(
+                _is_within(paired.picture, stretches.get(camera, ())) for camera, paired in frames.items()
+            )
+    return _lists(flags, sum(len(paired.state) for paired in frames.values()))
+
+
+def is_unusable(frames: pa.Table) -> NDArray[np.bool_]:
+    """Which rows of a frames table cannot be used: steering outside -1..1, or a picture that does not decode."""
+    unusable: NDArray[np.bool_] = frames["bin"].to_numpy() < 0
+    flags = frames["flags"].combine_chunks()
+    is_broken = pc.equal(pc.list_flatten(flags).cast(pa.string()), "broken_picture")
+    unusable[pc.list_parent_indices(flags).filter(is_broken).to_numpy()] = True
+    return unusable
+
+
+def _lacks_a_picture(rows: int, frames: Mapping[Camera, Paired]) -> NDArray[np.bool_]:
+    lacks = np.zeros(rows, np.bool_)
+    for paired in frames.values():
+        if len(paired.state):
+            has_one = np.zeros(rows, np.bool_)
+            has_one[paired.state] = True
+            lacks |= ~has_one
+    return lacks
+
+
+def _is_within(positions: NDArray[np.int64], stretches: Stretches) -> NDArray[np.bool_]:
+    if not stretches:
+        return np.zeros(len(positions), np.bool_)
+    first, last = np.array(stretches, np.int64).T
+    nearest = np.searchsorted(first, positions, side="right") - 1  # the last stretch that begins before
+    is_within: NDArray[np.bool_] = (nearest >= 0) & (positions <= last[nearest])
+    return is_within
+
+
+def _joined(masks: Iterable[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    return np.concatenate([np.zeros(0, np.bool_), *masks])
+
+
+def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.ListArray:
+    """Masks (N,) as one list of names a frame. Only frames with a flag cost anything but their offset."""
+    at: list[NDArray[np.int64]] = [np.flatnonzero(mask) for mask in flags.values()]
+    frame = np.concatenate([np.zeros(0, np.int64), *at])
+    name = np.repeat(np.arange(len(at), dtype=np.int8), [len(part) for part in at])
+    name = name[np.argsort(frame, kind="stable")]
+    offsets = np.zeros(frames + 1, np.int32)
+    np.cumsum(np.bincount(frame, minlength=frames), out=offsets[1:])
+    names: Any = pa.DictionaryArray.from_arrays(name, pa.array(flags, pa.string()))
+    return pa.ListArray.from_arrays(offsets, names.cast(pa.string()))

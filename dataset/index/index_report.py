@@ -1,0 +1,93 @@
+"""What bc-index prints: the sessions, and the steering's distribution before and after balancing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.markup import escape
+from rich.table import Table
+
+from common.command import DONE, warn
+from common.errors import shown
+from common.output import print_message
+from dataset.index.build import Indexed
+from dataset.index.samples import Balance
+from dataset.index.sessions import unfinished_recordings
+from dataset.preprocess import SIZE_PX
+
+BAR_CELLS = 13  # so that a line fits 80 columns
+_MOST_NAMES = 8
+MOST_BINS = 101  # more lines than that nobody reads
+
+
+def sessions_table(indexed: Indexed) -> Table:
+    """Frames of each session, by what becomes of them; two of them only where there are some."""
+    some_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
+    some_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
+    columns = ["frames", "training", "validation", "gap", "left out"]
+    columns += ["not taken over"] * some_piloted + ["no label"] * some_unlabelled
+    table = Table("session", *columns, "", title="frames")
+    for session in indexed.sessions:
+        counts = indexed.counts[session]
+        left_out = counts.excluded + counts.unusable + counts.not_asked_for
+        numbers = [counts.frames, counts.training, counts.validation, counts.gap, left_out]
+        numbers += [counts.not_taken_over] * some_piloted + [counts.unlabelled] * some_unlabelled
+        state = "read" if session in indexed.read else "unchanged"
+        table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
+    return table
+
+
+def balance_table(balance: Balance) -> Table:
+    """The training split's steering, bin by bin."""
+    target = f"; each bin brought to {balance.per_bin:,}" if balance.per_bin else "; not balanced"
+    table = Table("steering", "before", "", "after", "", "", title=f"training samples{target}")
+    if len(balance.before) > MOST_BINS:
+        return table
+    widest = max(1, int(balance.before.max()), int(balance.after.max()))
+    bins = len(balance.before)
+    for i, (before, after) in enumerate(zip(balance.before.tolist(), balance.after.tolist(), strict=True)):
+        low, high = -1 + 2 * i / bins, -1 + 2 * (i + 1) / bins
+        note = f"{balance.short[i]:,} short" if i in balance.short else "" if before else "empty"
+        table.add_row(
+            f"{low:+.2f} .. {high:+.2f}",
+            f"{before:,}",
+            _bar(before, widest),
+            f"{after:,}",
+            _bar(after, widest),
+            note,
+        )
+    return table
+
+
+def tell_of_logs(indexed: Indexed, folder: Path, sessions: Sequence[str] = ()) -> int:
+    """Print what a person should know of the logs of an index, and of recordings in `folder` that are not finished
+    (with `sessions`, of these only); the exit code that says so."""
+    code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])
+    for remark in [*indexed.remarks, *mixed_sizes(indexed.sizes_px)]:
+        print_message(remark)
+    return code
+
+
+def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
+    """A line if pictures are not all of one size: which sessions have which, from their widths and heights."""
+    sessions: dict[tuple[int, int], list[str]] = {}
+    for session, sizes in sizes_px.items():
+        for size in sizes:
+            sessions.setdefault(size, []).append(session)
+    if len(sessions) < 2:
+        return []
+    parts = []
+    for (width, height), names in sorted(sessions.items(), reverse=True):
+        more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""
+        parts.append(f"{width:,} x {height:,} px in {', '.join(map(shown, names[:_MOST_NAMES]))}{more}")
+    return [
+        f"pictures of different sizes: {'; '.join(parts)}. Of each the same share is cut off, and the rest is"
+        f" brought to {SIZE_PX} x {SIZE_PX} px: they should show the same part of the world"
+    ]
+
+
+def _bar(count: int, widest: int) -> str:
+    """A bar of eighths of a cell; something is never drawn as nothing."""
+    eighths = max(round(BAR_CELLS * 8 * count / widest), int(count > 0))
+    return "█" * (eighths // 8) + ("", "▏", "▎", "▍", "▌", "▋", "▊", "▉")[eighths % 8]

@@ -1,0 +1,118 @@
+"""What a network is to learn of each frame: the steering as recorded, or smoothed, or that of a little later.
+
+People with keyboards steer in steps, and after the road has turned: the picture comes before the steering that it
+calls for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from recorder.log.row_quality import GAP_S
+
+_ONE: Final = 1 << 40
+"""A steering of 1 as an integer: sums of integers are exact, no rounding carries over from stretch to stretch."""
+
+Steering = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+
+def labels_of(
+    frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8], smooth_s: float, shift_s: float
+) -> Steering:
+    """The steering to be learnt of each of a session's frames (N,), -1..1; NaN where there is none.
+
+    `is_usable` (N,) tells which frames can be used, `split` (N,) on which side they are. A row of which no frame
+    can be used is a border. So is an edge of a drive, a gap in time, and where `split` changes: no label depends
+    on what lies behind a border. Smoothing is the mean over the rows within half of `smooth_s` on either side, as
+    far as the border. Then the label is the steering `shift_s` seconds later (earlier, if negative), between two
+    rows on the line between them; where that lies behind the border, there is no label. With neither, it is as
+    recorded.
+    """
+    steering: Steering = frames["steering"].to_numpy()
+    if (smooth_s == 0 and shift_s == 0) or not len(frames):
+        return steering
+    rows, number = _rows(frames)
+    row_is_usable = np.bincount(number, is_usable, len(rows)) > 0
+    steering, split = steering[rows], split[rows]
+    drive = frames["drive"].to_numpy()[rows]
+    step_ns = np.diff(frames["log_time_ns"].to_numpy()[rows])
+    is_border = (
+        (step_ns < 0)
+        | (step_ns > GAP_S * 1e9)
+        | (np.diff(drive) != 0)
+        | (np.diff(split) != 0)
+        | ~(row_is_usable[1:] & row_is_usable[:-1])
+    )
+    stretches = _Stretches.between(step_ns, is_border)
+    found = np.where(row_is_usable, steering, 0.0)  # an unusable row is a stretch of its own; it may be NaN
+    if smooth_s:
+        found = _smoothed(found, stretches, round(smooth_s * 1e9 / 2))
+    if shift_s:
+        found = _shifted(found, stretches, round(shift_s * 1e9))
+    found[~row_is_usable] = np.nan
+    return found[number]
+
+
+@dataclass(frozen=True)
+class _Stretches:
+    """Rows between borders; arrays of one length, an element a row."""
+
+    time_ns: Times  # never falls, also over borders; differences within a stretch are those of the log
+    first: NDArray[np.int64]  # of the row's stretch: the first row
+    last: NDArray[np.int64]  # and its last one
+
+    @classmethod
+    def between(cls, step_ns: Times, is_border: NDArray[np.bool_]) -> _Stretches:
+        """From the times between neighbouring rows, and whether there is a border between them."""
+        time_ns = np.concatenate([[0], np.cumsum(np.where(is_border, 0, step_ns))])
+        starts = np.concatenate([[0], np.flatnonzero(is_border) + 1])
+        ends = np.append(starts[1:], len(time_ns))
+        first, last = (np.repeat(edge, ends - starts) for edge in (starts, ends - 1))
+        return cls(time_ns, first, last)
+
+
+def _smoothed(steering: Steering, stretches: _Stretches, reach_ns: int) -> Steering:
+    """The mean over the rows of the same stretch within `reach_ns` of each row."""
+    time_ns = stretches.time_ns
+    begin = np.maximum(np.searchsorted(time_ns, time_ns - reach_ns, side="left"), stretches.first)
+    end = np.minimum(np.searchsorted(time_ns, time_ns + reach_ns, side="right"), stretches.last + 1)
+    total = np.concatenate([[0], np.cumsum(np.rint(steering * _ONE).astype(np.int64))])
+    mean = (total[end] - total[begin]) / (end - begin) / _ONE
+    starts = np.unique(stretches.first)
+    lowest, highest = (extreme.reduceat(steering, starts) for extreme in (np.minimum, np.maximum))
+    stretch = np.searchsorted(starts, stretches.first)
+    smoothed: Steering = np.clip(mean, lowest[stretch], highest[stretch])
+    return smoothed
+
+
+def _shifted(steering: Steering, stretches: _Stretches, shift_ns: int) -> Steering:
+    """The steering of the same stretch `shift_ns` later; NaN where it has ended by then."""
+    time_ns = stretches.time_ns
+    wanted_ns = time_ns + shift_ns
+    is_within = (time_ns[stretches.first] <= wanted_ns) & (wanted_ns <= time_ns[stretches.last])
+    after = np.clip(np.searchsorted(time_ns, wanted_ns), stretches.first, stretches.last)
+    before = np.maximum(after - 1, stretches.first)
+    apart_ns = np.maximum(time_ns[after] - time_ns[before], 1)  # 0 only where both are the first row of a stretch
+    share = (time_ns[after] - wanted_ns) / apart_ns
+    between = steering[after] - share * (steering[after] - steering[before])
+    return np.where(is_within, between, np.nan)
+
+
+def _rows(frames: pa.Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The rows of a session in their order: (the first frame of each, each frame's row as a position among them).
+
+    The cameras' frames share a row; a log that was still growing may hold late pictures behind others.
+    """
+    row, time_ns = (frames[name].to_numpy() for name in ("row", "log_time_ns"))
+    order = np.lexsort((time_ns, row))
+    is_new = np.ones(len(order), np.bool_)
+    is_new[1:] = (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(is_new) - 1
+    return order[is_new], number

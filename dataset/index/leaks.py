@@ -1,0 +1,103 @@
+"""Whether validation is honest: what is held out for it must not be, or nearly be, what training sees.
+
+Reads the parquet files as anybody could, and computes anew what was promised: of what wrote them, only the rows
+and times of the frames are believed. (That two sessions share a picture is refused when an index is built.)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from common.errors import counted
+from dataset.errors import DatasetError
+from dataset.index.build_state import FRAMES_FOLDER
+from dataset.index.frames import read_metadata
+from dataset.index.samples import is_excluded
+from dataset.index.samples_format import SAMPLES_NAME
+
+
+def find_leaks(index: Path | str) -> list[str]:
+    """What is wrong with the split of `index`; an empty list if nothing is.
+
+    No row of a log may be on both sides (its cameras, mirror images and copies with it); no training sample may
+    lie within the gap around a validation sample of its session; nothing that is altered, a copy, or tagged
+    `exclude` may be validated or used. Raises DatasetError if there is no index, or if it is damaged.
+    """
+    index = Path(index)
+    path = index / SAMPLES_NAME
+    metadata = read_metadata(path)
+    if metadata is None:
+        raise DatasetError(f"{path}: no index, or a damaged one; build it with `bc-index`")
+    found: list[str] = []
+    try:
+        gap_s = float(metadata["settings"]["gap_s"])
+        columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
+        samples = pq.read_table(path, columns=columns, read_dictionary=["session"]).unify_dictionaries()
+        session = samples["session"].combine_chunks()
+        order = np.argsort(session.indices.to_numpy(), kind="stable")
+        names = session.dictionary.to_pylist()
+        ends = np.cumsum(np.bincount(session.indices.to_numpy(), minlength=len(names)))
+        for name, start, end in zip(names, [0, *ends[:-1].tolist()], ends.tolist(), strict=True):
+            frames = pq.read_table(
+                index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"]
+            )
+            found += [f"{name}: {what}" for what in _leaks_of(samples.take(order[start:end]), frames, gap_s)]
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
+    return found
+
+
+def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
+    is_validation = pc.equal(samples["split"], "validation").to_numpy()
+    rows = _rows_of(samples)
+    training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
+    found = []
+    if len(both := np.intersect1d(training, validation)):
+        found.append(f"{_rows(both)} in training and in validation, the first is row {both[0]['row']}")
+    is_altered = pc.not_equal(samples["alteration"], "").to_numpy() | samples["copy"].to_numpy()
+    if altered := int((is_altered & is_validation).sum()):
+        found.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
+    excluded = np.unique(_rows_of(frames)[is_excluded(frames)])
+    if len(used := np.intersect1d(excluded, rows)):
+        found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
+    if close := _close(np.unique(_rows_of(frames)), training, validation, gap_s):
+        found.append(close)
+    return found
+
+
+def _rows(rows: NDArray[np.void]) -> str:
+    return f"{counted(len(rows), 'row')} {_are(len(rows))}"
+
+
+def _are(number: int) -> str:
+    return "is" if number == 1 else "are"
+
+
+def _rows_of(table: pa.Table) -> NDArray[np.void]:
+    """Row and time: what tells one moment of a log from another."""
+    rows = np.empty(len(table), [("row", np.int64), ("log_time_ns", np.int64)])
+    for name in ("row", "log_time_ns"):
+        rows[name] = table[name].to_numpy()
+    return rows
+
+
+def _close(rows: NDArray[np.void], training: NDArray[np.void], validation: NDArray[np.void], gap_s: float) -> str:
+    """The training row that is nearest to a validation row along the recording, if it is within the gap."""
+    if not len(training) or not len(validation):
+        return ""
+    elapsed_ns = np.concatenate([[0], np.cumsum(np.abs(np.diff(rows["log_time_ns"])))])
+    trained, held_out = (elapsed_ns[np.searchsorted(rows, part)] for part in (training, validation))
+    right = np.minimum(np.searchsorted(held_out, trained), len(held_out) - 1)
+    left = np.maximum(right - 1, 0)
+    apart_s = np.minimum(abs(held_out[right] - trained), abs(held_out[left] - trained)) / 1e9
+    nearest = int(apart_s.argmin())
+    if apart_s[nearest] > gap_s or (gap_s == 0 and apart_s[nearest] > 0):
+        return ""
+    row = training[nearest]["row"]
+    return f"training row {row} is {apart_s[nearest]:.2f} s from validation, less than the gap of {gap_s:g} s"

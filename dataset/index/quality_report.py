@@ -1,0 +1,110 @@
+"""Where the frames of an index are odd: the stretches of each flag, by session."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from rich.markup import escape
+from rich.table import Table
+
+from common.errors import counted
+from common.output import print_table
+from dataset.errors import DatasetError
+from dataset.index.build_state import FRAMES_FOLDER
+from recorder.log.row_quality import stretches
+
+_COLUMNS = ("session", "row", "log_time_ns", "flags")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class Reported:
+    """Neighbouring rows of a session whose frames have a flag; a gap begins at the row before it."""
+
+    session: str
+    flag: str
+    first_row: int
+    last_row: int
+    begin_s: float  # from the session's first row
+    end_s: float
+    begin_utc: str  # ISO 8601, to the millisecond
+    frames: int  # that have the flag
+
+
+def report(index: Path | str) -> list[Reported]:
+    """What is odd about the frames of `index`, by session and row; reads its frames files alone.
+
+    Raises DatasetError if there is no index, or if it is damaged.
+    """
+    folder = Path(index) / FRAMES_FOLDER
+    files = sorted(folder.glob("*.parquet"))
+    if not files:
+        raise DatasetError(f"{folder}: no index; build it with `bc-index`")
+    found = [reported for file in files for reported in _stretches_of(file)]
+    return sorted(found, key=lambda reported: (reported.session, reported.first_row, reported.flag))
+
+
+def print_report(reported: Sequence[Reported]) -> None:
+    """Print the stretches as a table, then how many frames each flag has."""
+    if not reported:
+        print_table("no frame has a flag")
+        return
+    table = Table(box=None, pad_edge=False)
+    for name in ("session", "flag", "rows", "seconds", "begins (UTC)"):
+        table.add_column(name, no_wrap=True)
+    frames: dict[str, int] = {}
+    for one in reported:
+        frames[one.flag] = frames.get(one.flag, 0) + one.frames
+        # as `bc-log tag` and `bc-play` take them: rows and seconds that are typed have no thousands separators
+        rows = f"{one.first_row}" if one.first_row == one.last_row else f"{one.first_row} to {one.last_row}"
+        seconds = f"{one.begin_s:.2f} to {one.end_s:.2f}"
+        table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc[:19])
+    print_table(table)
+    print_table(", ".join(f"{counted(count, 'frame')} {escape(flag)}" for flag, count in sorted(frames.items())))
+
+
+def _stretches_of(file: Path) -> Iterator[Reported]:
+    damaged = DatasetError(f"{file}: damaged, or not of an index; remove it and give `bc-index`")
+    if file.is_symlink():
+        raise damaged
+    try:
+        table = pq.read_table(file, columns=list(_COLUMNS), page_checksum_verification=True).combine_chunks()
+        session = table["session"].cast(pa.string())
+        row, time_ns = (table[name].cast(pa.int64()).to_numpy() for name in ("row", "log_time_ns"))
+        flags = table["flags"].combine_chunks()
+        frame = pc.list_parent_indices(flags).to_numpy()
+        names = pc.list_flatten(flags).cast(pa.string())
+    except (OSError, ValueError, KeyError, pa.ArrowException):
+        raise damaged from None
+    if any(table[name].null_count for name in _COLUMNS) or names.null_count:
+        raise damaged
+    if not len(row):
+        return
+    # Frames of several cameras share a row; and a log that is still growing may hold late pictures behind others.
+    order = np.lexsort((time_ns, row))
+    is_new = np.concatenate([[True], (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)])
+    number = np.empty(len(order), np.int64)  # of each frame's row, in their order
+    number[order] = np.cumsum(is_new) - 1
+    row, time_ns = row[order][is_new], time_ns[order][is_new]
+    for flag in pc.unique(names).to_pylist():
+        of_flag = frame[pc.equal(names, flag).to_numpy(zero_copy_only=False)]
+        frames = np.bincount(number[of_flag], minlength=len(row))
+        for first, last in stretches(frames > 0):
+            begin_ns = int(time_ns[max(first - 1, 0) if flag == "gap" else first])
+            yield Reported(
+                session[0].as_py(),
+                flag,
+                int(row[first]),
+                int(row[last]),
+                (begin_ns - int(time_ns[0])) / 1e9,
+                (int(time_ns[last]) - int(time_ns[0])) / 1e9,
+                (_EPOCH + timedelta(microseconds=begin_ns // 1000)).isoformat(timespec="milliseconds"),
+                int(frames[first : last + 1].sum()),
+            )

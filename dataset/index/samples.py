@@ -1,0 +1,299 @@
+"""`index/samples.parquet`: the balanced index that training reads, one row a sample.
+
+Built from the frames files without holding them all: what is balanced is one number a frame, and the samples are
+written session by session.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from common import whole_file
+from dataset.config import IndexConfig
+from dataset.errors import DatasetError
+from dataset.index.balance import balance, bin_of, unbalanced
+from dataset.index.drivers import DRIVERS, is_taken
+from dataset.index.filter import Condition
+from dataset.index.frame_flags import is_unusable
+from dataset.index.frames import read_frames
+from dataset.index.labels import labels_of
+from dataset.index.samples_format import FORMAT, METADATA_KEY, SCHEMA
+from recorder.log.tags import EXCLUDE
+from recorder.log.topics import CAMERAS
+
+FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Samples per steering bin of the training split, before and after balancing."""
+
+    before: NDArray[np.int64]
+    after: NDArray[np.int64]
+    per_bin: int  # what the bins were brought to; 0 where nothing was balanced
+    short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
+
+    def as_dict(self) -> dict[str, Any]:
+        return {**asdict(self), "before": self.before.tolist(), "after": self.after.tolist()}
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
+        """Raises KeyError, TypeError or ValueError if it is none."""
+        before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
+        if before.ndim != 1 or before.shape != after.shape or not len(before):
+            raise ValueError("not two counts of the same bins")
+        short = {int(key): int(value) for key, value in stored["short"].items()}
+        return cls(before, after, int(stored["per_bin"]), short)
+
+
+@dataclass(frozen=True)
+class SessionCounts:
+    """Frames of a session, by what becomes of them."""
+
+    frames: int
+    training: int
+    validation: int
+    gap: int  # between the two
+    excluded: int  # tagged so
+    unusable: int  # steering out of range, or a broken picture
+    unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
+    not_asked_for: int  # another camera, or not what --where chooses
+    not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> SessionCounts:
+        """Raises TypeError or ValueError if it is none."""
+        if not all(isinstance(value, int) for value in stored.values()):
+            raise ValueError("a count is no number")
+        return cls(**stored)
+
+
+@dataclass(frozen=True)
+class _Session:
+    """The frames of a session that can be used; arrays of one length."""
+
+    position: NDArray[np.int32]  # in its frames file
+    label: NDArray[np.float64]  # the camera's, unmirrored
+    recorded: NDArray[np.float64]  # the same as it was driven
+    is_training: NDArray[np.bool_]
+
+
+def write_samples(
+    frames: Mapping[str, Path], path: Path, config: IndexConfig, logs: Mapping[str, Mapping[str, str]]
+) -> tuple[Balance, dict[str, SessionCounts]]:
+    """Write the samples of some sessions' frames files: mirrored, labelled, and the training split balanced.
+
+    Validation holds every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint) is
+    kept in the file's metadata. Raises DatasetError if no frame can be used.
+    """
+    condition = Condition(config.where) if config.where is not None else None
+    sessions: list[_Session] = []
+    counts: dict[str, SessionCounts] = {}
+    for name, file in frames.items():
+        session, counts[name] = _usable(read_frames(file), config, condition)
+        sessions.append(session)
+    sizes = np.array([len(session.position) for session in sessions], np.int64)
+    if not sizes.sum():
+        raise DatasetError(
+            f"no frame can be used: no whole picture of {', '.join(config.cameras)} with steering in -1..1"
+            f"{' that --where chooses' if config.where is not None else ''}"
+            f"{' of a stretch that was taken over' if config.drives == 'takeovers' else ''}"
+            f", none that is not tagged {EXCLUDE}"
+            f"{' and has a label with this --label-shift' if config.label_shift_s else ''}"
+        )
+    label = np.concatenate([session.label for session in sessions])
+    is_training = np.concatenate([session.is_training for session in sessions])
+    chosen, balanced = _choose(label, is_training, config)
+    del label, is_training
+    metadata = {
+        "format": FORMAT,
+        "settings": config.as_dict(),
+        "logs": {name: dict(source) for name, source in logs.items()},
+        "balance": balanced.as_dict(),
+        "counts": {name: asdict(count) for name, count in counts.items()},
+    }
+    stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
+    ends = np.searchsorted(chosen.frame, np.cumsum(sizes))
+    starts = np.concatenate([[0], ends[:-1]])
+    with (
+        whole_file(path, overwrite=True) as part,
+        pq.ParquetWriter(
+            part, SCHEMA.with_metadata(stored), compression="zstd", write_page_checksum=True
+        ) as writer,
+    ):
+        for file, session, first_frame, start, end in zip(
+            frames.values(), sessions, np.cumsum(sizes) - sizes, starts.tolist(), ends.tolist(), strict=True
+        ):
+            if end > start:
+                part_of = chosen.between(start, end)
+                frame = part_of.frame - first_frame
+                taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
+                writer.write_table(_table(taken, session.label[frame], session.recorded[frame], part_of, config))
+    return balanced, counts
+
+
+def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
+    """Which frames somebody has tagged `exclude`."""
+    return lists_with(frames["tags"], EXCLUDE)
+
+
+def lists_with(lists: pa.ChunkedArray, name: str) -> NDArray[np.bool_]:
+    """Which lists of strings hold `name`."""
+    combined = lists.combine_chunks()
+    mask = np.zeros(len(combined), np.bool_)
+    at = pc.list_parent_indices(combined).filter(pc.equal(pc.list_flatten(combined), name))
+    mask[at.to_numpy()] = True
+    return mask
+
+
+def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) -> tuple[_Session, SessionCounts]:
+    camera = _codes(frames["camera"], CAMERAS)
+    split = _codes(frames["split"], ("train", "validation", "gap"))
+    is_bad = is_unusable(frames)
+    is_tagged = is_excluded(frames)
+    driver = _codes(frames["driver"], DRIVERS)
+    is_asked_for = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
+    if condition is not None:
+        is_asked_for &= condition.holds(frames)
+    is_wanted = is_asked_for & is_taken(driver, config.drives)
+    is_good = ~is_bad & ~is_tagged
+    # no label depends on another driver's steering, nor on the other side of the split
+    side = split + 4 * driver
+    steering = labels_of(frames, is_good, side, config.label_smooth_s, config.label_shift_s)
+    usable = is_wanted & is_good
+    has_label = ~np.isnan(steering)
+    chosen = usable & has_label & (split != 2)
+    at = np.flatnonzero(chosen)
+    label = _of_camera(steering[at], camera[at], config)
+    recorded = _of_camera(frames["steering"].to_numpy()[at], camera[at], config)
+    counts = SessionCounts(
+        frames=len(frames),
+        training=int((chosen & (split == 0)).sum()),
+        validation=int((chosen & (split == 1)).sum()),
+        gap=int((usable & (split == 2)).sum()),
+        excluded=int((is_wanted & is_tagged).sum()),
+        unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
+        unlabelled=int((usable & ~has_label & (split != 2)).sum()),
+        not_asked_for=int((~is_asked_for).sum()),
+        not_taken_over=int((is_asked_for & ~is_wanted).sum()),
+    )
+    return _Session(at.astype(np.int32), label, recorded, split[at] == 0), counts
+
+
+def _of_camera(
+    steering: NDArray[np.float64], camera: NDArray[np.int8], config: IndexConfig
+) -> NDArray[np.float64]:
+    """What the pictures of each camera call for: -1..1, never -0.0."""
+    correction = np.select([camera == CAMERAS.index("left"), camera == CAMERAS.index("right")], [1.0, -1.0], 0.0)
+    return np.clip(steering + config.side_correction * correction, -1.0, 1.0) + 0.0
+
+
+def _codes(column: pa.ChunkedArray, names: tuple[str, ...]) -> NDArray[np.int8]:
+    """The position of each string among `names`; -1 for others."""
+    found = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
+    codes: NDArray[np.int8] = pc.fill_null(found, -1).to_numpy().astype(np.int8)
+    return codes
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Samples in the order of the file; arrays of one length."""
+
+    frame: NDArray[np.int64]  # among the usable frames of all sessions
+    flip: NDArray[np.bool_]
+    is_copy: NDArray[np.bool_]
+    alteration: NDArray[np.int8]  # a bit for each of the config's
+    seed: NDArray[np.int64]
+
+    def between(self, start: int, end: int) -> _Chosen:
+        return _Chosen(
+            self.frame[start:end],
+            self.flip[start:end],
+            self.is_copy[start:end],
+            self.alteration[start:end],
+            self.seed[start:end],
+        )
+
+
+def _choose(
+    label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
+) -> tuple[_Chosen, Balance]:
+    """Which frames become samples, how often, and what the copies get.
+
+    A candidate is a frame, or its mirror image: number frame + flip * frames.
+    """
+    frames = len(label)
+    straight = bin_of(label, config.bins).astype(np.int16)
+    bins = np.concatenate([straight, config.bins - 1 - straight]) if config.flip else straight
+    if config.flip:
+        is_training = np.concatenate([is_training, is_training])
+        middle = np.concatenate([label == 0, label == 0])
+        bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
+    random = np.random.default_rng(config.seed)
+    training = np.flatnonzero(is_training)
+    if config.balance:
+        balanced = balance(bins[training], config.bins, config.max_uses, random, config.per_bin)
+    else:
+        balanced = unbalanced(len(training))
+    before = np.bincount(bins[training], minlength=config.bins)
+    candidate = training[balanced.chosen]
+    after = np.bincount(bins[candidate], minlength=config.bins)
+    validation = np.flatnonzero(~is_training)
+    candidate = np.concatenate([candidate, validation])
+    is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
+    # by frame, then original before mirror image, then copies
+    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    alteration, seed = _alterations(is_copy[order], config, random)
+    chosen = _Chosen(key >> 2, (key & 2) > 0, (key & 1) > 0, alteration, seed)
+    return chosen, Balance(before, after, balanced.per_bin, balanced.short)
+
+
+def _alterations(
+    is_copy: NDArray[np.bool_], config: IndexConfig, random: np.random.Generator
+) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+    """For each sample the bits of its alterations, and their seed; an original has none."""
+    copies = np.flatnonzero(is_copy)
+    alteration = np.zeros(len(is_copy), np.int8)
+    for bit in range(len(config.alterations)):
+        alteration[copies[random.random(len(copies)) < 0.5]] |= 1 << bit
+    seed = np.zeros(len(is_copy), np.int64)
+    seed[copies] = random.integers(0, 2**32, len(copies))
+    return alteration, seed
+
+
+def _table(
+    frames: pa.Table,
+    label: NDArray[np.float64],
+    recorded: NDArray[np.float64],
+    chosen: _Chosen,
+    config: IndexConfig,
+) -> pa.Table:
+    """The samples of one session: `frames`, `label` and `recorded` are those of each sample."""
+    names = config.alterations
+    combinations = [
+        "+".join(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1 << len(names))
+    ]
+    label, recorded = (np.where(chosen.flip, -steering, steering) + 0.0 for steering in (label, recorded))
+    columns = {
+        **{name: frames[name] for name in FROM_FRAMES},
+        "flip": chosen.flip,
+        "alteration": pa.DictionaryArray.from_arrays(chosen.alteration, combinations),
+        "seed": chosen.seed,
+        "label": label,
+        "recorded": recorded,
+        "bin": bin_of(label, config.bins),
+        "copy": chosen.is_copy,
+    }
+    return pa.table({field.name: columns[field.name] for field in SCHEMA}).cast(SCHEMA)

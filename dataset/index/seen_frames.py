@@ -1,0 +1,34 @@
+"""Which frames of a log were for training: a network must not be measured by what it has learnt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from dataset.config import IndexConfig
+from dataset.index.frames import driven_states, frames_of
+from recorder import Log
+from recorder.log.topics import CAMERAS, camera_topic
+
+
+def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfig) -> NDArray[np.bool_]:
+    """Which `frames` of a log (N,) are on the training side of an index that was made with `config`, and in which
+    the log was called `session`. `frames` needs the columns row and log_time_ns.
+
+    The split is computed anew from the log. It depends on neither tags nor cameras nor --where: frames that these
+    kept from training count as for it.
+    """
+    states, driver = driven_states(log)
+    pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
+    indexed = frames_of(states, pictures, session, config, driver=driver)
+    return np.isin(_moments(frames), _moments(indexed.filter(pc.equal(indexed["split"], "train"))))
+
+
+def _moments(frames: pa.Table) -> NDArray[np.void]:
+    """Row and time: what tells one moment of a log from another."""
+    moments = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
+    for name in ("row", "log_time_ns"):
+        moments[name] = frames[name].to_numpy()
+    return moments

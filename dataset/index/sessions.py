@@ -1,0 +1,82 @@
+"""Which sessions there are: logs by name, those that an index does not hold, and recordings without an end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from common.errors import did_you_mean, shown
+from dataset.errors import DatasetError
+from dataset.index.build_state import read_state, sources_of
+from dataset.index.frames import read_metadata, session_name
+from dataset.index.samples_format import SAMPLES_NAME
+
+
+def find_logs(sessions: Sequence[Path | str], folder: Path | str) -> list[Path]:
+    """Logs by session name (in `folder`) or by path; without any, all of `folder`, readable or not.
+
+    Raises DatasetError for a folder without logs, and for a log that is named here and does not exist, that has a
+    name which no index can hold, or whose name another one has.
+    """
+    folder = Path(folder)
+    if not sessions:
+        if logs := sorted(folder.glob("*.mcap")):
+            return logs
+        raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
+    by_name: dict[str, Path] = {}
+    for given in map(str, sessions):
+        log = Path(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap"
+        if not log.is_file():
+            meant = did_you_mean(given, [session_name(other) for other in folder.glob("*.mcap")])
+            raise DatasetError(
+                f"{log}: no such log; {meant or f'the sessions are named by the files in {folder}'}"
+            )
+        if problem := name_problem(log):
+            raise DatasetError(problem)
+        other = by_name.setdefault(session_name(log), log)
+        if other.resolve() != log.resolve():
+            raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
+    return list(by_name.values())
+
+
+def name_problem(log: Path) -> str:
+    """Why no index can hold a session of this name; empty if it can."""
+    if session_name(log) and shown(log.name) == log.name:
+        return ""
+    return f"{log}: a session needs a name of plain UTF-8 text; rename the log"
+
+
+def sessions_beside(logs: Sequence[Path], folder: Path) -> list[str]:
+    """Names of the other logs in `folder`."""
+    chosen = set(map(session_name, logs))
+    return [name for log in sorted(folder.glob("*.mcap")) if (name := session_name(log)) not in chosen]
+
+
+def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
+    """Names of the logs in `folder` that the index does not hold because they are newer, or have changed since.
+
+    Those that somebody chose not to have in it, and those that could not be read, were told when it was built.
+    """
+    index = Path(index)
+    held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
+    if not isinstance(held, dict):
+        return []
+    state = read_state(index)
+    found = []
+    for log in sorted(Path(folder).glob("*.mcap")):
+        name = session_name(log)
+        entry = state.logs.get(name)
+        is_told = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index))
+        if name not in held and not is_told:
+            found.append(name)
+    return found
+
+
+def unfinished_recordings(folder: Path, sessions: Sequence[str]) -> list[str]:
+    """A line for each unfinished recording in `folder`; with `sessions`, only for those of their names."""
+    return [
+        f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`, and"
+        " remove it"
+        for part in sorted(folder.glob("*.mcap.*.part"))
+        if not sessions or session_name(part) in sessions
+    ]

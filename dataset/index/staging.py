@@ -1,0 +1,113 @@
+"""An index changes whole or not at all: what is new is written beside it first, and then all of it gets its name.
+
+Several files cannot be renamed in one step. So the frames files that are replaced, or whose sessions the new index
+does not hold, are moved out first; then the new samples.parquet comes, then the new frames. At every moment
+the files in `frames` are of sessions that samples.parquet holds, and were made from the same logs.
+
+    index/new.XXXXXX.part/samples.parquet, state.json, frames/SESSION.parquet   what is new
+    index/new.XXXXXX.part/old/SESSION.parquet                                   what was moved out
+
+`old` tells that everything new was on the disk: what a killed build left is then carried through, or else removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from common.files import final_path, part_path, publish
+from common.interrupts import uninterrupted
+from dataset.errors import DatasetError, naming
+from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
+from dataset.index.frames import read_metadata
+from dataset.index.samples_format import SAMPLES_NAME
+
+_STAGE: Final = "new"
+_OLD: Final = "old"
+_LEFT_BY_OLDER_VERSIONS: Final = (SAMPLES_NAME, STATE_NAME)  # they wrote parts of these into the index itself
+
+
+@contextlib.contextmanager
+def staged(index: Path) -> Iterator[Path]:
+    """Yield a folder for new files of `index`: these get their names in the end, or vanish if anything is raised.
+
+    Without a new samples.parquet in it nothing changes. Call it with the index locked.
+    """
+    stage = part_path(index / _STAGE)
+    try:
+        with naming(stage):
+            (stage / FRAMES_FOLDER).mkdir(parents=True)
+        yield stage
+        with uninterrupted():
+            if (stage / SAMPLES_NAME).exists():
+                _carry_through(stage, index)
+    finally:
+        with uninterrupted():
+            if not (stage / _OLD).exists():
+                shutil.rmtree(stage, ignore_errors=True)
+
+
+def clear_up(index: Path) -> None:
+    """Carry through what a killed build had decided on, and remove the rest. Call it with the index locked."""
+    for path in sorted(index.iterdir()):
+        name = final_path(path).name
+        if path.name == name or path.is_symlink():
+            continue
+        if name == _STAGE and path.is_dir():
+            folders = (path / _OLD, path / FRAMES_FOLDER)
+            with uninterrupted():
+                if all(folder.is_dir() and not folder.is_symlink() for folder in folders):
+                    _carry_through(path, index)
+                shutil.rmtree(path, ignore_errors=True)
+        elif name in _LEFT_BY_OLDER_VERSIONS and path.is_file():
+            path.unlink()
+
+
+def strangers_to(sessions: set[str], index: Path) -> list[Path]:
+    """The frames files that were made by us, and are of none of these sessions; also the parts that older versions
+    left there when they were killed."""
+    try:
+        files = sorted((index / FRAMES_FOLDER).iterdir())
+    except OSError:
+        return []
+    return [file for file in files if file.name.removesuffix(".parquet") not in sessions and _is_ours(file)]
+
+
+def _carry_through(stage: Path, index: Path) -> None:
+    """Give the new files their names; as often as it was stopped half-way, it goes on where it was."""
+    frames, old = index / FRAMES_FOLDER, stage / _OLD
+    samples = stage / SAMPLES_NAME
+    try:
+        old.mkdir(exist_ok=True)
+        if samples.exists():
+            sessions = set((read_metadata(samples) or {}).get("logs", {}))
+            gone = strangers_to(sessions, index)
+            replaced = [frames / file.name for file in (stage / FRAMES_FOLDER).iterdir()]
+            for file in [*gone, *filter(Path.exists, replaced)]:
+                file.replace(old / file.name)
+            samples.replace(index / SAMPLES_NAME)
+    except BaseException as error:
+        with contextlib.suppress(OSError):  # if that fails too, the next build carries it through
+            for file in old.iterdir():
+                file.replace(frames / file.name)
+            old.rmdir()
+        if isinstance(error, OSError):
+            raise DatasetError(f"{index}: cannot be changed ({error.strerror}); close what reads it") from None
+        raise
+    frames.mkdir(exist_ok=True)
+    for file in sorted((stage / FRAMES_FOLDER).iterdir()):
+        file.replace(frames / file.name)
+    if (stage / STATE_NAME).exists():
+        publish(stage / STATE_NAME, index / STATE_NAME, overwrite=True)
+    shutil.rmtree(stage, ignore_errors=True)
+
+
+def _is_ours(file: Path) -> bool:
+    if file.is_symlink() or not file.is_file():
+        return False
+    if (final := final_path(file)) != file and final.suffix == ".parquet":
+        return True
+    return (read_metadata(file) or {}).keys() >= {"format", "fingerprint", "looked", "settings"}

@@ -1,0 +1,1 @@
+"""The loader: pictures read out of the logs, decoded, cropped, augmented, in batches."""

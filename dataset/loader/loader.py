@@ -1,0 +1,200 @@
+"""Batches for training, straight out of the logs.
+
+    with load(Path("index"), batch=256) as loader:
+        for batch in loader.epoch(1):
+            batch.pictures, batch.steering
+
+The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen, and
+several processes share an epoch without a word between them. Threads decode some batches ahead.
+
+A picture that does not decode is left out of its batches, which are smaller then, and named in `Loader.skipped`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from common import Skipped
+from common.closing import Closing
+from dataset.index.samples_file import LOADED, Rows, Samples, Split
+from dataset.loader.buffers import Allocate, Buffers
+from dataset.loader.crops import CROP_SHAPE, Crops
+from dataset.loader.prefetch import Fill, filled
+from dataset.preprocess import Image
+
+DEFAULT_BUDGET_BYTES: Final = 1 << 30
+UNDECODED: Final = "pictures that do not decode"
+
+_AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more fall out of the caches
+
+
+@dataclass(frozen=True)
+class Batch:
+    pictures: Image  # (N, 128, 128, 3) BGR
+    steering: NDArray[np.float32]  # (N,), -1..1
+
+
+class Loader(Closing):
+    """Batches of some rows of an index. Use it as a context manager, or call `close()`."""
+
+    def __init__(
+        self,
+        samples: Samples,
+        rows: pa.Table,
+        *,
+        batch: int,
+        seed: int = 0,
+        rank: int = 0,
+        ranks: int = 1,
+        budget_bytes: int = DEFAULT_BUDGET_BYTES,
+        threads: int = 0,
+    ) -> None:
+        """``rows`` are of ``samples``, which `close()` closes. For the rest see `load`."""
+        if batch < 1 or threads < 0 or seed < 0 or budget_bytes < 0:
+            raise ValueError(
+                f"batch must be at least 1, seed, threads and budget_bytes at least 0:"
+                f" {batch=}, {seed=}, {threads=}, {budget_bytes=}"
+            )
+        if not 0 <= rank < ranks:
+            raise ValueError(f"rank must be one of the ranks, 0 to ranks - 1: {rank=}, {ranks=}")
+        self.batch = batch
+        self.seed = seed
+        self.rank = rank
+        self.ranks = ranks
+        self.threads = threads or os.cpu_count() or 1
+        self.rows: Rows = samples.rows(rows)
+        self.skipped = Skipped()  # each picture once, however often it was wanted
+        self._samples = samples
+        self._undecoded: set[int] = set()  # the pictures in `skipped`
+        self._crops = Crops(self.rows, samples.logs, budget_bytes)
+        self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
+        self._part = -(-min(batch, len(self)) // ranks)
+        self._buffers = Buffers((self._part, *CROP_SHAPE), self._at_once + 1)
+
+    def close(self) -> None:
+        self._samples.close()
+
+    def __len__(self) -> int:
+        """Samples in an epoch, those of all ranks together."""
+        return len(self.rows)
+
+    @property
+    def batches(self) -> int:
+        """Batches in an epoch, for every rank the same number."""
+        return -(-len(self) // self.batch)
+
+    @property
+    def pictures(self) -> int:
+        """Different pictures that the samples show."""
+        return len(self.rows.session)
+
+    def order(self, epoch: int) -> NDArray[np.int64]:
+        """Which sample comes when, in an epoch: every one once."""
+        return np.random.default_rng((self.seed, epoch)).permutation(len(self))
+
+    def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:
+        """The samples of each batch of an epoch that are this rank's, also those that will not decode."""
+        if not 0 <= start_batch <= self.batches:
+            raise ValueError(f"start_batch must be in 0 to {self.batches}, not {start_batch}")
+        return self._parts(self.order(epoch), start_batch)
+
+    def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
+        """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller, and
+        so is one with pictures that do not decode. Raises LogError where a log is damaged."""
+        return self._batches(self.parts(epoch, start_batch))
+
+    def in_order(self) -> Iterator[Batch]:
+        """All samples once, in the order of the index (for evaluation)."""
+        return self._batches(self._parts(np.arange(len(self)), 0))
+
+    def crops(self) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """Every picture once, unmirrored and unaltered: some numbers of pictures (as in `Rows.picture`) and their
+        crops (N, 128, 128, 3). None is kept here: whoever asks keeps them."""
+        size = max(1, self._part)
+        numbers = np.arange(self.pictures)
+        for part, crops, failed in self._filled(np.split(numbers, numbers[size::size]), self._crops.fill_plain):
+            self._skip(failed)
+            decoded = ~np.isin(part, failed)
+            yield part[decoded], crops[decoded] if failed else crops
+
+    @property
+    def decoded(self) -> NDArray[np.bool_]:
+        """Of which samples (N,) the picture decodes, as far as they were asked for by now."""
+        return ~np.isin(self.rows.picture, list(self._undecoded))
+
+    def look(self, samples: NDArray[np.int64]) -> Image:
+        """The pictures (N, 128, 128, 3) of N samples that decode, at most a batch of them."""
+        ((_, pictures, _),) = self._filled([samples], self._crops.fill)
+        return pictures.copy()
+
+    def use_memory(self, allocate: Allocate) -> None:
+        """From the next epoch on, take the memory of batches from `allocate`: such as a GPU copies from."""
+        self._buffers = Buffers((self._part, *CROP_SHAPE), self._at_once + 1, allocate)
+
+    def _parts(self, order: NDArray[np.int64], start_batch: int) -> Iterator[NDArray[np.int64]]:
+        for start in range(start_batch * self.batch, len(order), self.batch):
+            yield np.array_split(order[start : start + self.batch], self.ranks)[self.rank]
+
+    def _batches(self, parts: Iterable[NDArray[np.int64]]) -> Iterator[Batch]:
+        for samples, pictures, failed in self._filled(parts, self._crops.fill):
+            if failed:
+                self._skip(self.rows.picture[failed].tolist())
+                decoded = ~np.isin(samples, failed)
+                samples, pictures = samples[decoded], pictures[decoded]
+            yield Batch(pictures, self.rows.label[samples])
+
+    def _skip(self, pictures: list[int]) -> None:
+        for number in pictures:
+            if number not in self._undecoded:
+                self._undecoded.add(number)
+                self.skipped.add(UNDECODED, self._crops.name(number))
+
+    def _filled(
+        self, parts: Iterable[NDArray[np.int64]], fill: Fill
+    ) -> Iterator[tuple[NDArray[np.int64], Image, list[int]]]:
+        return filled(parts, fill, self._buffers, threads=self.threads, at_once=self._at_once)
+
+
+def load(
+    index: Path | str,
+    split: Split = "train",
+    *,
+    batch: int = 256,
+    seed: int = 0,
+    rank: int = 0,
+    ranks: int = 1,
+    budget_bytes: int = DEFAULT_BUDGET_BYTES,
+    threads: int = 0,
+    driving_view: bool = False,
+) -> Loader:
+    """The samples of a split of `index`, in batches of `batch` over all `ranks`, of which this process is `rank`:
+    whatever their number, batch k is the same, and each takes its part of it (one may be empty in the last).
+
+    `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
+    `driving_view` leaves only what the car sees itself (`Samples.driving_view`).
+    Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
+    """
+    samples = Samples(Path(index))
+    try:
+        rows = samples.driving_view(split) if driving_view else samples.of_split(split, LOADED)
+        return Loader(
+            samples,
+            rows,
+            batch=batch,
+            seed=seed,
+            rank=rank,
+            ranks=ranks,
+            budget_bytes=budget_bytes,
+            threads=threads,
+        )
+    except BaseException:
+        samples.close()
+        raise

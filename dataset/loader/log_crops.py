@@ -1,0 +1,111 @@
+"""The centre camera's pictures of a log as the network sees them, and the steering that was recorded with each.
+
+For looking at a log, all of it, whether or not it is in an index.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common import Skipped
+from common.closing import Closing
+from dataset.errors import DatasetError
+from dataset.index.frames import driven_states, paired_rows, session_name
+from dataset.index.samples_file import Rows
+from dataset.loader.buffers import Buffers
+from dataset.loader.crops import CROP_SHAPE, Crops
+from dataset.loader.loader import UNDECODED
+from dataset.loader.prefetch import filled
+from dataset.preprocess import Image
+from recorder import Log, Pictures
+from recorder.log.topics import camera_topic
+
+_AT_ONCE: Final = 4  # batches that are worked on
+
+
+class LogCrops(Closing):
+    """The pictures of a log, finished or not, numbered from 0 in the order of writing; arrays (N,). Use it as a
+    context manager, or call `close()`."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Raises LogError for a damaged log, DatasetError for one without a picture of the centre camera."""
+        path = Path(path)
+        self.session = session_name(path)
+        self.skipped = Skipped()
+        self._log = Log(path)
+        try:
+            self._read(self._log.pictures(camera_topic("center")))
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        self._log.close()
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the log: see `Log`."""
+        return self._log.fingerprint
+
+    @property
+    def notice(self) -> str:
+        """What to tell a person of a log that was never finished; empty for a finished one."""
+        return self._log.notice
+
+    def _read(self, pictures: Pictures) -> None:
+        count = len(pictures.sequence)
+        if not count:
+            raise DatasetError(
+                f"{self._log.path}: no picture of the centre camera in it; `bc-log info` tells what is"
+            )
+        self.row: NDArray[np.int64] = pictures.sequence
+        self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns
+        self.recorded = self._recorded(pictures)
+        """Steering, -1..1, as an index has it; NaN where the picture came without, or it cannot be."""
+        rows = Rows(
+            picture=np.arange(count, dtype=np.int32),
+            flip=np.zeros(count, np.bool_),
+            alteration=np.zeros(count, np.uint8),
+            seed=np.zeros(count, np.int64),
+            label=self.recorded.astype(np.float32),
+            session=np.zeros(count, np.int32),
+            offset=pictures.offset,
+            length=pictures.length.astype(np.int32),
+            chunk=pictures.chunk,
+            alterations=("",),
+            sessions=(self.session,),
+        )
+        self._crops = Crops(rows, {self.session: self._log}, budget_bytes=0)
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def batches(self, size: int) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """Numbers of pictures and their crops (at most `size`, 128, 128, 3), in order, read ahead by threads.
+
+        Pictures that do not decode are left out, and named in `skipped`. Raises LogError for a damaged log.
+        """
+        numbers = np.arange(len(self))
+        parts = np.split(numbers, numbers[size::size])
+        buffers = Buffers((size, *CROP_SHAPE), _AT_ONCE + 1)
+        threads = os.cpu_count() or 1
+        for part, crops, failed in filled(
+            parts, self._crops.fill_plain, buffers, threads=threads, at_once=_AT_ONCE
+        ):
+            for number in failed:
+                self.skipped.add(UNDECODED, self._crops.name(number))
+            is_decoded = ~np.isin(part, failed)
+            yield part[is_decoded], crops[is_decoded] if failed else crops
+
+    def _recorded(self, pictures: Pictures) -> NDArray[np.float64]:
+        states, _ = driven_states(self._log)
+        state, picture = paired_rows(pictures, states)
+        recorded = np.full(len(pictures.sequence), np.nan)
+        recorded[picture] = states.steering[state]
+        return np.where(np.abs(recorded) <= 1, recorded, np.nan)

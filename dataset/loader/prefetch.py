@@ -1,0 +1,51 @@
+"""Pictures for numbers, in threads, some of them before they are asked for."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.errors import DatasetError
+from dataset.loader.buffers import Buffers
+from dataset.preprocess import Image
+
+_JOBS: Final = 4  # for each thread of a part: small enough that none waits long for the others' last one
+
+Numbers = NDArray[np.int64]
+Failed = dict[int, DatasetError]
+Fill = Callable[[Image, Numbers], Failed]
+"""Writes the pictures of some numbers into an array; returns those that have none, and why."""
+
+
+def filled(
+    parts: Iterable[Numbers], fill: Fill, buffers: Buffers, *, threads: int, at_once: int
+) -> Iterator[tuple[Numbers, Image, list[int]]]:
+    """Each part, what `fill` writes for it into one of `buffers`, and its numbers that have no picture.
+
+    `at_once` parts are worked on. What `fill` raises is raised in its part's turn.
+    """
+    waiting: deque[tuple[Numbers, Image, list[Future[Failed]]]] = deque()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for part in parts:
+            pictures = buffers.take()[: len(part)]
+            size = max(1, -(-len(part) // (_JOBS * threads)))
+            starts = range(0, len(part), size)
+            jobs = [pool.submit(fill, pictures[i : i + size], part[i : i + size]) for i in starts]
+            waiting.append((part, pictures, jobs))
+            del pictures  # else its memory would be used again one part later
+            if len(waiting) == at_once:
+                yield _finished(*waiting.popleft())
+        while waiting:
+            yield _finished(*waiting.popleft())
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _finished(part: Numbers, pictures: Image, jobs: list[Future[Failed]]) -> tuple[Numbers, Image, list[int]]:
+    return part, pictures, [number for job in jobs for number in job.result()]

@@ -1,0 +1,67 @@
+"""Samples one by one, for PyTorch's own DataLoader.
+
+    DataLoader(SamplesDataset(Path("index"), "train"), batch_size=256, shuffle=True, num_workers=8)
+
+`load` gives the same pictures without worker processes, and faster. PyTorch is not imported here: all that its
+DataLoader asks of a data set is a length and items.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, SupportsIndex
+
+import numpy as np
+
+from dataset.index.samples_file import LOADED, Samples, Split, open_logs
+from dataset.loader.crops import CROP_SHAPE, Crops
+from dataset.preprocess import Image
+
+
+class SamplesDataset:
+    """A split of an index: item i is (picture (128, 128, 3) BGR uint8, steering -1..1 float32), mirrored and
+    altered as the index says.
+
+    It may be pickled and used after a fork: a worker process opens the logs for itself, and raises DatasetError if
+    they have changed. An item whose picture does not decode raises DatasetError: a data set cannot be without it.
+    """
+
+    def __init__(self, index: Path | str, split: Split = "train") -> None:
+        """Raises DatasetError if there is no index, if it is damaged or does not fit its logs."""
+        self._index = Path(index).absolute()  # a worker may run elsewhere
+        samples = Samples(self._index)
+        self._logs = samples.logs
+        try:
+            self._sources = samples.sources
+            self._rows = samples.rows(samples.of_split(split, LOADED))
+            self._crops = Crops(self._rows, self._logs, 0)
+        except BaseException:
+            self.close()
+            raise
+        self._process = os.getpid()
+
+    def close(self) -> None:
+        for log in self._logs.values():
+            log.close()
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, at: SupportsIndex) -> tuple[Image, np.float32]:
+        if self._process != os.getpid():
+            self._open()
+        sample = at.__index__()
+        picture = np.empty((1, *CROP_SHAPE), np.uint8)
+        for error in self._crops.fill(picture, np.array([sample])).values():
+            raise error
+        return picture[0], self._rows.label[sample]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_index": self._index, "_sources": self._sources, "_rows": self._rows, "_logs": {}, "_process": 0}
+
+    def _open(self) -> None:
+        self.close()  # those of the process that this one was forked from
+        self._logs = open_logs(self._index, self._sources)
+        self._crops = Crops(self._rows, self._logs, 0)
+        self._process = os.getpid()

@@ -1,0 +1,55 @@
+"""Stopping when there is nothing to drive on: full brake for as long as the car needs, and no longer."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from simulator.driving.vehicle import BRAKE_MPS2, MPS_PER_MPH, TOP_SPEED_MPS, resistance_mps2
+
+WALKING_MPH: Final = 1.0
+"""At this speed or below, a car is not braked any more: a negative throttle would soon reverse it."""
+
+
+def stopping_s(speed_mph: float) -> float:
+    """How long a full brake takes to stop the car.
+
+    The deceleration is that of the built-in simulator's car at this speed, brakes and resistance: 6.5 m/s² at
+    10 mph. The real simulator's car brakes with locked wheels, at least as hard. The time is thus rather too
+    short than too long: a car that still rolls a little comes to rest by itself, but one that stands is reversed
+    by a negative throttle, and in both simulators it keeps its last command for ever.
+    """
+    speed_mps = min(max(speed_mph * MPS_PER_MPH, 0.0), TOP_SPEED_MPS)
+    return speed_mps / (BRAKE_MPS2 + resistance_mps2(speed_mps))
+
+
+class EmergencyBrake:
+    """Full brake from its first `throttle()` on, until the car must stand; then nothing, until `release()`.
+
+    It stands when it is told to, and else after the time that the brakes need from the speed that was told last:
+    from the top speed if none ever was, by which a car that stood is reversed for two seconds. The speed of the
+    real simulator has no sign: only one that is lower than all before tells that there is more to be braked. A car
+    that does not get slower, or was stopped once, may be rolling backwards, and a brake would speed it up.
+    """
+
+    def __init__(self) -> None:
+        self._until_s: float | None = None
+        self._lowest_mph = math.inf
+
+    @property
+    def is_on(self) -> bool:
+        """It was asked to stop the car, and was not released since."""
+        return self._until_s is not None
+
+    def throttle(self, time_s: float, speed_mph: float | None) -> float:
+        """-1 or 0, at `time_s` and with the speed that was told last; None if none ever was."""
+        known_mph = math.inf if speed_mph is None else speed_mph
+        if self._until_s is None or (known_mph < self._lowest_mph and time_s < self._until_s):
+            self._lowest_mph = known_mph
+            self._until_s = time_s + stopping_s(known_mph)
+        if known_mph <= WALKING_MPH:
+            self._until_s = min(self._until_s, time_s)
+        return -1.0 if time_s < self._until_s else 0.0
+
+    def release(self) -> None:
+        self._until_s = None

@@ -1,0 +1,30 @@
+"""What a simulator tells of the course, as events: laps, and cars that were put back."""
+
+from __future__ import annotations
+
+import math
+
+from recorder.server.world import World
+
+
+class CourseEvents:
+    """Compares each telemetry's world with those before it; what was true at the first one is no event."""
+
+    def __init__(self) -> None:
+        self._interventions: int | None = None
+        self._whole_laps: int | None = None
+
+    def after(self, world: World) -> list[str]:
+        """What has happened since the last call."""
+        events = []
+        if world.interventions is not None:
+            if self._interventions is not None and world.interventions > self._interventions:
+                events.append("off the road, or stuck: the simulator put the car back")
+            self._interventions = world.interventions
+        if world.laps is not None:
+            whole_laps = math.floor(world.laps)
+            if self._whole_laps is not None and whole_laps > self._whole_laps:
+                events.append(f"lap {whole_laps}")
+            # the most so far: a line that is crossed backwards and again is one lap
+            self._whole_laps = max(whole_laps, self._whole_laps or 0)
+        return events

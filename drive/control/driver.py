@@ -1,0 +1,220 @@
+"""What happens to each telemetry: decode, crop, predict, command."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+from dataset.preprocess import Image
+from drive.config import DriveConfig
+from drive.control.braking import WALKING_MPH, EmergencyBrake
+from drive.control.clock import DriveClock
+from drive.control.course_events import CourseEvents
+from drive.control.speed_controller import SpeedController
+from drive.control.steering_filter import SteeringFilter
+from drive.control.takeover import Takeover
+from drive.control.telemetry_picture import camera_picture
+from model import Pilot
+from recorder.server.locale_numbers import POINT
+from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
+from recorder.server.world import World, WorldProblems
+
+USUAL_SIZE: Final = (160, 320)  # height, width
+NONSENSE_S: Final = 1.0
+"""So long the car rolls on, steered as before, while nothing usable comes; then it is braked."""
+
+NO_NUMBER: Final = "the network gave no number"
+NOTHING_USABLE: Final = f"nothing usable for {NONSENSE_S:g} s"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The answer to one telemetry, and what led to it.
+
+    `telemetry` and `crop` are None where the telemetry could not be used; `problem` says why. Where the network
+    gave no number there is a `problem` too, but nothing was wrong with the telemetry: both are there.
+    """
+
+    steering: float  # -1..1, as sent
+    throttle: float  # -1..1, as sent
+    decimal_separator: str = POINT
+    driver: Literal["pilot", "expert", "brake"] = "pilot"  # whose throttle was sent
+    speed_mph: float | None = None  # as told, also where nothing else of the telemetry could be used
+    telemetry: Telemetry | None = None
+    crop: Image | None = None
+    predicted_steering: float = 0.0  # the network's, whoever drives; not clamped, NaN if it gave no number
+    parse_ms: float = 0.0  # from the telemetry's last byte until its numbers are read
+    decode_ms: float = 0.0  # JPEG and crop
+    network_ms: float = 0.0
+    set_speed_mph: float = 0.0  # lower than asked for in a curve, if that was asked for
+    problem: str = ""
+    kind: str = ""  # of problem: the same for all that differ only in their numbers
+    events: tuple[str, ...] = ()  # what has begun or ended with this telemetry
+
+
+class Driver:
+    """Drives one connected simulator."""
+
+    def __init__(self, pilot: Pilot, config: DriveConfig) -> None:
+        self._pilot = pilot
+        self._clock = DriveClock()
+        self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
+        self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves)
+        self._brake = EmergencyBrake()
+        self._last_brake: EmergencyBrake | None = None
+        self._takeover = Takeover() if config.takeover else None
+        self._course = CourseEvents()
+        self._steering = 0.0
+        self._speed_mph: float | None = None  # until it is told
+        self._decimal_separator: str | None = None  # until it is told
+        self._nonsense_since_s: float | None = None
+        self._gave_number = True
+        self._said_size = False
+        self._problems = WorldProblems()
+
+    def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
+        """The command for what the simulator told.
+
+        `received_s` is when the last byte of it had come, by `time.perf_counter()`; `now_s` the time of a
+        monotonic clock, for smoothing where the simulator does not tell its own, and for braking always.
+
+        Never raises, because an unanswered telemetry would stop the simulator's loop for good. Where one cannot be
+        used, the steering is kept and the throttle let go; after `NONSENSE_S` of nothing else the car is braked.
+        """
+        now_s = time.monotonic() if now_s is None else now_s
+        try:
+            told = parse_telemetry(data, self._decimal_separator)
+        except TelemetryError as error:
+            parsed_s = time.perf_counter()
+            world, problems, speed_mph = error.world, error.world_problems, error.speed_mph
+            self._note(speed_mph, error.decimal_separator)
+            time_s = self._clock.at(now_s, world)
+            decision = self._without(error, time_s)
+        else:
+            parsed_s = time.perf_counter()
+            world, problems, speed_mph = told.world, told.world_problems, told.speed_mph
+            self._note(speed_mph, told.told_separator)
+            time_s = self._clock.at(now_s, world)
+            decision = self._answer(told, parsed_s, time_s)
+        if events := self._of_world(world, problems):
+            decision = replace(decision, events=(*events, *decision.events))
+        if self._last_brake is not None:
+            throttle = self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
+            decision = replace(decision, throttle=throttle, driver="brake")
+        self._steering = decision.steering
+        return replace(decision, speed_mph=speed_mph, parse_ms=(parsed_s - received_s) * 1e3)
+
+    def stop(self) -> None:
+        """From now on the car is braked to a stand, and steered as before meanwhile."""
+        self._last_brake = EmergencyBrake()
+
+    def unasked_brake(self, now_s: float | None = None) -> tuple[float, float]:
+        """After `stop`, while nothing is told: the steering, and the throttle that brakes or lets go."""
+        self._clock.at(time.monotonic() if now_s is None else now_s, None)
+        if self._last_brake is None:
+            return self._steering, 0.0
+        return self._steering, self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
+
+    def _note(self, speed_mph: float | None, decimal_separator: str | None) -> None:
+        if speed_mph is not None:
+            self._speed_mph = speed_mph
+        if decimal_separator is not None:
+            self._decimal_separator = decimal_separator
+
+    def _of_world(self, world: World | None, problems: Sequence[str]) -> list[str]:
+        """What has happened on the course, and, once, what of the world cannot be used."""
+        events = [] if world is None else self._course.after(world)
+        return events + self._problems.news(problems, clock_stands=self._clock.stands)
+
+    def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
+        """The answer to a telemetry; whether its picture can be used is found out here."""
+        try:
+            picture = camera_picture(told.jpeg)
+        except TelemetryError as error:
+            return self._without(error, time_s)
+        crop = self._pilot.crop(picture)
+        decoded_s = time.perf_counter()
+        predicted = self._pilot.predict(crop)
+        predicted_s = time.perf_counter()
+
+        decision = (
+            self._drive(told, predicted, time_s) if math.isfinite(predicted) else self._without_number(time_s)
+        )
+        events = decision.events
+        if picture.shape[:2] != USUAL_SIZE and not self._said_size:
+            self._said_size = True
+            height, width = picture.shape[:2]
+            events = (*events, f"pictures of {width}x{height} pixels, not 320x160: driven on all the same")
+        return replace(
+            decision,
+            telemetry=told,
+            crop=crop,
+            predicted_steering=predicted,
+            decode_ms=(decoded_s - parsed_s) * 1e3,
+            network_ms=(predicted_s - decoded_s) * 1e3,
+            events=events,
+        )
+
+    def _drive(self, told: Telemetry, predicted: float, time_s: float) -> Decision:
+        events = []
+        if self._brake.is_on:
+            events.append("the brakes are released")
+        self._brake.release()
+        self._nonsense_since_s, self._gave_number = None, True
+        wanted = min(max(predicted, -1.0), 1.0)
+        if self._takeover is not None:
+            events += self._takeover.after(time_s, told.world, wanted)
+        expert = None if told.world is None else told.world.expert
+        if self._takeover is not None and self._takeover.expert_drives and expert is not None:
+            steering, throttle = expert
+            self._filter.note(time_s, steering)
+        else:
+            steering = self._filter.at(time_s, wanted)
+            throttle = self._speed.throttle(told.speed_mph, steering)
+        return self._decision(steering, throttle, events=events)
+
+    def _without(self, problem: TelemetryError, time_s: float) -> Decision:
+        """There is nothing to drive on."""
+        now_s = self._clock.safety_s
+        if self._nonsense_since_s is None:
+            self._nonsense_since_s = now_s
+        if not self._brake.is_on and now_s - self._nonsense_since_s < NONSENSE_S:
+            self._filter.note(time_s, self._steering)
+            return self._decision(self._steering, 0.0, str(problem), problem.kind)
+        return self._braked(str(problem), problem.kind, time_s, f"{NOTHING_USABLE}: ")
+
+    def _without_number(self, time_s: float) -> Decision:
+        """The network may never give one again: there is no reason to wait."""
+        was_news, self._gave_number = self._gave_number, False
+        decision = self._braked(NO_NUMBER, NO_NUMBER, time_s)
+        return replace(decision, events=(NO_NUMBER, *decision.events)) if was_news else decision
+
+    def _braked(self, problem: str, kind: str, time_s: float, why: str = "") -> Decision:
+        events = [] if self._brake.is_on else [why + _what_a_brake_does(self._speed_mph)]
+        self._filter.note(time_s, self._steering)
+        throttle = self._brake.throttle(self._clock.safety_s, self._speed_mph)
+        return replace(self._decision(self._steering, throttle, problem, kind, events), driver="brake")
+
+    def _decision(
+        self, steering: float, throttle: float, problem: str = "", kind: str = "", events: list[str] | None = None
+    ) -> Decision:
+        is_expert = self._takeover is not None and self._takeover.expert_drives
+        return Decision(
+            steering,
+            throttle,
+            self._decimal_separator or POINT,
+            driver="expert" if is_expert else "pilot",
+            set_speed_mph=self._speed.set_speed_for(steering),
+            problem=problem,
+            kind=kind,
+            events=tuple(events or ()),
+        )
+
+
+def _what_a_brake_does(speed_mph: float | None) -> str:
+    if speed_mph is None:
+        return "the car is braked, as from its top speed: its own was never told"
+    return "the car stands" if speed_mph <= WALKING_MPH else "the car is braked"

@@ -1,0 +1,94 @@
+"""Who drives: the network, or the simulator's expert where the network leaves the lane."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from recorder.server.world import World
+
+# Tried with networks that fail for seconds at a time, on three tracks: no takeover came too late at 10 and 15 mph,
+# one in thirteen at 20. By the offset alone, from 0.7 of the half width on, it was one in eight at 15, half at 20.
+TAKE_OVER_OFFSET: Final = 0.9
+"""The expert takes over where the car's middle would be farther from the centre line than this share of the half
+width (at 1 the simulator puts the car back) ..."""
+TAKE_OVER_AHEAD_S: Final = 0.7
+"""... after this time, moving sideways as it does. The expert needs as long to catch it: a command takes hold one
+telemetry and 0.1 s of steering lag later, and then wheels and car must turn before the car comes back."""
+
+HAND_BACK_OFFSET: Final = 0.3
+"""It hands back no farther out than this: it comes back to 0.15 even in a hairpin."""
+HAND_BACK_STEERING: Final = 0.2
+"""The network must wish to steer as the expert does, but for this: 5 degrees, a correction and no turn."""
+HAND_BACK_S: Final = 1.0
+"""Both for so long without a break: a car that only crosses the middle is through sooner."""
+
+NEEDED: Final = ("offset", "expert_steering", "expert_throttle")
+"""What a simulator's world must tell, that an expert can take over."""
+
+MISSING_S: Final = 1.0
+"""So long nothing of that may be told until it is said: some simulators tell it from the second telemetry on."""
+
+PILOT_DRIVES: Final = "the pilot drives again"
+_LONGEST_GAP_S: Final = 0.5  # between two telemetries that tell a sideways speed
+
+
+class Takeover:
+    """The expert takes over before the car is off the road, and hands back when all has been well for a while."""
+
+    def __init__(self) -> None:
+        self.expert_drives = False
+        self._last: tuple[float, float, int | None] | None = None  # time, offset, interventions
+        self._well_since_s: float | None = None
+        self._missing_since_s: float | None = None
+        self._said_missing = False
+
+    def after(self, time_s: float, world: World | None, predicted_steering: float) -> list[str]:
+        """Decide who drives on from `time_s`, by the simulator's clock where it tells one; what there is to say of
+        it. Where nobody tells where the car is, or what an expert would do, the network drives."""
+        if world is None or world.offset is None or world.expert is None:
+            self._last = None
+            return self._without_expert(time_s, world)
+        self._missing_since_s = None
+        ahead = world.offset + TAKE_OVER_AHEAD_S * self._sideways_per_s(time_s, world.offset, world.interventions)
+        self._last = time_s, world.offset, world.interventions
+        if self.expert_drives:
+            return self._hand_back(time_s, world.offset, abs(predicted_steering - world.expert[0]))
+        if abs(ahead) <= TAKE_OVER_OFFSET:
+            return []
+        self.expert_drives, self._well_since_s = True, None
+        side = "left" if ahead > 0 else "right"
+        return [f"the expert takes over: {abs(world.offset):.2f} of the half width, and going off to the {side}"]
+
+    def _sideways_per_s(self, time_s: float, offset: float, interventions: int | None) -> float:
+        """How fast the offset grows to the left; 0 where the last telemetry does not tell it."""
+        if self._last is None:
+            return 0.0
+        last_s, last_offset, last_interventions = self._last
+        if last_interventions != interventions:  # a car that was put back has not driven there
+            return 0.0
+        return (offset - last_offset) / (time_s - last_s) if 0 < time_s - last_s <= _LONGEST_GAP_S else 0.0
+
+    def _hand_back(self, time_s: float, offset: float, disagreement: float) -> list[str]:
+        if abs(offset) > HAND_BACK_OFFSET or disagreement > HAND_BACK_STEERING:
+            self._well_since_s = None
+        elif self._well_since_s is None:
+            self._well_since_s = time_s
+        elif time_s - self._well_since_s >= HAND_BACK_S:
+            self.expert_drives = False
+            return [PILOT_DRIVES]
+        return []
+
+    def _without_expert(self, time_s: float, world: World | None) -> list[str]:
+        events = [PILOT_DRIVES] if self.expert_drives else []
+        self.expert_drives = False
+        if self._missing_since_s is None:
+            self._missing_since_s = time_s
+        if not self._said_missing and time_s - self._missing_since_s >= MISSING_S:
+            self._said_missing = True
+            told = world or World()
+            missing = [name for name in NEEDED if getattr(told, name) is None]
+            events.append(
+                f"nobody can take over: the simulator does not tell {', '.join(missing)} (`bc-sim --tell-world`"
+                " does); in Udacity's, a human takes over by holding a key"
+            )
+        return events

@@ -1,0 +1,26 @@
+"""The camera's picture out of a telemetry: a whole JPEG that does not take too long."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dataset import decode
+from dataset.preprocess import Image
+from recorder.pictures.picture_size import pixels
+from recorder.server.telemetry import TelemetryError, check_whole_jpeg
+
+MOST_PIXELS: Final = 1 << 21
+"""No larger picture is driven on. 1920x1080 is just within, and takes 10 ms to decode. The megabyte that a
+telemetry may hold can say 60 million pixels, and for the second that they take, the car would be left alone."""
+
+
+def camera_picture(jpeg: bytes) -> Image:
+    """(height, width, 3) BGR. Raises TelemetryError for what is no whole JPEG, and for more than `MOST_PIXELS`."""
+    size = pixels(jpeg) or 0
+    if size > MOST_PIXELS:
+        raise TelemetryError(f"image has more than {MOST_PIXELS:,} pixels", f" ({size:,})")
+    check_whole_jpeg(jpeg)
+    try:
+        return decode(jpeg)
+    except ValueError as error:
+        raise TelemetryError("image does not decode", f" ({error})") from None

@@ -1,0 +1,1 @@
+"""Driving measured: in closed loop, and learning from one's own mistakes; offline reports."""

@@ -1,0 +1,172 @@
+"""Learning from one's own mistakes: drive, let the expert take over, train on what it did, drive again.
+
+Dataset aggregation after Ross, Gordon and Bagnell 2011 (arXiv 1011.0686), with the expert driving only where it
+has to, as in Kelly et al. 2019 (HG-DAgger, arXiv 1810.02890).
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import torch
+
+from dataset import DatasetError, build_index, find_logs
+from drive.config import DriveConfig
+from drive.errors import DriveError
+from drive.evaluation.closed_loop import Course
+from drive.evaluation.external_simulator import Connecting
+from model import TrainConfig, load_pilot, train
+from model.runs.reproduce import data_of_run
+from model.runs.run_folder import CONFIG, run_name
+from recorder import Log
+from recorder.server.telemetry_server import ServerMode
+
+MOST_ROUNDS: Final = 100
+
+
+@dataclass(frozen=True)
+class Round:
+    """One drive, with the expert at hand."""
+
+    run: str  # the run that drove
+    log: Path
+    laps: float | None  # None where the simulator does not tell them
+    interventions: int  # the expert took over, or the simulator put the car back
+    autonomy_percent: float | None
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where an aggregation finds and keeps what it needs."""
+
+    sessions: Path  # the logs that the run was trained on,
+    drives: Path  # but for those of an aggregation before this one
+    runs: Path
+
+
+class Aggregation:
+    """`rounds` times: drive `course`, index the takeovers with what `run` was trained on, train its weights on.
+
+    Everything is named after the run and the track: drives/RUN-TRACK-0.mcap, the index index-RUN-TRACK, and
+    runs/RUN-TRACK-1 and so on; with a simulator that connects by itself, TRACK is "connected". Raises UserError
+    at once if one of these exists, or a log of the run is gone.
+    """
+
+    def __init__(
+        self,
+        run: Path,
+        course: Course | Connecting,
+        config: DriveConfig,
+        rounds: int,
+        places: Places,
+        training: TrainConfig,
+    ) -> None:
+        check_rounds(rounds)
+        self._course = course
+        self._config = replace(config, takeover=True)
+        self._training = training
+        self._threads = torch.get_num_threads()  # a pilot drives on one
+        self._settings, fingerprints = data_of_run(run)
+        self._sessions = _sessions(run, fingerprints, places)
+        self._warned: set[str] = set()
+        name = f"{run_name(run)}-{course.name}"
+        self._index = places.runs.parent / f"index-{name}"
+        self._logs = [places.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
+        self._runs = [run, *(places.runs / f"{name}-{number}" for number in range(1, rounds + 1))]
+        if in_the_way := self._left():
+            raise DriveError(f"exist already, of an aggregation before this one; move them away: {in_the_way}")
+
+    def rounds(
+        self, mode: ServerMode, said: Callable[[str], None], warned: Callable[[str], object]
+    ) -> Iterator[Round]:
+        """Each drive as it is done: the first with the run as it is, one more after every training.
+
+        `warned` is told, once, of every log that its indexes leave out or hold in part, and of pictures that
+        training leaves out. Raises DriveError where the simulator fails, KeyboardInterrupt if it was stopped; how
+        to go on is said.
+        """
+        trained = 0  # the last run that is
+        for number, (run, log) in enumerate(zip(self._runs, self._logs, strict=True)):
+            try:
+                if number:
+                    said(f"training {run}")
+                    self._train(run, self._runs[trained], self._logs[:number], warned)
+                    trained = number
+                said(f"{run_name(run)} drives {self._course.where}, the expert takes over where it has to")
+                done = self._drive(run, log, mode)
+            except KeyboardInterrupt:
+                said(self._way_on(number, trained))
+                raise
+            if not done.interventions and number + 1 < len(self._runs):
+                said("the expert had nothing to do: the next training learns nothing new")
+            yield done
+
+    def _left(self) -> str:
+        """What is there already of all that is made, to be pasted into a shell."""
+        made = (*self._logs, self._index, *self._runs[1:])
+        return shlex.join(str(path) for path in made if os.path.lexists(path))
+
+    def _way_on(self, number: int, trained: int) -> str:
+        """What is left of a round that was stopped, and how to go on; `trained` is the last run that is."""
+        run, log = self._runs[number], self._logs[number]
+        told = ""
+        if trained < number and (run / CONFIG).is_file():
+            resume = shlex.join(("bc-train", "--resume", str(run), "--index", str(self._index)))
+            told, trained = f"finish {run} with `{resume}`; then ", number
+        elif trained == number and log.exists():
+            told = f"{log} holds the drive so far; "
+        if not trained:
+            left = self._left()
+            return f"{told}to begin again, move away {left}" if left else "nothing was driven yet"
+        drive = shlex.join(("bc-drive", str(self._runs[trained]), *self._course.flags))
+        more = len(self._runs) - 1 - trained
+        aggregate = f"{drive} --aggregate {more}" if more else f"{drive} --takeover"
+        return f"{told}go on with `{aggregate}` and the other flags as before"
+
+    def _train(self, run: Path, before: Path, drives: list[Path], warned: Callable[[str], object]) -> None:
+        torch.set_num_threads(self._threads)
+        settings = replace(self._settings, drives="takeovers")
+        try:
+            logs = [*self._sessions, *drives]
+            notices = build_index(logs, self._index, settings, leave_out_unreadable=True).notices
+            for notice in notices:
+                if notice not in self._warned:
+                    warned(notice)
+            self._warned.update(notices)
+            trained = train(self._index, run, self._training, init=before)
+            for skipped in trained.skipped:
+                for line in skipped.lines():
+                    warned(f"skipped {line}")
+        except DatasetError as error:
+            raise DriveError(f"{self._index}: {error}") from None
+
+    def _drive(self, run: Path, log: Path, mode: ServerMode) -> Round:
+        pilot = load_pilot(run)
+        pilot.get_ready()
+        summary = self._course.drive(pilot, self._config, log, mode)
+        return Round(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
+
+
+def check_rounds(rounds: int) -> None:
+    """Raises DriveError for what is no number of rounds."""
+    if not 1 <= rounds <= MOST_ROUNDS:
+        raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MOST_ROUNDS}")
+
+
+def _sessions(run: Path, fingerprints: dict[str, str], places: Places) -> list[Path]:
+    """The logs that `run` was trained on. Raises DatasetError if one is gone, DriveError if one is another now."""
+    logs = []
+    for name, fingerprint in fingerprints.items():
+        drive = places.drives / f"{name}.mcap"
+        is_drive = drive.is_file() and not (places.sessions / drive.name).exists()
+        (path,) = find_logs([str(drive) if is_drive else name], places.sessions)
+        with Log(path) as log:
+            if log.fingerprint != fingerprint:
+                raise DriveError(f"{path}: changed since {run} was trained on it; give the --sessions that it was")
+        logs.append(path)
+    return logs

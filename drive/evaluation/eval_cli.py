@@ -1,0 +1,227 @@
+"""`bc-eval`: how good a trained network is, in numbers: on recorded frames, or driving."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+from rich.table import Table
+
+from common import UserError
+from common.command import DONE, flags_given, run_command, usage_errors, warn, warn_skipped
+from common.errors import UsageError, counted
+from common.output import print_message, print_result, print_table
+
+if TYPE_CHECKING:
+    from drive.evaluation.closed_loop import Result
+    from model.evaluation.evaluate import Evaluation
+
+
+def _default(metavar: str, value: str) -> Any:
+    """A flag that is None unless it is given: it goes with one way to measure only."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {value})")
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Measure a trained network: on recorded frames that were held out, or driving the built-in simulator.
+
+    bc-eval first
+    bc-eval first --session sunday
+    bc-eval first --simulator lake mountain
+    """
+
+    run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
+    """The run, by name or folder; the newest one by default."""
+    index: Annotated[Path | None, _default("PATH", "the one that the run was trained on")] = None
+    """The index whose frames are measured."""
+    split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
+    """Which of its frames: those that were held out, or those for training."""
+    session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
+    """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
+    sessions: Annotated[Path | None, _default("PATH", "sessions")] = None
+    """Where logs are kept, for --session."""
+    worst: Annotated[int | None, _default("INT", "10")] = None
+    """How many of the worst frames to list, at most one for each second of a session."""
+    simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
+    """Let it drive these tracks instead: lake, mountain, random:SEED; the same run gives the same numbers."""
+    laps: Annotated[float | None, _default("FLOAT", "1")] = None
+    """How far to drive on each."""
+    speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
+    """Set speeds in mph; every track is driven at each."""
+    precision: Annotated[
+        Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
+    ] = None
+    """The arithmetic of a network that drives; auto takes what is fastest on this processor, as bc-drive does."""
+    logs: Annotated[Path | None, _default("PATH", "drives")] = None
+    """Folder for the drives' logs."""
+    force: bool = False
+    """Replace logs of the same names."""
+    runs: Path = Path("runs")
+    """Where runs are kept."""
+    json: bool = False
+    """Print JSON and no table: one object, or with --simulator one a drive."""
+
+
+RECORDED = ("index", "split", "session", "sessions", "worst")
+DRIVEN = ("laps", "speed", "precision", "logs", "force")
+
+
+def evaluate(config: Eval) -> int:
+    _refuse_contradictions(config)
+    return _measure(config) if config.simulator is None else _drive(config, config.simulator)
+
+
+def _refuse_contradictions(config: Eval) -> None:
+    is_driven = config.simulator is not None
+    flags = flags_given(config, *(RECORDED if is_driven else DRIVEN))
+    if flags:
+        raise UsageError(
+            f"{flags}: of recorded frames, and --simulator drives: give one or the other"
+            if is_driven
+            else f"{flags}: only with --simulator TRACK: without it, recorded frames are measured"
+        )
+    if config.simulator == () or config.speed == ():
+        raise UsageError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
+    for flag, given in (("--simulator", config.simulator), ("--speed", config.speed)):
+        if given is not None and len(set(given)) < len(given):
+            raise UsageError(f"{flag} {' '.join(map(str, given))}: give each once")
+    if config.session == ():
+        raise UsageError("nothing to measure: give --session at least one session")
+    if config.session is None and config.sessions is not None:
+        raise UsageError("--sessions is where the logs of --session are: give it too")
+    if config.session is not None and (config.index is not None or config.split is not None):
+        raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
+    if config.worst is not None and config.worst < 0:
+        raise UsageError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
+
+
+def _measure(config: Eval) -> int:
+    """Measure on recorded frames."""
+    from dataset import find_logs
+    from model import find_run
+    from model.evaluation.evaluate import evaluate as evaluate_run
+    from model.evaluation.evaluate import evaluate_sessions
+    from model.worst_moments import worst_frames
+
+    run = find_run(config.run, config.runs)
+    split = config.split or "validation"
+    if config.session is None:
+        index = config.index or _index_of(run)
+        found = evaluate_run(run, index, split)
+        what: dict[str, Any] = {"index": str(index), "split": split}
+    else:
+        found = evaluate_sessions(run, find_logs(config.session, config.sessions or Path("sessions")))
+        what = {"index": None, "split": None}
+    worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
+    if config.json:
+        print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
+    else:
+        from drive.evaluation.eval_report import print_evaluation
+
+        print_evaluation(found, worst)
+        if config.session is None:
+            print_result(f"measured on what {index} {'holds out' if split == 'validation' else 'trains on'}")
+    return _told(found, is_training=config.session is None and split == "train")
+
+
+def _index_of(run: Path) -> Path:
+    """The index that the run was trained on; that in the current folder for a run that does not say."""
+    from model.runs.run_places import index_of
+
+    index = index_of(run)
+    if index is None:
+        return Path("index")
+    if not index.is_dir():
+        raise UserError(
+            f"{index}: the index that {run} was trained on is not there any more; give --index INDEX, or measure"
+            " whole sessions: --session NAME"
+        )
+    return index
+
+
+def _told(found: Evaluation, *, is_training: bool) -> int:
+    """Say what a person should know before the numbers are used; the exit code."""
+    from model.runs.run_folder import run_name
+
+    code = warn_skipped(found.skipped)
+    for notice in found.notices:
+        code = warn(notice)
+    for remark in found.remarks:
+        print_message(remark)
+    run, count = run_name(found.run), found.measures.frames
+    if found.learnt is None:
+        code = warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
+    elif found.learnt:
+        line = f"{run} has learnt from {found.learnt:,} of these {counted(count, 'frame')}"
+        if is_training:
+            print_message(f"bc-eval: {line}")
+        else:
+            code = warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
+    return code
+
+
+def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
+    """Let the network drive."""
+    from drive.config import DriveConfig
+    from drive.errors import DriveError
+    from drive.evaluation.closed_loop import Course, check_laps
+    from drive.evaluation.closed_loop import evaluate as evaluate_run
+    from model import find_run, load_pilot
+
+    laps = 1.0 if config.laps is None else config.laps
+    with usage_errors(DriveError):
+        check_laps(laps)
+        configs = [DriveConfig(set_speed_mph=speed) for speed in config.speed or (10.0,)]
+    drives = [
+        (Course(track, laps), each) for each in configs for track in tracks
+    ]  # before the seconds that a network takes to load: a track may be misspelt
+    pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
+    pilot.get_ready()
+    results = []
+    try:
+        for result in evaluate_run(
+            pilot,
+            drives,
+            config.logs or Path("drives"),
+            overwrite=config.force,
+            said=lambda text: print_message(f"bc-eval: {text}"),
+        ):
+            results.append(result)
+            if config.json:
+                print_result(json.dumps(result.as_dict()))
+    finally:  # what was measured is shown, whatever stops the rest
+        if results and not config.json:
+            print_table(_table(results))
+            print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
+    return DONE
+
+
+def _table(results: list[Result]) -> Table:
+    # narrow enough for a terminal of 80 columns
+    title = "distances from the centre line are shares of the road's half width"
+    table = Table(title=title, box=None, pad_edge=False)
+    for heading in ("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"):
+        table.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
+    for result in results:
+        book = result.book
+        table.add_row(
+            result.course.track,
+            f"{result.config.set_speed_mph:g}",
+            f"{book['mean_speed_mph']:.1f}",
+            f"{book['laps']:.2f}",
+            f"{book['interventions']:,}",
+            f"{book['autonomy_percent']:.1f} %",
+            f"{book['mean_offset']:.2f}",
+            f"{book['max_offset']:.2f}",
+            f"{book['steering_per_s']:.2f}",
+        )
+    return table
+
+
+def main() -> None:
+    run_command("bc-eval", Eval, evaluate)

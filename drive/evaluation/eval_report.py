@@ -1,0 +1,123 @@
+"""What bc-eval prints of an evaluation on recorded frames."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Sequence
+
+from rich.bar import Bar
+from rich.markup import escape
+from rich.table import Table
+
+from common.errors import counted, shown
+from common.output import print_result, print_table
+from model.evaluation.evaluate import Evaluation
+from model.metrics import Measures
+from model.runs.hints import run_argument, short_path
+from model.runs.run_folder import run_name
+from model.worst_moments import WorstFrame
+
+BAR_CELLS = 16  # so that a line fits 80 columns
+
+
+def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> None:
+    """Print the tables; then the commands that show the `worst` frames."""
+    tables = [_measures_table(evaluation), _bins_table(evaluation.measures)]
+    if len(evaluation.sessions) > 1:
+        tables.append(_sessions_table(evaluation.sessions))
+    if worst:
+        tables.append(_worst_table(worst))
+    for table in tables:
+        print_table(table, "")
+    if worst:
+        print_result("look at them, the worst one first:")
+        for frame in worst:
+            print_result(f"    {_play(evaluation, frame)}")
+        print_result()
+
+
+def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
+    """The command that shows a frame, and what the network says of it."""
+    log = shlex.quote(str(short_path(evaluation.logs[frame.session])))
+    since_begin_ns = frame.log_time_ns - evaluation.begins_ns[frame.session]
+    at_ms = -(-since_begin_ns // 1_000_000)  # not before the frame
+    return f"bc-play {log} --at {at_ms / 1000:.3f} --run {run_argument(evaluation.run)}"
+
+
+def _measures_table(evaluation: Evaluation) -> Table:
+    measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
+    of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
+    title = f"{shown(run_name(evaluation.run))}: {counted(measures.frames, 'frame')}; errors in degrees"
+    table = _table(title, "", "network", "always zero", "always the mean")
+    for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
+        table.add_row(heading, *(_number(getattr(errors, name)) for errors in of.values()))
+    table.add_row("balanced RMSE", *(_number(balanced[name]) for name in of))
+    table.add_row("correlation", *(_number(errors.correlation) for errors in of.values()))
+    return table
+
+
+def _bins_table(measures: Measures) -> Table:
+    title = "by recorded steering; bias above 0: too far right"
+    table = _table(title, "steering", "frames", "MAE", "bias", "RMSE", "")
+    widest = max(part.rmse_deg for part in measures.bins)
+    for part in measures.bins:
+        table.add_row(
+            f"{part.low:+.2f} .. {part.high:+.2f}",
+            f"{part.frames:,}",
+            _number(part.mae_deg),
+            f"{part.bias_deg:+.2f}",
+            _number(part.rmse_deg),
+            Bar(widest or 1.0, 0, part.rmse_deg, width=BAR_CELLS),
+        )
+    return table
+
+
+def _sessions_table(sessions: dict[str, Measures]) -> Table:
+    title = "by session; mean: always predicting it"
+    table = _table(title, "session", "frames", "MAE", "RMSE", "mean RMSE", "on turns", "correlation")
+    for session, measures in sessions.items():
+        errors = measures.network
+        table.add_row(
+            escape(shown(session)),
+            f"{measures.frames:,}",
+            _number(errors.mae_deg),
+            _number(errors.rmse_deg),
+            _number(measures.mean.rmse_deg),
+            _number(errors.turning_mae_deg),
+            _number(errors.correlation),
+        )
+    return table
+
+
+def _worst_table(worst: Sequence[WorstFrame]) -> Table:
+    table = _table(
+        "worst frames, in degrees", "session", "row", "log time (UTC)", "predicted", "recorded", "error"
+    )
+    for frame in worst:
+        table.add_row(
+            escape(shown(frame.session)),
+            f"{frame.row:,}",
+            _clock(frame),
+            f"{frame.predicted_deg:+.2f}",
+            f"{frame.recorded_deg:+.2f}",
+            f"{frame.error_deg:+.2f}",
+        )
+    return table
+
+
+def _table(title: str, *headings: str) -> Table:
+    """Narrow enough for a terminal of 80 columns."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=number > 0)
+    return table
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}"
+
+
+def _clock(frame: WorstFrame) -> str:
+    """Its time as people write it: to the millisecond, UTC."""
+    return frame.log_time_utc.removesuffix("+00:00").replace("T", " ")

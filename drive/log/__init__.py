@@ -1,0 +1,1 @@
+"""The log of a drive, written beside it, and its summary."""

@@ -1,0 +1,158 @@
+"""The log of a drive: every telemetry that was answered, what was answered, and what happened."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import cv2
+
+from common import UserError
+from common.closing import Closing
+from drive.log.log_thread import LogThread
+from recorder import LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.bad_telemetry import BadTelemetry
+from recorder.log.log_time import LogClock
+from recorder.log.writer import EventLevel
+from recorder.server.pose_message import pose_message
+from recorder.server.telemetry import Telemetry
+
+if TYPE_CHECKING:
+    from drive.control.driver import Decision  # loads PyTorch
+
+_DRIVERS: Final = {"pilot": PilotCommand.PILOT, "expert": PilotCommand.EXPERT, "brake": PilotCommand.BRAKE}
+_PICTURES_OF_A_ROW: Final = 2  # the camera's and the crop
+
+
+class DriveLog(Closing):
+    """Writes decisions down, in rows that are numbered from 0. All but `close` returns at once.
+
+    Where the disk is too slow, rows lose their pictures first, and are lost themselves only after many minutes of
+    that; both are counted, and events tell. What a decision holds must not change any more: it is written later.
+
+    Not to be called by two threads at once. Until it is closed, nobody else may use the writer.
+    """
+
+    def __init__(self, writer: LogWriter) -> None:
+        self.frames = 0
+        """Rows that are in the log, or will be."""
+        self.dropped_pictures = 0
+        """Pictures of the camera, and crops, that are not in the log."""
+        self.dropped_rows = 0
+        """Rows, and events, that are not."""
+        self._writer = writer
+        self._clock = LogClock()
+        self._thread = LogThread(writer.flush_if_due)
+        self._is_manual = False
+        self._is_closed = False
+        self._bad = BadTelemetry()
+
+    @property
+    def failure(self) -> UserError | None:
+        """Why the log cannot be written any further; from then on all is passed over."""
+        return self._thread.failure
+
+    def decision(self, decision: Decision, total_ms: float) -> None:
+        """One telemetry that was answered `total_ms` after it came. One that could not be used is an event."""
+        if self.failure is not None:
+            return
+        received_ns = _ago_ns(total_ms)
+        if decision.telemetry is None:
+            if (text := self._bad.take(decision.kind, decision.problem)) is not None:
+                self._event(received_ns, text, is_problem=True)
+        else:
+            if self._is_manual:
+                self._is_manual = False
+                self._event(received_ns, "manual: the pilot drives again")
+            self._row(received_ns, decision, decision.telemetry, total_ms)
+        for text in decision.events:
+            self._event(received_ns, text, is_problem=bool(decision.problem))
+
+    def manual(self, total_ms: float) -> None:
+        """One telemetry that only says that a human drives. Without picture and steering it is no row: events tell
+        since when a human drives, and when the pilot does again."""
+        if not self._is_manual:
+            self._is_manual = True
+            self._event(_ago_ns(total_ms), "manual: a human drives")
+
+    def event(self, text: str, is_problem: bool = False) -> None:
+        self._event(time.perf_counter_ns(), text, is_problem)
+
+    def close(self) -> None:
+        """Wait until everything was written. The writer is then its owner's again."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        for text in self._bad.left():
+            self._problem(text)
+        for count, what in ((self.dropped_pictures, "pictures"), (self.dropped_rows, "rows and events")):
+            if count:
+                self._problem(f"the disk was too slow: {count:,} {what} are missing")
+        self._thread.close()
+
+    def _row(self, received_ns: int, decision: Decision, told: Telemetry, total_ms: float) -> None:
+        if not self._thread.has_room:
+            if not self.dropped_rows:
+                self._problem("the disk is too slow: rows are left out until it has caught up")
+            self.dropped_rows += 1
+            return
+        time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
+        size = len(told.jpeg) + (0 if decision.crop is None else decision.crop.nbytes)
+        if not self._thread.has_room_for(size):
+            if not self.dropped_pictures:
+                self._problem("the disk is too slow: pictures are left out until it has caught up")
+            self.dropped_pictures += _PICTURES_OF_A_ROW
+            size, told = 0, replace(told, jpeg=b"")
+            decision = replace(decision, telemetry=told, crop=None)
+        self._thread.put(partial(self._write_row, time_ns, self.frames, decision, told, total_ms), size)
+        self.frames += 1
+
+    def _event(self, happened_ns: int, text: str, is_problem: bool = False) -> None:
+        if self._thread.has_room:
+            level: EventLevel = "WARNING" if is_problem else "INFO"
+            self._thread.put(partial(self._writer.event, self._clock.event(happened_ns), text, level, "drive"))
+        else:
+            self.dropped_rows += 1
+
+    def _problem(self, text: str) -> None:
+        """One of the few events that there is always room for."""
+        time_ns = self._clock.event(time.perf_counter_ns())
+        self._thread.put(partial(self._writer.event, time_ns, text, "WARNING", "drive"))
+
+    # On the thread
+
+    def _write_row(self, time_ns: int, row: int, decision: Decision, told: Telemetry, total_ms: float) -> None:
+        if told.jpeg:
+            self._writer.picture("center", time_ns, row, told.jpeg)
+        state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
+        self._writer.vehicle(time_ns, row, state)
+        if decision.crop is not None:
+            # as OpenCV writes it by default: half the time of its best compression in hand, a fifth larger
+            ok, png = cv2.imencode(".png", decision.crop)
+            if not ok:  # cannot happen with a crop of ours; said rather than lost in silence
+                raise RuntimeError("OpenCV could not write a PNG of the crop")
+            self._writer.crop(time_ns, row, png.tobytes())
+        command = PilotCommand(
+            predicted_steering=decision.predicted_steering,
+            steering=decision.steering,
+            throttle=decision.throttle,
+            driver=_DRIVERS[decision.driver],
+            set_speed_mph=decision.set_speed_mph,
+            parse_ms=decision.parse_ms,
+            decode_ms=decision.decode_ms,
+            network_ms=decision.network_ms,
+            total_ms=total_ms,
+        )
+        if told.world is not None and told.world.expert_steering is not None:
+            command.expert_steering = told.world.expert_steering
+        self._writer.command(time_ns, row, command)
+        pose = None if told.world is None else told.world.pose
+        if pose is not None:
+            self._writer.pose(time_ns, row, pose_message(pose, time_ns))
+
+
+def _ago_ns(ms: float) -> int:
+    return time.perf_counter_ns() - round(ms * 1e6)

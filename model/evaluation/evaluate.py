@@ -1,0 +1,172 @@
+"""How far a trained network is off, on frames of an index or of whole sessions.
+
+bc-eval RUN
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from common import Skipped
+from common.errors import counted
+from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
+from dataset.index.frames import session_name
+from dataset.index.samples_file import Split
+from model.evaluation.predict import BATCH, predict_crops
+from model.metrics import Measures, measure
+from model.runs.run_files import without_nan
+from model.runs.run_folder import load_config, run_name
+from model.runs.trained_on import by_session, count_learnt
+
+_FROM_INDEX: Final = pa.schema(
+    [
+        ("session", pa.string()),
+        ("row", pa.int64()),
+        ("camera", pa.string()),
+        ("log_time_ns", pa.int64()),
+        ("recorded", pa.float64()),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a run's network says of some frames, and how far that is off."""
+
+    run: Path
+    frames: pa.Table  # session, row, camera, log_time_ns; recorded and predicted: steering, -1..1
+    logs: dict[str, Path]  # of the sessions
+    begins_ns: dict[str, int]  # log time of the first message of each of these logs
+    learnt: int | None  # how many of the frames the run has learnt from; None where its config does not say
+    skipped: Skipped  # pictures that do not decode
+    notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
+    remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
+
+    @cached_property
+    def measures(self) -> Measures:
+        return _measure(self.frames)
+
+    @cached_property
+    def sessions(self) -> dict[str, Measures]:
+        """The measures of each session that has frames here."""
+        return {session: _measure(part) for session, part in by_session(self.frames).items()}
+
+    @cached_property
+    def balanced_rmse_deg(self) -> dict[str, float]:
+        """The balanced RMSE of the network, of always predicting zero, and of always predicting the mean."""
+        recorded = self.frames["recorded"].to_numpy()
+        constants = {"zero": 0.0, "mean": float(recorded.mean())}
+        of_constants = {
+            name: measure(np.full(len(recorded), value), recorded).balanced_rmse_deg
+            for name, value in constants.items()
+        }
+        return {"network": self.measures.balanced_rmse_deg, **of_constants}
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
+        found = _told(self.measures)
+        for name in ("zero", "mean"):
+            found[name]["balanced_rmse_deg"] = self.balanced_rmse_deg[name]
+        return {
+            "run": run_name(self.run),
+            "learnt": self.learnt,
+            "skipped": dict(self.skipped.counts),
+            **found,
+            "sessions": {
+                session: {"log": str(self.logs[session]), **_told(measures)}
+                for session, measures in self.sessions.items()
+            },
+        }
+
+
+def evaluate(run: Path | str, index: Path | str, split: Split = "validation") -> Evaluation:
+    """Measure a run on a split of `index`: what the car itself saw, unaltered, against how it was driven.
+
+    Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
+    LogError for a damaged log.
+    """
+    samples = Samples(Path(index))
+    try:
+        seen = samples.driving_view(split)
+        if not len(seen):
+            raise DatasetError(
+                f"{samples.path}: no frame of the split {split} in it; give another --split, or whole sessions:"
+                " --session NAME"
+            )
+        return _evaluate(Path(run), samples, seen)
+    finally:
+        samples.close()
+
+
+def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation:
+    """Measure a run on all frames of some logs that can be used, whether or not they are in an index.
+
+    Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
+    """
+    paths = {session_name(log): log for log in map(Path, logs)}
+    config = IndexConfig(validation=tuple(paths), balance=False, flip=False)
+    with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
+        indexed = build_index(list(paths.values()), Path(folder), config)
+        found = evaluate(run, folder)
+    notices = indexed.notices + [
+        f"{path}: not measured: no picture of the centre camera that can be used"
+        for session, path in paths.items()
+        if session not in found.sessions
+    ]
+    return replace(found, logs=paths, notices=tuple(notices), remarks=tuple(indexed.remarks))
+
+
+def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
+    config = load_config(run)
+    loader = Loader(samples, seen, batch=BATCH, budget_bytes=0)  # each picture is looked at once
+    predicted, has_crop = predict_crops([run], loader.crops(), loader.pictures)
+    steering, is_decoded = predicted[0, loader.rows.picture], has_crop[loader.rows.picture]
+    if not is_decoded.any():
+        _, name = next(iter(loader.skipped))
+        raise DatasetError(
+            f"none of {counted(len(seen), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
+        )
+    frames = _from_index(seen, samples).append_column("predicted", pa.array(steering)).filter(pa.array(is_decoded))
+    return Evaluation(
+        run,
+        frames,
+        {session: log.path.resolve() for session, log in samples.logs.items()},
+        {session: log.time_range_ns[0] for session, log in samples.logs.items()},
+        count_learnt(by_session(frames), samples, config),
+        loader.skipped,
+    )
+
+
+def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
+    """Which frames these are. Raises DatasetError for what no index holds."""
+    try:
+        frames = seen.select(_FROM_INDEX.names).cast(_FROM_INDEX)
+        is_damaged = any(column.null_count for column in frames.columns)
+    except (KeyError, ValueError, pa.ArrowException):
+        is_damaged = True
+    if is_damaged:
+        raise DatasetError(f"{samples.path}: damaged; remove it and give `bc-index`")
+    return frames
+
+
+def _measure(frames: pa.Table) -> Measures:
+    return measure(frames["predicted"].to_numpy(), frames["recorded"].to_numpy())
+
+
+def _told(measures: Measures) -> dict[str, Any]:
+    return {
+        "frames": measures.frames,
+        "network": without_nan(asdict(measures.network)),
+        "zero": without_nan(asdict(measures.zero)),
+        "mean": without_nan(asdict(measures.mean)),
+        "balanced_rmse_deg": measures.balanced_rmse_deg,
+        "bins": [asdict(part) for part in measures.bins],
+    }

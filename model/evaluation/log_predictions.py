@@ -1,0 +1,73 @@
+"""What networks say of a recorded log, how far that is off, and where it is off the most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from common import Skipped
+from common.errors import counted
+from dataset import MAX_STEERING_DEG
+from model.metrics import measure
+from model.worst_moments import WorstFrame, worst_frames
+
+Values = NDArray[np.float64]
+
+WORST: Final = 10  # moments of each run that become events
+
+
+@dataclass(frozen=True)
+class LogPredictions:
+    """What networks say of the pictures of a log, in its order. Steering is -1 (left) .. 1 (right)."""
+
+    session: str
+    row: NDArray[np.int64]  # of each picture
+    log_time_ns: NDArray[np.int64]
+    recorded: Values  # NaN where nothing was recorded with the picture
+    predicted: dict[str, Values]  # by the name of the run, before any clamp
+    about: dict[str, str] = field(default_factory=dict)  # which log, which weights: metadata
+    skipped: Skipped = field(default_factory=Skipped)  # pictures that do not decode
+    notice: str = ""  # that the log was never finished
+
+    def error_deg(self, run: str) -> Values:
+        """Predicted - recorded, in degrees: positive is too far to the right; NaN where nothing was recorded."""
+        return MAX_STEERING_DEG * (self.predicted[run] - self.recorded)
+
+    def worst(self, run: str, count: int = WORST) -> list[WorstFrame]:
+        """The moments at which a run is off the most: see `worst_frames`."""
+        known = np.isfinite(self.recorded)
+        frames = {
+            "session": pa.array([self.session] * int(known.sum()), pa.string()),
+            "row": self.row[known],
+            "log_time_ns": self.log_time_ns[known],
+            "recorded": self.recorded[known],
+            "predicted": self.predicted[run][known],
+        }
+        return worst_frames(pa.table(frames), count)
+
+    def summary(self, run: str) -> str:
+        """How far a run is off, in a line."""
+        known = np.isfinite(self.recorded)
+        if not known.any():
+            return f"{run}: {counted(len(self.row), 'frame')}, nothing recorded with them to compare with"
+        found = measure(self.predicted[run][known], self.recorded[known])
+        return (
+            f"{run}: {counted(found.frames, 'frame')}, RMSE {found.network.rmse_deg:.2f} degrees from what was"
+            f" recorded (always the mean: {found.mean.rmse_deg:.2f}), MAE {found.network.mae_deg:.2f}"
+        )
+
+    def worst_moments(self, run: str) -> list[tuple[int, str]]:
+        """Log time in ns, and in words: the worst moments of a run, the earliest first."""
+        return sorted((worst.log_time_ns, _told(run, worst)) for worst in self.worst(run))
+
+
+def _told(run: str, worst: WorstFrame) -> str:
+    side = "right" if worst.error_deg > 0 else "left"
+    return (
+        f"{run}: {abs(worst.error_deg):.1f} degrees too far to the {side}: {worst.predicted_deg:z.1f} predicted,"
+        f" {worst.recorded_deg:z.1f} recorded (row {worst.row})"
+    )

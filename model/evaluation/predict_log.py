@@ -1,0 +1,86 @@
+"""What other networks would have done: their steering for every picture of the centre camera in a log.
+
+bc-play run.mcap --run first --run second
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import counted
+from dataset.errors import DatasetError
+from dataset.loader.log_crops import LogCrops
+from dataset.preprocess import Image
+from model.errors import RunError
+from model.evaluation.log_predictions import LogPredictions
+from model.evaluation.predict import BATCH, predict_crops
+from model.runs.run_folder import checksum, run_name
+
+Look = Callable[[str, NDArray[np.int64], Image, NDArray[np.float32]], object]
+"""Told where a network looks, some pictures at a time: its run's name, their log times (N,) in ns, their crops
+(N, 128, 128, 3) BGR, and the maps (N, 128, 128), 0..1 (see attention.py)."""
+
+
+def run_names(runs: Sequence[Path]) -> list[str]:
+    """What runs are called beside each other: the names of their folders, and where two are alike, as much of the
+    way to them as tells them apart. Raises RunError if one is given twice."""
+    places = [run.resolve() for run in runs]
+    names = [run_name(place) for place in places]
+    for name, place in zip(names, places, strict=True):
+        if places.count(place) > 1:
+            raise RunError(f"{name}: given {counted(places.count(place), 'time')}; give each run once")
+    depth = 1
+    while len(set(names)) < len(names):
+        depth += 1
+        names = [
+            "/".join(place.parts[-depth:]) if names.count(name) > 1 else name
+            for name, place in zip(names, places, strict=True)
+        ]
+    return names
+
+
+def predict_log(
+    log: Path | str,
+    runs: Sequence[Path | str],
+    on_look: Look | None = None,
+    on_batch: Callable[[], object] = lambda: None,
+) -> LogPredictions:
+    """What the networks of some runs say of a log, finished or not, in float32, of the pixels that they see when
+    they drive. `on_look` is told where they look; `on_batch` is called now and then, and may raise what ends it.
+
+    Raises RunError if a run is incomplete or damaged, or given twice, LogError for a damaged log, DatasetError for
+    one without a picture that the network could see.
+    """
+    log, folders = Path(log), [Path(run) for run in runs]
+    names = run_names(folders)
+    with LogCrops(log) as crops:
+
+        def look(run: int, numbers: NDArray[np.int64], pictures: Image, maps: NDArray[np.float32]) -> None:
+            if on_look is not None:
+                on_look(names[run], crops.log_time_ns[numbers], pictures, maps)
+
+        predicted, is_decoded = predict_crops(
+            folders, crops.batches(BATCH), len(crops), on_look and look, on_batch
+        )
+        if not is_decoded.any():
+            raise DatasetError(
+                f"{log}: none of {counted(len(crops), 'picture')} decodes; look with `bc-log check`"
+            )
+        return LogPredictions(
+            crops.session,
+            crops.row[is_decoded],
+            crops.log_time_ns[is_decoded],
+            crops.recorded[is_decoded],
+            {name: values[is_decoded] for name, values in zip(names, predicted, strict=True)},
+            {
+                "log": log.name,
+                "log_fingerprint": crops.fingerprint,
+                **{f"weights_sha256.{name}": checksum(run) for name, run in zip(names, folders, strict=True)},
+            },
+            crops.skipped,
+            crops.notice,
+        )

@@ -1,0 +1,128 @@
+"""How far predictions are off, beside predictors that know nothing.
+
+Half to four fifths of recorded labels are near zero, so that a small mean error alone says nothing: every
+measure stands beside those of always predicting zero, and the mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset import MAX_STEERING_DEG
+from dataset.index.balance import bin_of
+
+TURNING = 0.05  # |steering| above this is turning
+BINS = 25  # those of the original project
+
+Floats = NDArray[np.float32] | NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors in degrees of wheel angle; NaN where there is nothing to measure."""
+
+    mae_deg: float
+    rmse_deg: float
+    turning_mae_deg: float
+    correlation: float  # -1..1; NaN where either side is constant
+
+
+@dataclass(frozen=True)
+class BinErrors:
+    """The errors in one bin of the recorded steering that is not empty."""
+
+    bin: int
+    low: float  # its edges, -1..1
+    high: float
+    frames: int
+    mae_deg: float
+    rmse_deg: float
+    bias_deg: float  # mean of predicted - recorded: positive is too far to the right
+
+
+@dataclass(frozen=True)
+class Measures:
+    """How far a network is off on some frames."""
+
+    frames: int
+    network: Errors
+    zero: Errors  # of always predicting 0 on the same frames
+    mean: Errors  # of always predicting those frames' own mean: no constant does better
+    bins: tuple[BinErrors, ...]
+    mean_balanced_rmse_deg: float = math.nan  # of always predicting that mean; NaN where it is not known
+
+    @property
+    def balanced_rmse_deg(self) -> float:
+        """Root of the mean over bins of their mean squared error: every bin counts alike, as in training.
+
+        A network that always goes straight has a small RMSE where the road is mostly straight, but not this one.
+        """
+        return _balanced_rmse_deg(self.bins)
+
+
+def measure(predicted: Floats, recorded: Floats, bins: int = BINS) -> Measures:
+    """Compare two steering arrays (N,), -1..1, also within `bins` equal bins of the recorded steering."""
+    mean = float(np.mean(recorded)) if len(recorded) else float("nan")
+    return Measures(
+        len(recorded),
+        errors(predicted, recorded),
+        constant_errors(0.0, recorded),
+        constant_errors(mean, recorded),
+        tuple(_bin_errors(predicted, recorded, bins)),
+        _balanced_rmse_deg(_bin_errors(np.full(len(recorded), mean), recorded, bins)),
+    )
+
+
+def errors(predicted: Floats, recorded: Floats) -> Errors:
+    """Compare two steering arrays (N,), -1..1."""
+    nan = float("nan")
+    if not len(recorded):
+        return Errors(nan, nan, nan, nan)
+    off = _off_deg(predicted, recorded)
+    turning = np.abs(recorded) > TURNING
+    varies = predicted.min() < predicted.max() and recorded.min() < recorded.max()
+    return Errors(
+        mae_deg=float(np.abs(off).mean()),
+        rmse_deg=float(np.sqrt(np.square(off).mean())),
+        turning_mae_deg=float(np.abs(off[turning]).mean()) if turning.any() else nan,
+        correlation=float(np.corrcoef(predicted, recorded)[0, 1]) if varies else nan,
+    )
+
+
+def constant_errors(value: float, recorded: Floats) -> Errors:
+    """The errors of always predicting `value`."""
+    return errors(np.full(len(recorded), value), recorded)
+
+
+def _balanced_rmse_deg(bins: Sequence[BinErrors]) -> float:
+    return math.sqrt(sum(part.rmse_deg**2 for part in bins) / len(bins)) if bins else math.nan
+
+
+def _off_deg(predicted: Floats, recorded: Floats) -> NDArray[np.float64]:
+    return MAX_STEERING_DEG * (predicted.astype(np.float64) - recorded.astype(np.float64))
+
+
+def _bin_errors(predicted: Floats, recorded: Floats, bins: int) -> list[BinErrors]:
+    off = _off_deg(predicted, recorded)
+    exact: NDArray[np.float64] = recorded.astype(np.float64)
+    bin_index = bin_of(np.round(exact, 6), bins)  # in float32, a value on an edge is beside it
+    found = []
+    for number in np.unique(bin_index).tolist():
+        part = off[bin_index == number]
+        found.append(
+            BinErrors(
+                number,
+                -1 + 2 * number / bins,
+                -1 + 2 * (number + 1) / bins,
+                len(part),
+                float(np.abs(part).mean()),
+                float(np.sqrt(np.square(part).mean())),
+                float(part.mean()),
+            )
+        )
+    return found

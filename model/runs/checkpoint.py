@@ -1,0 +1,144 @@
+"""Where a training stands: `last/checkpoint.safetensors`, from which it goes on as if it had never stopped.
+
+One file with its own checksum (sealed.py), so that weights, moments of Adam and position are always of the same
+moment. No random state is in it: order, dropout and alterations are functions of (seed, epoch, batch), drawn anew
+in every step.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from model.errors import RunError
+from model.runs.checksums import read_sealed, write_sealed
+from model.runs.hints import run_argument
+
+FORMAT: Final = "1"
+LAST: Final = "last"
+CHECKPOINT: Final = "checkpoint.safetensors"
+
+_WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
+_MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what torch.optim.Adam keeps of each parameter
+
+
+@dataclass(frozen=True)
+class Position:
+    """How far a training has come, and the sums of the epoch that it is in."""
+
+    epoch: int = 1  # that is being trained; epochs before it are finished
+    batch: int = 0  # batches of it that are learnt
+    squared_error: float = 0.0  # over its samples so far
+    samples: int = 0
+    seconds: float = 0.0
+    told_squared_error: float = 0.0  # those of the two that steps.jsonl tells of already
+    told_samples: int = 0
+    best_epoch: int = 0  # 0: none yet
+    best_deg: float = math.inf  # balanced RMSE of that epoch; infinite where nothing is held out
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value that no training has."""
+        numbers = (self.epoch - 1, self.batch, self.samples, self.told_samples, self.best_epoch)
+        if not all(isinstance(number, int) and 0 <= number < 2**53 for number in numbers):
+            raise ValueError("a position that is none")
+        sums = (self.squared_error, self.told_squared_error, self.seconds, self.best_deg)
+        if not all(isinstance(value, float) and value >= 0 for value in sums):
+            raise ValueError("a sum that is none")
+
+
+def checkpoint_path(run: Path) -> Path:
+    return run / LAST / CHECKPOINT
+
+
+def save_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam, position: Position) -> None:
+    """Replace the run's checkpoint in one step: a full disk or a crash leaves the old one."""
+    tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
+    for name, parameter in network.named_parameters():
+        moments = optimizer.state.get(parameter, {})  # empty before the first step
+        tensors |= {f"{moment}.{name}": tensor for moment, tensor in moments.items()}
+    stored = {"format": FORMAT, "position": json.dumps(asdict(position))}
+    write_sealed(checkpoint_path(run), tensors, stored)
+
+
+def read_position(run: Path) -> Position:
+    """Where the run's checkpoint stands, as it says itself. Raises RunError if there is none, or if that cannot be
+    read."""
+    path = _required(run)
+    try:
+        with safe_open(path, framework="pt") as file:
+            stored = file.metadata() or {}
+    except (OSError, SafetensorError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
+    return _position(stored, path)
+
+
+def _required(run: Path) -> Path:
+    path = checkpoint_path(run)
+    if not path.is_file():
+        raise RunError(f"{path}: gone; train another run from its weights: --init {run_argument(run)}")
+    return path
+
+
+def _position(stored: Mapping[str, str], path: Path) -> Position:
+    try:
+        if stored.get("format") != FORMAT:
+            raise RunError(
+                f"{path}: of format {stored.get('format')}, this toolkit reads {FORMAT}; update the toolkit"
+            )
+        return Position(**json.loads(stored["position"]))
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
+
+
+def load_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam) -> Position:
+    """Put the network and its optimizer where the run's checkpoint left them, on their device; the position.
+
+    Raises RunError if the checkpoint is damaged, of another version, or of another network.
+    """
+    path = _required(run)
+    tensors, stored = read_sealed(path, run, _WAY_OUT)
+    position = _position(stored, path)
+    named = dict(network.named_parameters())
+    has_moments = any(name.startswith("exp_avg.") for name in tensors)
+    kinds = ("network", *_MOMENTS) if has_moments else ("network",)
+    if tensors.keys() != {f"{kind}.{name}" for kind in kinds for name in named}:
+        raise RunError(f"{path}: the checkpoint of another network than this toolkit's")
+    with torch.no_grad():
+        for name, parameter in named.items():
+            parameter.copy_(_like(tensors[f"network.{name}"], parameter, path))
+            if has_moments:
+                optimizer.state[parameter] = _moments(name, parameter, tensors, optimizer, path)
+    return position
+
+
+def _moments(
+    name: str, parameter: Tensor, tensors: dict[str, Tensor], optimizer: torch.optim.Adam, path: Path
+) -> dict[str, Any]:
+    step = tensors[f"step.{name}"]
+    if step.shape != () or step.dtype != torch.float32 or not 1 <= step.item() < 2**53:
+        raise RunError(f"{path}: a step count that is none; {_WAY_OUT}")
+    is_fused = optimizer.defaults["fused"]
+    return {
+        "step": step.to(parameter.device) if is_fused else step,
+        # in the parameter's own memory format, as if they had never left it
+        **{
+            moment: torch.zeros_like(parameter).copy_(_like(tensors[f"{moment}.{name}"], parameter, path))
+            for moment in _MOMENTS[:2]
+        },
+    }
+
+
+def _like(tensor: Tensor, parameter: Tensor, path: Path) -> Tensor:
+    if tensor.shape != parameter.shape or tensor.dtype != parameter.dtype:
+        raise RunError(f"{path}: the checkpoint of another network than this toolkit's")
+    if not torch.isfinite(tensor).all():
+        raise RunError(f"{path}: holds numbers that are not finite; train anew with a smaller --rate")
+    return tensor

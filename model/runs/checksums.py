@@ -1,0 +1,96 @@
+"""Weights and checkpoints that carry their own checksum.
+
+A safetensors file whose metadata hold `sha256`: that of the whole file, with these 64 characters as zeros. Beside
+the file, or in config.json, it would be that of other weights whenever the computer dies between the two writes;
+here both are replaced in one step, and are copied together.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import logging
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+from common.errors import shown
+from common.untrusted import read_bounded
+from model.errors import RunError
+from model.runs.run_files import replaced_file
+
+CHECKSUM: Final = "sha256"
+
+_ZEROS: Final = "0" * 64
+_MOST_BYTES: Final = 1 << 30  # a checkpoint has 60 MB
+
+
+def write_sealed(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
+    """Replace `path` in one step: a full disk or a crash leaves the old file. Same content: the same bytes."""
+    contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    header, values = _halves(save(contiguous))
+    about = {"__metadata__": dict(sorted({**metadata, CHECKSUM: _ZEROS}.items())), **json.loads(header)}
+    text = json.dumps(about, separators=(",", ":")).encode()
+    header = text.ljust(-(-len(text) // 8) * 8)  # so long that the tensors can be mapped into memory
+    header = header.replace(_ZEROS.encode(), _digest(header, values).encode(), 1)
+    with replaced_file(path) as part, part.open("wb") as stream:
+        stream.write(_length(header))
+        stream.write(header)
+        stream.write(values)
+
+
+def read_sealed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """The tensors of a file of `run`, and its metadata, once its checksum is found to hold.
+
+    A file without one, of an earlier version, is read all the same, and that is said once. Raises RunError for a
+    damaged file; `otherwise` is what to do then.
+    """
+    try:
+        data = read_bounded(path, _MOST_BYTES)
+        tensors = load(data)
+        header, values = _halves(data)
+        metadata = json.loads(header).get("__metadata__", {})
+    except (OSError, SafetensorError, ValueError, RecursionError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); {otherwise}") from None
+    checksum = metadata.pop(CHECKSUM, None)
+    if checksum is None:
+        _say_unsealed(run)
+    elif not _holds(checksum, header, values):
+        raise RunError(f"{path}: damaged: it is not what was written (its SHA-256 is another); {otherwise}")
+    return tensors, metadata
+
+
+def _holds(checksum: str, header: bytes, values: memoryview) -> bool:
+    if not re.fullmatch("[0-9a-f]{64}", checksum):
+        return False
+    return _digest(header.replace(checksum.encode(), _ZEROS.encode(), 1), values) == checksum
+
+
+def _digest(header: bytes, values: memoryview) -> str:
+    digest = hashlib.sha256(_length(header) + header)
+    digest.update(values)
+    return digest.hexdigest()
+
+
+def _length(header: bytes) -> bytes:
+    return len(header).to_bytes(8, "little")
+
+
+def _halves(data: bytes) -> tuple[bytes, memoryview]:
+    """The header, which is JSON, and the tensors' values, of a whole safetensors file."""
+    end = 8 + int.from_bytes(data[:8], "little")
+    return data[8:end], memoryview(data)[end:]
+
+
+@functools.cache
+def _say_unsealed(run: Path) -> None:
+    # by `logging`: it is heard wherever a network is loaded, also where no command is
+    logging.getLogger(__name__).warning(
+        "%s", shown(f"{run}: of an earlier version, without checksums: damage to its weights cannot be noticed")
+    )

@@ -1,0 +1,79 @@
+"""The index that a run was trained on, found or built again."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from common.stored_settings import settings_from
+from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
+from model.errors import RunError
+from model.runs.provenance import data_fingerprint_of
+from model.runs.run_folder import CONFIG, load_config, run_name
+from model.runs.run_places import logs_of
+
+
+def index_of_run(
+    run: Path, index: Path, sessions: Path, said: Callable[[str], object] = lambda notice: None
+) -> Path:
+    """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
+    from the run's settings and the logs of its sessions, in `sessions` or where they were.
+
+    `said` gets the notices of building it. Raises RunError if these logs, or their tags, have changed since;
+    DatasetError if one is gone, LogError if one cannot be read: without it, the samples would be others.
+    """
+    stored = load_config(run)
+    where = str(run / CONFIG)
+    wanted = data_fingerprint_of(stored, where)
+    index = index.resolve()
+    own = index.with_name(f"{index.name}-{run_name(run)}")
+    for place in (index, own):
+        if _fingerprint(place) == wanted:
+            return place
+    settings, fingerprints = _data_of(stored, where)
+    before = logs_of(run)
+    logs = [
+        str(before[name]) if name in before and not (sessions / f"{name}.mcap").exists() else name
+        for name in fingerprints
+    ]
+    for notice in build_index(find_logs(logs, sessions), own, settings).notices:
+        said(notice)
+    with contextlib.closing(Samples(own)) as samples:
+        changed = [name for name, (_, now) in samples.sources.items() if now != fingerprints[name]]
+        if changed:
+            raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
+        if samples.fingerprint != wanted:
+            raise RunError(
+                f"{own}: the same logs and settings as {run} had, but other samples: their tags have changed,"
+                " or it was made by another version of the toolkit"
+            )
+    return own
+
+
+def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
+    """What the index was made with that `run` was trained on, and the fingerprints of its logs by session.
+
+    Raises RunError if the run does not tell.
+    """
+    return _data_of(load_config(run), str(run / CONFIG))
+
+
+def _fingerprint(index: Path) -> str:
+    """Of an index's samples; empty if it cannot be used."""
+    try:
+        with contextlib.closing(Samples(index)) as samples:
+            return samples.fingerprint
+    except DatasetError:
+        return ""
+
+
+def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str, str]]:
+    try:
+        fingerprints = {str(name): str(log["fingerprint"]) for name, log in stored["data"]["logs"].items()}
+        if any(Path(name).name != name for name in fingerprints):
+            raise ValueError("a session's name is a path")
+        return settings_from(IndexConfig, stored["data"]["settings"]), fingerprints
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunError(f"{where}: its index settings cannot be used ({error})") from None

@@ -1,0 +1,222 @@
+"""Two pictures of a run for a paper: how training went, and how the network steers the frames held out.
+
+    write_run_figures(Path("runs/first"), predicted, recorded)
+
+Matplotlib is an extra: `pip install "behavioural-cloning-toolkit[figures]"`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import counted
+from dataset import MAX_STEERING_DEG
+from dataset.figure_style import (
+    BLUE,
+    DPI,
+    GREEN,
+    GREY,
+    ORANGE,
+    figure_style,
+    new_figure,
+    require_matplotlib,
+)
+from model.errors import RunError
+from model.metrics import BinErrors, Measures, measure
+from model.runs.history import History, read_history
+from model.runs.run_files import replaced_file
+from model.runs.training_progress import Epoch
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+CURVES, STEERING = "curves.png", "steering.png"
+
+_MOST_MARKED: Final = 40  # epochs: beyond that, marks touch each other
+_SHOWN_FRAMES: Final = 300  # in a row, so that single frames can be told apart
+_TICKS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
+_FARTHEST: Final = 1.25  # a prediction beyond is drawn at the edge
+
+Floats = NDArray[np.float64]
+
+
+def write_run_figures(run: Path, predicted: Floats, recorded: Floats) -> list[Path]:
+    """Draw the run's metrics (curves.png), and the network's steering (N,) of the frames held out, in their order,
+    against the recorded one (steering.png). Both are replaced: they belong to the run. Their paths.
+
+    Same run, steering and matplotlib: the same bytes. Raises RunError if metrics.jsonl cannot be used, or if
+    matplotlib is not installed.
+    """
+    require_matplotlib(RunError)
+    history, skipped = read_history(run)
+    if len(skipped):
+        raise RunError(f"{run}: no figures, as not all of its history can be read: {'; '.join(skipped.lines())}")
+    draw: dict[str, Callable[[], Figure]] = {
+        CURVES: lambda: draw_curves(history),
+        STEERING: lambda: draw_steering(predicted, recorded),
+    }
+    with figure_style():
+        for name, figure in draw.items():
+            with replaced_file(run / name) as part:
+                figure().savefig(part, format="png", dpi=DPI)
+    return [run / name for name in draw]
+
+
+def draw_curves(history: History) -> Figure:
+    """Losses and errors by epoch, beside those of constant predictors; the best epoch is marked."""
+    figure = new_figure(3.2)
+    loss, errors = figure.subplots(1, 2)
+    epochs = history.epochs
+    marker = "." if len(epochs) <= _MOST_MARKED else ""
+
+    def curve(axes: Axes, value: Callable[[Epoch], float], label: str, **style: Any) -> None:
+        values = [value(epoch) for epoch in epochs]
+        if np.isfinite(values).any():
+            axes.plot([epoch.epoch for epoch in epochs], values, label=label, **style)
+
+    curve(loss, lambda epoch: epoch.training_loss, "training", color=BLUE, marker=marker)
+    curve(loss, lambda epoch: epoch.validation_loss, "validation", color=ORANGE, marker=marker)
+    network: tuple[tuple[str, str, Callable[[Epoch], float]], ...] = (
+        ("RMSE", ORANGE, lambda epoch: epoch.measures.network.rmse_deg),
+        ("balanced RMSE", GREEN, lambda epoch: epoch.measures.balanced_rmse_deg),
+        ("MAE while turning", BLUE, lambda epoch: epoch.measures.network.turning_mae_deg),
+    )
+    for label, color, value in network:
+        curve(errors, value, label, color=color, marker=marker)
+    best = history.best
+    if best is None or not best.measures.bins:
+        _say(errors, "no frames were held out")
+    else:
+        _draw_constants(loss, errors, best)
+        for axes, height in ((loss, best.validation_loss), (errors, best.measures.balanced_rmse_deg)):
+            axes.axvline(best.epoch, color=GREY, linewidth=0.6, zorder=0)
+            style = {"color": "black", "fillstyle": "none", "markersize": 8, "linestyle": ""}
+            axes.plot(best.epoch, height, "o", label=f"best: epoch {best.epoch}", **style)
+    for axes in (loss, errors):
+        axes.set_xlabel("epoch")
+        _whole_epochs(axes, epochs)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(
+                loc="lower left",
+                bbox_to_anchor=(0, 1),
+                ncols=2,
+                borderaxespad=0.3,
+                columnspacing=1,
+                handlelength=1.5,
+            )
+    loss.set_ylabel("mean squared error of steering")
+    if 0 < loss.dataLim.minposy < math.inf:
+        loss.set_yscale("log")
+    errors.set_ylabel("error on frames held out (degrees)")
+    errors.set_ylim(0, 1.05 * errors.dataLim.ymax if np.isfinite(errors.dataLim.ymax) else None)
+    return figure
+
+
+def draw_steering(predicted: Floats, recorded: Floats) -> Figure:
+    """Predicted against recorded steering (N,) of the frames held out, errors by bin, and a stretch of frames."""
+    if not len(recorded):
+        figure = new_figure(1)
+        _say(figure.subplots(), "no frames were held out")
+        return figure
+    measures = measure(predicted, recorded)
+    figure = new_figure(5.4)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.1, 1), height_ratios=(1, 1, 1.05))
+    errors = figure.add_subplot(grid[0, 1])
+    frames = figure.add_subplot(grid[1, 1], sharex=errors)
+    _draw_scatter(figure.add_subplot(grid[:2, 0]), predicted, recorded, measures)
+    _draw_bins(errors, frames, measures.bins, measure(np.zeros(len(recorded)), recorded).bins)
+    _draw_stretch(figure.add_subplot(grid[2, :]), predicted, recorded)
+    figure.align_ylabels((errors, frames))
+    return figure
+
+
+def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
+    """What predictors that know nothing reach on the same frames: the same in every epoch."""
+    mean, zero = epoch.measures.mean, epoch.measures.zero
+    for constant, label, style in ((mean, "always the mean", "--"), (zero, "always zero", ":")):
+        if (squared := (constant.rmse_deg / MAX_STEERING_DEG) ** 2) > 0:  # the axis is logarithmic
+            loss.axhline(squared, color=GREY, linestyle=style, linewidth=1, label=label)
+    for value, color in ((mean.rmse_deg, ORANGE), (mean.turning_mae_deg, BLUE)):
+        if math.isfinite(value):
+            errors.axhline(value, color=color, linestyle="--", linewidth=1)
+    errors.plot([], [], color=GREY, linestyle="--", linewidth=1, label="always the mean")
+
+
+def _say(axes: Axes, text: str) -> None:
+    """What stands where there is nothing to draw."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+
+
+def _whole_epochs(axes: Axes, epochs: Sequence[Epoch]) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    if epochs:
+        first, last = epochs[0].epoch, epochs[-1].epoch
+        margin = max(0.5, 0.03 * (last - first))
+        axes.set_xlim(first - margin, last + margin)
+
+
+def _draw_scatter(axes: Axes, predicted: Floats, recorded: Floats, measures: Measures) -> None:
+    alpha = min(1.0, max(0.05, 300 / len(recorded)))
+    axes.plot((-_FARTHEST, _FARTHEST), (-_FARTHEST, _FARTHEST), color=GREY, linewidth=0.8)
+    shown = np.clip(predicted, -_FARTHEST, _FARTHEST)
+    axes.scatter(recorded, shown, s=6, color=BLUE, alpha=alpha, linewidth=0, clip_on=False)
+    told = f"{counted(len(recorded), 'frame')} held out: RMSE {measures.network.rmse_deg:.2f}°"
+    if math.isfinite(measures.network.correlation):
+        told += f", correlation {measures.network.correlation:.2f}"
+    if beyond := int((np.abs(predicted) > _FARTHEST).sum()):
+        told += f"\n({beyond:,} beyond ±{_FARTHEST} drawn at the edge)"
+    axes.set_title(told, loc="left", fontsize=8)
+    axes.set(xlim=(-1.03, 1.03), ylim=(-_FARTHEST, _FARTHEST), xticks=_TICKS, yticks=_TICKS)
+    axes.set_xlabel("recorded steering (1: 25° to the right)")
+    axes.set_ylabel("predicted steering")
+
+
+def _draw_bins(errors: Axes, frames: Axes, bins: Sequence[BinErrors], zero: Sequence[BinErrors]) -> None:
+    middles = [(part.low + part.high) / 2 for part in bins]
+    width = 0.9 * min(part.high - part.low for part in bins)
+    errors.bar(middles, [part.rmse_deg for part in bins], width, color=ORANGE, label="RMSE")
+    errors.plot(middles, [part.rmse_deg for part in zero], color=GREY, linestyle=":", label="always zero")
+    errors.plot(middles, [part.bias_deg for part in bins], "k.", label="bias (+ right)")
+    errors.axhline(0, color="black", linewidth=0.6)
+    errors.set_ylabel("error (degrees)")
+    errors.tick_params(labelbottom=False)
+    errors.legend(
+        loc="lower left", bbox_to_anchor=(0, 1), ncols=3, borderaxespad=0.3, columnspacing=0.8, handlelength=1.2
+    )
+    frames.bar(middles, [part.frames for part in bins], width, color=BLUE)
+    frames.set_yscale("log")
+    frames.set_ylim(0.7, max(2.0 * part.frames for part in bins))  # one frame is a bar
+    frames.set_ylabel("frames")
+    frames.set(xlim=(-1.03, 1.03), xticks=_TICKS)
+    frames.set_xlabel("recorded steering")
+
+
+def _draw_stretch(axes: Axes, predicted: Floats, recorded: Floats) -> None:
+    """Frames that follow one another in the order of the index, where steering moves most."""
+    from matplotlib.ticker import MaxNLocator
+
+    length = min(_SHOWN_FRAMES, len(recorded))
+    moved = np.cumsum(np.abs(np.diff(recorded, prepend=recorded[0])))
+    start = int(np.argmax(moved[length - 1 :] - moved[: len(moved) - length + 1]))
+    rows = slice(start, start + length)
+    numbers = np.arange(start, start + length)
+    axes.plot(numbers, recorded[rows], color="black", linewidth=1, label="recorded")
+    axes.plot(numbers, predicted[rows], color=ORANGE, linewidth=1.2, label="predicted")
+    axes.axhline(0, color=GREY, linewidth=0.6, zorder=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    most = f": the {length} in a row in which steering moves most" if length < len(recorded) else ""
+    axes.set_xlabel(f"frame held out{most}")
+    axes.set_ylabel("steering")
+    axes.set_ylim(-_FARTHEST, _FARTHEST)
+    axes.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)

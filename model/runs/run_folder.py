@@ -1,0 +1,179 @@
+"""The run folder: weights, what made them, and how training went. Nothing in it is ever unpickled.
+
+runs/NAME/model.safetensors   the weights of the best epoch: these drive; with their checksum, see sealed.py
+runs/NAME/config.json         everything needed to reproduce the run and to drive with it
+runs/NAME/metrics.jsonl       one line an epoch
+runs/NAME/steps.jsonl         one line every few batches
+runs/NAME/worst.jsonl         one line an epoch: the frames held out at which it is off the most
+runs/NAME/last/               where training stands: see checkpoint.py
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from torch import Tensor
+
+from common.files import remove_empty
+from common.untrusted import read_bounded
+from dataset.preprocess import DESCRIPTION
+from model.errors import RunError
+from model.network.layers import SteeringNetwork
+from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path
+from model.runs.checksums import read_sealed, write_sealed
+from model.runs.hints import known_runs, run_argument
+from model.runs.run_files import named, replaced_file
+
+FORMAT: Final = 2
+DRIVABLE: Final = (1, 2)  # format 1 says less of its training
+MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
+WEIGHTS, CONFIG = "model.safetensors", "config.json"
+
+
+def create_run(folder: Path, config: dict[str, Any]) -> None:
+    """Make a run folder with its config. Raises RunError if there is one already."""
+    refuse_existing_run(folder)
+    with named(folder):
+        folder.mkdir(parents=True)
+    try:
+        write_config(folder, {"format": FORMAT, "preprocessing": DESCRIPTION, **config})
+    except BaseException:
+        remove_empty([folder])
+        raise
+
+
+def refuse_existing_run(folder: Path) -> None:
+    """Raise RunError if the name of a run that is to be made is taken; it says how to go on."""
+    if (folder / CONFIG).is_file():
+        raise RunError(
+            f"{folder}: exists already; give another --name, or go on with it:"
+            f" `bc-train --resume {run_argument(folder)}`"
+        )
+    if os.path.lexists(folder):
+        raise RunError(f"{folder}: exists already, and is no run; give another --name, or remove it")
+
+
+def write_config(folder: Path, config: dict[str, Any]) -> None:
+    with replaced_file(folder / CONFIG) as part:
+        part.write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
+
+
+def run_name(folder: Path) -> str:
+    """NAME of runs/NAME, and NAME-last of runs/NAME/last: the weights after its last epoch, not its best."""
+    folder = folder.resolve()
+    return f"{folder.parent.name}-{LAST}" if _is_last(folder) else folder.name
+
+
+def save_weights(folder: Path, weights: Mapping[str, Tensor], epoch: int) -> None:
+    """Replace the run's weights in one step: a full disk or a crash leaves the old ones."""
+    write_sealed(folder / WEIGHTS, weights, {"epoch": str(epoch)})
+
+
+@contextlib.contextmanager
+def kept_if_learnt(folder: Path, has_learnt: Callable[[], bool]) -> Iterator[None]:
+    """Around the training of the run in `folder`, which this process has made: if that ends before anything that
+    it has learnt is saved, the folder goes, and its name is free again."""
+    try:
+        yield
+    finally:
+        if not has_learnt():
+            shutil.rmtree(folder)
+
+
+def newest_run(runs: Path) -> Path:
+    """The run whose weights were written last. Raises RunError if there is none."""
+    weights = sorted(runs.glob(f"*/{WEIGHTS}"), key=lambda path: path.stat().st_mtime_ns)
+    if not weights:
+        raise RunError(f"{runs}: no trained run in it; train one with `bc-train`")
+    return weights[-1].parent
+
+
+def find_run(name: str | None, runs: Path | str) -> Path:
+    """A run by name (in `runs`) or by path; the newest one without a name. NAME/last has a run's last weights."""
+    runs = Path(runs)
+    if name is None:
+        return newest_run(runs)
+    for folder in (runs / name, Path(name)):
+        if (folder / WEIGHTS).is_file() or _is_last(folder):
+            return folder
+    if (runs / name / CONFIG).is_file():
+        resume = f"`bc-train --resume {run_argument(runs / name)}`"
+        raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
+    raise RunError(f"{runs / name}: no trained run there ({WEIGHTS} is missing); {_known(name, runs, WEIGHTS)}")
+
+
+def is_unbegun(run: Path) -> bool:
+    """Whether nothing of a run's training was ever saved: it was killed before its first checkpoint."""
+    return not checkpoint_path(run).exists() and not (run / WEIGHTS).exists()
+
+
+def find_started(name: str, runs: Path) -> Path:
+    """A run by name (in `runs`) or by path, also one that has not finished an epoch. Raises RunError if there is
+    none."""
+    for folder in (runs / name, Path(name)):
+        if (folder / CONFIG).is_file():
+            return folder
+    raise RunError(f"{runs / name}: no run there ({CONFIG} is missing); {_known(name, runs, CONFIG)}")
+
+
+def _known(name: str, runs: Path, file: str) -> str:
+    return known_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
+
+
+def load_config(folder: Path) -> dict[str, Any]:
+    """The run's config.json. Raises RunError if it is damaged, or newer than this toolkit."""
+    path = config_folder(folder) / CONFIG
+    try:
+        config = json.loads(read_bounded(path, MOST_CONFIG_BYTES))
+        version = config["format"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); was it written by bc-train?") from None
+    if version not in DRIVABLE:
+        raise RunError(
+            f"{path}: of format {version}, this toolkit reads {DRIVABLE[0]} to {FORMAT}; update the toolkit"
+        )
+    if config.get("preprocessing") != DESCRIPTION:
+        raise RunError(f"{path}: trained with another preprocessing than this toolkit's; train it again")
+    return dict(config)
+
+
+def config_folder(folder: Path) -> Path:
+    """The folder of the run: NAME also of NAME/last."""
+    return folder.parent if _is_last(folder) else folder
+
+
+def weights_path(folder: Path) -> Path:
+    """The file with the weights of a run, or of its last epoch (NAME/last)."""
+    return folder / (CHECKPOINT if _is_last(folder) else WEIGHTS)
+
+
+def _is_last(folder: Path) -> bool:
+    return folder.name == LAST and (folder / CHECKPOINT).is_file()
+
+
+def load_network(folder: Path) -> SteeringNetwork:
+    """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape."""
+    path = weights_path(folder)
+    network = SteeringNetwork()
+    weights, _ = read_sealed(path, config_folder(folder), "copy it again, or train the run again")
+    if _is_last(folder):
+        prefix = "network."
+        weights = {name.removeprefix(prefix): weights[name] for name in weights if name.startswith(prefix)}
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError:
+        raise RunError(f"{path}: weights of another network than this toolkit's") from None
+    return network.eval()
+
+
+def checksum(folder: Path) -> str:
+    """SHA-256 of the run's weights: a drive's log says with it which network drove."""
+    with weights_path(folder).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

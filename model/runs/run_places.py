@@ -1,0 +1,72 @@
+"""Where that is which a run was made from: its index, its logs, and the run whose weights it started from.
+
+A run's config.json tells places as they are seen from its folder: all can be moved together.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from model.errors import RunError
+from model.runs.hints import short_path
+from model.runs.run_folder import CONFIG, checksum, config_folder, find_run, load_config
+
+
+def seen_from(run: Path, place: Path) -> str:
+    """What a run's config says of a place."""
+    run, place = run.resolve(), place.resolve()
+    try:
+        return Path(os.path.relpath(place, run)).as_posix()
+    except ValueError:  # on another drive of Windows
+        return place.as_posix()
+
+
+def index_of(run: Path) -> Path | None:
+    """The index that a run was trained on, there or not; None where its config does not say, as in runs of
+    earlier versions."""
+    return _place_of(run, load_config(run).get("index"))
+
+
+def logs_of(run: Path) -> dict[str, Path]:
+    """The logs of a run's index by session, where they were; empty where its config does not say."""
+    stored, index = load_config(run), index_of(run)
+    try:
+        logs = {str(name): str(log["log"]) for name, log in stored["data"]["logs"].items()}
+    except (KeyError, TypeError, AttributeError):
+        return {}
+    return {} if index is None else {name: short_path(index / log) for name, log in logs.items()}
+
+
+def sessions_of(run: Path) -> Path | None:
+    """The folder that holds the logs of a run's index, if it is one folder, and still there."""
+    folders = {log.parent for log in logs_of(run).values()}
+    return folder if len(folders) == 1 and (folder := folders.pop()).is_dir() else None
+
+
+def init_of(run: Path, runs: Path) -> Path | None:
+    """The run whose weights `run` was started from, where it was, or by its name in `runs`; None if it began with
+    random ones.
+
+    Raises RunError if that run is gone, or has other weights by now.
+    """
+    stored = load_config(run).get("init")
+    if stored is None:
+        return None
+    try:
+        name, weights_sha256 = str(stored["run"]), str(stored["weights_sha256"])
+        place = _place_of(run, stored.get("place"))
+        if Path(name).name != name:
+            raise ValueError("a run's name is a path")
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunError(f"{run / CONFIG}: does not say which run it was started from ({error})") from None
+    init = find_run(str(place) if place is not None and place.exists() else name, runs)
+    if checksum(init) != weights_sha256:
+        raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
+    return init
+
+
+def _place_of(run: Path, told: object) -> Path | None:
+    if not isinstance(told, str) or not told or "\0" in told:
+        return None
+    return short_path(config_folder(run).resolve() / told)

@@ -1,0 +1,52 @@
+"""What a training has come to, in words: whether it was worth anything, and why which epoch is kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from model.runs.training_progress import Epoch
+
+
+def verdict(epochs: Sequence[Epoch], kept: int) -> list[str]:
+    """A line that compares epoch `kept` with always predicting the mean of the very frames it was measured on, and
+    a second one if another epoch had the smaller RMSE; none where nothing was held out."""
+    best = next((epoch for epoch in epochs if epoch.epoch == kept and epoch.measures.frames), None)
+    if best is None:
+        return []
+    return [_beside_the_mean(best), *_why_kept(epochs, best)]
+
+
+def _beside_the_mean(best: Epoch) -> str:
+    measures = best.measures
+    pairs = {"RMSE": (measures.network.rmse_deg, measures.mean.rmse_deg)}
+    if math.isfinite(measures.mean_balanced_rmse_deg):  # not told by earlier versions
+        pairs["balanced RMSE"] = (measures.balanced_rmse_deg, measures.mean_balanced_rmse_deg)
+    told = {name: f"{network:.2f} against {mean:.2f} degrees" for name, (network, mean) in pairs.items()}
+    is_better = {name: network < mean for name, (network, mean) in pairs.items()}
+    if len(set(is_better.values())) == 1:
+        numbers = ", ".join(f"{name} {numbers}" for name, numbers in told.items())
+        return f"{_word(is_better['RMSE'])} than always predicting the mean: {numbers}"
+    parts = [f"{_word(is_better[name])} in {name} ({numbers})" for name, numbers in told.items()]
+    return (
+        f"beside always predicting the mean: {', '.join(parts)}; the balanced one counts every steering bin alike"
+    )
+
+
+def _why_kept(epochs: Sequence[Epoch], best: Epoch) -> list[str]:
+    def rmse_deg(epoch: Epoch) -> float:
+        return epoch.measures.network.rmse_deg
+
+    least = min((epoch for epoch in epochs if math.isfinite(rmse_deg(epoch))), key=rmse_deg, default=best)
+    if not rmse_deg(least) < rmse_deg(best):
+        return []
+    kept, other = (epoch.measures.balanced_rmse_deg for epoch in (best, least))
+    return [
+        f"epoch {best.epoch:,} is kept for its balanced RMSE ({kept:.2f} against {other:.2f} degrees) and not"
+        f" epoch {least.epoch:,} for its RMSE ({rmse_deg(least):.2f} against {rmse_deg(best):.2f}), which says"
+        " little about bends where most of the road is straight"
+    ]
+
+
+def _word(is_better: bool) -> str:
+    return "better" if is_better else "no better"

@@ -1,0 +1,65 @@
+"""What training tells of itself, to listeners while it goes on and to the run's files for good."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Protocol
+
+from model.metrics import Measures
+
+METRICS: Final = "metrics.jsonl"
+"""One line an epoch: `Epoch.as_dict`."""
+STEPS: Final = "steps.jsonl"
+"""One line every few batches: `Step.as_dict`."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """How training stands within an epoch."""
+
+    epoch: int  # from 1
+    batch: int  # from 1, of `batches`
+    batches: int
+    samples: int  # learnt from since the run began, repeated ones included
+    training_loss: float  # mean squared error of steering, -1..1, since the step before
+    samples_per_s: float
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """How one epoch went. What does not exist is NaN."""
+
+    epoch: int  # from 1
+    training_loss: float  # mean squared error of steering, -1..1, over the epoch's samples while they were learnt
+    validation_loss: float  # the same of the frames held out, afterwards
+    measures: Measures  # of those frames: centre camera, unmirrored, unaltered
+    is_best: bool  # the best one so far
+    seconds: float
+    samples_per_s: float
+
+    def as_dict(self) -> dict[str, Any]:
+        measures = self.measures
+        return {
+            "epoch": self.epoch,
+            "training_loss": self.training_loss,
+            "validation_loss": self.validation_loss,
+            "validation": asdict(measures.network),
+            "zero": asdict(measures.zero),
+            "mean": {**asdict(measures.mean), "balanced_rmse_deg": measures.mean_balanced_rmse_deg},
+            "balanced_rmse_deg": measures.balanced_rmse_deg,
+            "bins": [asdict(part) for part in measures.bins],
+            "is_best": self.is_best,
+            "seconds": self.seconds,
+            "samples_per_s": self.samples_per_s,
+        }
+
+
+class Listener(Protocol):
+    """Who wants to be told how training goes."""
+
+    def step(self, step: Step) -> object: ...
+    def epoch(self, epoch: Epoch) -> object: ...
+    def close(self) -> object: ...

@@ -1,0 +1,73 @@
+"""The frames held out at which a network is off the most after an epoch, with what it saw.
+
+runs/NAME/worst.jsonl   one line of JSON an epoch (of very long trainings, the last ones), with pictures in base64:
+                        to be looked at without the index
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from dataset import MAX_STEERING_DEG, Loader
+from dataset.preprocess import Image
+from model.worst_moments import WorstFrame, worst_frames
+
+WORST: Final = "worst.jsonl"
+"""One line an epoch: `WorstPictures.as_dict`."""
+MOST_WORST_BYTES: Final = 32 << 20
+"""Of that file: some 500 epochs. Of longer trainings, the last ones are kept; no reader takes twice as much."""
+COUNT: Final = 6
+COLUMNS: Final = ("session", "row", "log_time_ns")
+"""What must be known of the frames held out."""
+
+_QUALITY: Final = 90  # of the JPEGs, some 7 KB each
+
+
+@dataclass(frozen=True)
+class WorstPictures:
+    """The worst frames after an epoch, the worst first, and for each the crop that the network saw, as a JPEG."""
+
+    epoch: int  # from 1
+    frames: tuple[WorstFrame, ...]
+    jpegs: tuple[bytes, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        frames = [
+            {**asdict(frame), "jpeg": base64.b64encode(jpeg).decode()}
+            for frame, jpeg in zip(self.frames, self.jpegs, strict=True)
+        ]
+        return {"epoch": self.epoch, "frames": frames}
+
+
+def find_worst(
+    epoch: int, seen: pa.Table, loader: Loader, predicted: NDArray[np.float64], recorded: NDArray[np.float64]
+) -> WorstPictures:
+    """The worst of the frames that a network was measured on: `seen` has `COLUMNS` for each sample of `loader`,
+    steering is of those that decode."""
+    decoded = np.flatnonzero(loader.decoded)
+    frames = seen.take(decoded).append_column("predicted", pa.array(predicted))
+    worst = worst_frames(frames.append_column("recorded", pa.array(recorded)), min(COUNT, loader.batch))
+    time_ns, row = (frames[name].to_numpy() for name in ("log_time_ns", "row"))
+    samples = [
+        decoded[
+            np.argmax(
+                (time_ns == frame.log_time_ns)
+                & (row == frame.row)
+                & (MAX_STEERING_DEG * predicted == frame.predicted_deg)
+            )
+        ]
+        for frame in worst
+    ]
+    pictures = loader.look(np.array(samples, np.int64)) if samples else ()
+    return WorstPictures(epoch, tuple(worst), tuple(map(_jpeg, pictures)))
+
+
+def _jpeg(crop: Image) -> bytes:
+    return cv2.imencode(".jpg", crop, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))[1].tobytes()

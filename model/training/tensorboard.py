@@ -1,0 +1,188 @@
+"""Curves for TensorBoard, in the run's folder, while it is trained.
+
+    bc-train --tensorboard
+    tensorboard --logdir runs
+
+TensorBoard is an extra: `pip install "behavioural-cloning-toolkit[tensorboard]"`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from model.errors import RunError
+from model.metrics import BinErrors
+from model.runs.history import History, HistoryReader
+from model.runs.training_progress import Epoch, Step
+
+FOLDER: Final = "tensorboard"
+
+_ERRORS: Final = ("mae_deg", "rmse_deg", "turning_mae_deg", "correlation")
+# Under "Custom Scalars", the lines of a plot together; under "Scalars", each tag has a plot of its own.
+_PLOTS: Final = {
+    "beside constant predictors": {
+        name: ["Multiline", [f"{name}/.*"]] for name in ("loss", "mae_deg", "rmse_deg", "turning_mae_deg")
+    }
+}
+
+
+class TensorBoard:
+    """Listens to a training and writes RUN/tensorboard, over the samples learnt from since the run began.
+
+    What the run's files tell of the time before, as those of a resumed run do, is written first and takes the
+    place of all that TensorBoard had of this run: no point is there twice, and none is missing after a kill.
+    """
+
+    def __init__(self, run: Path) -> None:
+        """Raises RunError if TensorBoard is not installed."""
+        try:
+            import torch.utils.tensorboard  # noqa: F401
+        except ImportError:
+            raise RunError(
+                "--tensorboard needs TensorBoard: install it with"
+                ' `pip install "behavioural-cloning-toolkit[tensorboard]"`'
+            ) from None
+        self._run = run
+        self._folder = run / FOLDER
+        self._ends: dict[int, int] = {}  # of each epoch, in samples
+        self._file: _EventFile | None = None
+
+    def step(self, step: Step) -> None:
+        """Raises RunError if the folder cannot be written, or the run's files cannot be read."""
+        with self._told():
+            if self._file is None:
+                before = self._history()
+                epochs = [epoch for epoch in before.epochs if epoch.epoch < step.epoch]
+                steps = [other for other in before.steps if other.samples < step.samples]
+                self._file = self._new_file(epochs, steps)
+            self._add_step(self._file, step)
+
+    def epoch(self, epoch: Epoch) -> None:
+        """Raises RunError if the folder cannot be written, or the run's files cannot be read."""
+        with self._told():
+            if self._file is None:
+                before = self._history()
+                epochs = [other for other in before.epochs if other.epoch < epoch.epoch]
+                steps = [step for step in before.steps if step.epoch <= epoch.epoch]
+                self._file = self._new_file(epochs, steps)
+            self._add_epoch(self._file, epoch)
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise RunError(
+                f"{self._folder}: cannot be written ({error.strerror}); make room, or go on without --tensorboard"
+            ) from None
+
+    def _history(self) -> History:
+        """When it is first asked for, the files of a resumed run have been brought to where it goes on."""
+        reader = HistoryReader(self._run)
+        history, _ = reader.read()
+        if len(reader.skipped):
+            lines = "; ".join(reader.skipped.lines())
+            raise RunError(f"{self._run}: nothing for TensorBoard, as not all of its files can be read: {lines}")
+        return history
+
+    def _new_file(self, epochs: Sequence[Epoch], steps: Sequence[Step]) -> _EventFile:
+        if self._folder.is_symlink():
+            raise RunError(f"{self._folder}: a link; TensorBoard's files lie in the run's folder, remove the link")
+        file = _EventFile(self._folder)
+        try:
+            file.add_plots(_PLOTS)
+            for step in steps:
+                self._add_step(file, step)
+            for epoch in epochs:
+                self._add_epoch(file, epoch)
+        except OSError:
+            file.close()
+            raise
+        return file
+
+    def _add_step(self, file: _EventFile, step: Step) -> None:
+        self._ends[step.epoch] = step.samples
+        file.add_scalars({"loss/steps": step.training_loss, "samples_per_s": step.samples_per_s}, step.samples)
+
+    def _add_epoch(self, file: _EventFile, epoch: Epoch) -> None:
+        measures = epoch.measures
+        values = {
+            "epoch": float(epoch.epoch),
+            "loss/training": epoch.training_loss,
+            "loss/validation": epoch.validation_loss,
+            "rmse_deg/balanced": measures.balanced_rmse_deg,
+        }
+        for who, errors in (("network", measures.network), ("mean", measures.mean), ("zero", measures.zero)):
+            values |= {f"{name}/{who}": getattr(errors, name) for name in _ERRORS}
+        samples = self._ends.get(epoch.epoch, epoch.epoch)
+        file.add_scalars(values, samples)
+        if measures.bins:
+            file.add_text("errors by steering", _table(measures.bins), samples)
+
+
+class _EventFile:
+    """A new file of events, each of which is in it at once.
+
+    TensorBoard's own writer writes on a thread, whose traceback is all that it says about a full disk.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        from tensorboard.compat.proto.event_pb2 import SessionLog
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        folder.mkdir(exist_ok=True)
+        s, ns = divmod(time.time_ns(), 10**9)
+        name = f"events.out.tfevents.{s:010d}.{ns:09d}.{os.getpid()}"  # read in the order of their names
+        self._stream = (folder / name).open("xb")
+        self._records = RecordWriter(self._stream)
+        self._add(file_version="brain.Event:2")
+        self._add(session_log=SessionLog(status=SessionLog.START))  # at step 0: what was before is not shown
+
+    def add_scalars(self, values: Mapping[str, float], samples: int) -> None:
+        """Those of the values that exist, by tag."""
+        from torch.utils.tensorboard.summary import scalar
+
+        for tag, value in values.items():
+            if math.isfinite(value):
+                self._add(summary=scalar(tag, value), step=samples)
+
+    def add_text(self, tag: str, markdown: str, samples: int) -> None:
+        from torch.utils.tensorboard.summary import text
+
+        self._add(summary=text(tag, markdown), step=samples)
+
+    def add_plots(self, plots: Mapping[str, Mapping[str, Sequence[object]]]) -> None:
+        from torch.utils.tensorboard.summary import custom_scalars
+
+        self._add(summary=custom_scalars(plots))
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):  # what could not be written was told when it was to be written
+            self._stream.close()
+
+    def _add(self, **content: object) -> None:
+        from tensorboard.compat.proto.event_pb2 import Event
+
+        self._records.write(Event(wall_time=time.time(), **content).SerializeToString())
+        self._stream.flush()
+
+
+def _table(bins: Sequence[BinErrors]) -> str:
+    """In Markdown, as TensorBoard shows it."""
+    rows = ["| steering | frames | MAE | RMSE | bias (+: right) |", "|---|---|---|---|---|"]
+    rows += [
+        f"| {part.low:+.2f} .. {part.high:+.2f} | {part.frames:,}"
+        f" | {part.mae_deg:.2f}° | {part.rmse_deg:.2f}° | {part.bias_deg:+.2f}° |"
+        for part in bins
+    ]
+    return "\n".join(rows)

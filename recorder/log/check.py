@@ -1,0 +1,66 @@
+"""Looking a log through: is the file sound, and does what it holds make sense?"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.progress import track
+from recorder.log.check_contents import Contents, Finding
+from recorder.log.check_structure import sound_chunks
+from recorder.log.mcap_file import McapFile
+from recorder.log.scan import read_structure
+
+
+def is_whole(path: Path) -> bool:
+    """Whether the file is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
+    file = McapFile(path)
+    findings: list[Finding] = []
+    try:
+        structure = read_structure(file)
+        if structure.problem:
+            return False
+        chunks = sound_chunks(file, structure, findings)
+        for _ in track(chunks, f"checking {path.name}", len(structure.chunks)):
+            if findings:
+                break
+    finally:
+        file.close()
+    return not findings
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What was looked at, and what is wrong."""
+
+    path: Path
+    messages: int
+    pictures: int  # decoded
+    findings: list[Finding]
+    has_crcs: bool  # other programs may do without: damage is then not noticed
+
+
+def check(path: Path, *, look: bool = True) -> Checked:
+    """Read the whole log at `path` and say what is wrong with it; `look` decodes every picture.
+
+    Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that
+    do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
+    of range. Raises LogError if it is no MCAP file.
+    """
+    file = McapFile(path)
+    findings: list[Finding] = []
+    try:
+        structure = read_structure(file)
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            contents = Contents(structure, findings, pool if look else None)
+            chunks = sound_chunks(file, structure, findings)
+            for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
+                for message in messages:
+                    contents.take(records, message)
+            contents.judge()
+        has_crcs = file.have_crcs(structure.chunks)
+    finally:
+        file.close()
+    return Checked(path, sum(contents.counts.values()), contents.pictures, findings, has_crcs)

@@ -1,0 +1,129 @@
+"""What a log says of itself: read from its end alone, however long it is."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from recorder.log import topics
+from recorder.log.reader import Log
+from recorder.log.row_quality import ROW_FLAGS, StatesWritten, summary
+from recorder.log.tags import Tag, read_tags, stale_tags, tags_path
+
+
+@dataclass(frozen=True)
+class Topic:
+    topic: str
+    schema: str
+    messages: int
+    per_second: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Rows with something odd about them; times in seconds from the log's first row."""
+
+    flag: str
+    first_row: int
+    last_row: int
+    begin_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Info:
+    path: str
+    size_bytes: int
+    start: str  # UTC, ISO 8601
+    duration_s: float  # from the first message to the last
+    driven_s: float | None  # of all drives, without what lies between them; None: nobody has looked at its rows
+    topics: list[Topic]  # rates over the driven time, if it is known
+    session: dict[str, str]  # where it comes from
+    drives: int | None
+    flags: dict[str, int] | None  # rows that each flag holds for
+    stretches: list[Stretch]  # the first of them
+    picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
+    tags: list[Tag]
+    stale_tags: int  # of what had this name before
+    notice: str  # of an unfinished log
+    is_ours: bool  # not another program's
+
+
+def describe(path: Path) -> Info:
+    """Raises LogError if the log cannot be read."""
+    with Log(path) as log:
+        first_ns, last_ns = log.time_range_ns
+        duration_s = (last_ns - first_ns) / 1e9
+        counts, schemas = log.counts, log.schemas
+        quality = _quality(log)
+        driven_s = _seconds(quality.get("driven_s")) if quality else None
+        has_tags = tags_path(path).exists()  # without, the fingerprint need not be made
+        rate_s = duration_s if driven_s is None else driven_s
+        return Info(
+            path=str(path),
+            size_bytes=log.size,
+            start=(datetime.fromtimestamp(first_ns // 10**9, UTC)).isoformat() if first_ns < 2**62 else "",
+            duration_s=duration_s,
+            driven_s=driven_s,
+            topics=[
+                Topic(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
+                for name in sorted(counts)
+            ],
+            session=log.metadata,
+            drives=_count(quality.get("drives")) if quality else None,
+            flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
+            stretches=_stretches(quality.get("stretches", "")),
+            picture_sizes=_texts(quality.get("picture_sizes", "")),
+            tags=read_tags(path, log.fingerprint) if has_tags else [],
+            stale_tags=stale_tags(path, log.fingerprint) if has_tags else 0,
+            notice=log.notice,
+            is_ours=log.is_ours,
+        )
+
+
+def _quality(log: Log) -> dict[str, str]:
+    """As the log's writer has summed it up; for one that was never finished, from its rows."""
+    stored = log.read_metadata(topics.QUALITY_METADATA)
+    if stored or not log.problem:
+        return stored
+    states = StatesWritten()
+    for message, state in log.vehicle_states():
+        states.add(message.sequence, message.log_time_ns, state)
+    return summary(states.states()) if len(states) else {}
+
+
+def _count(text: str | None) -> int:
+    return int(text) if text is not None and text.isascii() and text.isdigit() and len(text) < 16 else 0
+
+
+def _seconds(text: str | None) -> float | None:
+    try:
+        seconds = float(text or "")
+    except ValueError:
+        return None
+    return seconds if math.isfinite(seconds) and seconds >= 0 else None
+
+
+def _texts(text: str) -> dict[str, str]:
+    """Somebody else may have written the log: what are no texts by name is left out."""
+    try:
+        return {str(name): str(value) for name, value in json.loads(text or "{}").items()}
+    except (ValueError, AttributeError, RecursionError):
+        return {}
+
+
+def _stretches(text: str) -> list[Stretch]:
+    """Somebody else may have written the log: what is no stretch is left out."""
+    try:
+        entries: list[list[Any]] = json.loads(text or "[]")
+        return [
+            Stretch(str(flag), int(first), int(last), float(begin_s), float(end_s))
+            for flag, first, last, begin_s, end_s in entries
+            if math.isfinite(begin_s) and math.isfinite(end_s)
+        ]
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return []

@@ -1,0 +1,321 @@
+"""The physical side of an MCAP file: its records at any place, and what is in a chunk, its CRC checked.
+
+The file is untrusted: no length is believed before it is compared with the file's size. Record layouts:
+https://mcap.dev/spec; all integers are little-endian.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import sys
+import threading
+import zlib
+from array import array
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment
+from mcap.records import Metadata as MetadataRecord
+
+from common.errors import counted
+from common.untrusted import open_regular
+from recorder.errors import LogError
+from recorder.log.topics import LIBRARY, PROFILE
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
+MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
+_LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+_DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
+_LONGEST_HEADER: Final = 1 << 12
+_MOST_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: there are as many numbers for them
+
+MAX_CHUNK_BYTES: Final = 1 << 28
+"""What a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
+MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
+"""What is read at once: the largest chunk, with its header."""
+FREE_MESSAGES: Final = 1 << 16
+"""A file holds no more messages than bytes, and these: compressed, the smallest ones still take several bytes, but
+what was made to fill a memory takes hardly any."""
+
+WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be told"
+"""What to tell a person, once, of another program's log that does without them."""
+
+_MOST_COMPRESSED: Final = 100
+"""Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
+
+# What mcap's parsers raise on bytes that are no record.
+UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
+
+NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)
+"""What `unpack` raises."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A chunk as it lies in the file, from `start` to `end`; or a message outside of chunks, taken as one."""
+
+    start: int
+    end: int
+    compression: str = ""
+    is_message: bool = False
+    mended: bytes = b""  # what its first bytes should be, where its header is damaged
+
+
+class StoredMessage(NamedTuple):
+    """A message within a chunk's records: it begins at `start`, its content is `length` bytes from `offset`."""
+
+    channel: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    start: int
+    offset: int
+    length: int
+
+
+class Parts(NamedTuple):
+    """What a chunk's records are."""
+
+    messages: array[int]  # where each begins
+    definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
+
+
+class McapFile:
+    """A file open for reading at any place, from any thread."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises LogError if it cannot be opened or is of another kind."""
+        self.path = path
+        try:
+            self._stream = open_regular(path)
+        except OSError as error:
+            raise LogError(f"{path}: cannot be opened ({error.strerror}); {_advice(path)}") from None
+        self._lock = threading.Lock()
+        self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
+        self._unpacked_bytes = 0
+        self.size = 0
+        self.grow()
+        if self.size < len(MAGIC) or self.read(0, len(MAGIC)) != MAGIC:
+            self.close()
+            raise LogError(f"{path}: not an MCAP log (it does not start with MCAP's magic bytes)")
+
+    def close(self) -> None:
+        self._stream.close()
+
+    def grow(self) -> bool:
+        """Take in what was written behind the end since; False if the file has been deleted."""
+        status = os.fstat(self._stream.fileno())
+        self.size = status.st_size
+        return status.st_nlink > 0
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Raises LogError for what lies outside the file, is too long for any record, or is not readable."""
+        if offset < 0 or length < 0 or offset + length > self.size:
+            raise self.damaged(f"bytes {offset:,} to {offset + length:,} lie outside the file")
+        if length > MAX_RECORD_BYTES:
+            raise self.damaged(f"a record of {length:,} bytes")
+        try:
+            if sys.platform == "win32":  # no pread there
+                with self._lock:
+                    self._stream.seek(offset)
+                    data = self._stream.read(length)
+            else:
+                data = os.pread(self._stream.fileno(), length, offset)
+        except OSError as error:  # a failing disk
+            raise self.damaged(
+                f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})"
+            ) from None
+        if len(data) != length:
+            raise self.damaged("it has become shorter while it was read")
+        return data
+
+    @cached_property
+    def profile_and_library(self) -> tuple[bytes, bytes]:
+        """What the file's first record says: which rules its content follows, what wrote it; empty if damaged."""
+        try:
+            opcode, length = RECORD.unpack(self.read(len(MAGIC), RECORD.size))
+            header = self.read(len(MAGIC) + RECORD.size, min(length, _LONGEST_HEADER))
+            profile = prefixed(header, 0)
+            library = prefixed(header, 4 + len(profile))
+        except (LogError, struct.error):
+            return b"", b""
+        return (profile, library) if opcode == Opcode.HEADER else (b"", b"")
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether what is in it is what docs/log-format.md says."""
+        return self.profile_and_library[0] == PROFILE.encode()
+
+    @property
+    def promises_crcs(self) -> bool:
+        """Whether a CRC of 0, by which MCAP says that there is none, is damage: what this toolkit writes has them
+        all, copies of other programs' logs too."""
+        return self.is_ours or self.profile_and_library[1].startswith(LIBRARY.encode())
+
+    def may_have_crc(self, crc: int, content: bytes) -> bool:
+        """Whether `content` is what was written with this CRC, as far as the CRC can tell."""
+        return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
+
+    def has_crc(self, chunk: Chunk) -> bool:
+        if chunk.is_message or chunk.end - chunk.start < CHUNK_HEADER.size:
+            return False
+        return any(self.read(chunk.start + CHUNK_HEADER.size - 4, 4))
+
+    def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
+        return self.promises_crcs or all(map(self.has_crc, chunks))
+
+    def records(self, chunk: Chunk) -> bytes:
+        """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
+        record = self.read(chunk.start, chunk.end - chunk.start)
+        if chunk.mended:
+            record = chunk.mended + record[len(chunk.mended) :]
+        return record if chunk.is_message else self.unpacked(record, chunk.start)
+
+    def unpacked(self, record: bytes, start: int) -> bytes:
+        """The records within a chunk's `record`, which begins at byte `start`. Raises what `records` does."""
+        where = f"the chunk at byte {start:,}"
+        try:
+            opcode, length, _, _, size, crc = CHUNK_HEADER.unpack_from(record)
+            named = prefixed(record, CHUNK_HEADER.size)
+            stored_at = CHUNK_HEADER.size + 4 + len(named) + 8
+            (stored_size,) = struct.unpack_from("<Q", record, stored_at - 8)
+        except struct.error:
+            raise self.damaged(f"{where} is cut off") from None
+        if opcode != Opcode.CHUNK or RECORD.size + length != len(record) or stored_at + stored_size != len(record):
+            raise self.damaged(f"{where} is not of the length it tells")
+        if size > MAX_CHUNK_BYTES:
+            raise self.damaged(f"{where} would unpack to {size:,} bytes")
+        if named and start not in self._unpacked_at:
+            if self._unpacked_bytes + size > _MOST_COMPRESSED * self.size + MAX_CHUNK_BYTES:
+                raise self.damaged(f"with {where} it would unpack to more than {self._unpacked_bytes:,} bytes")
+            self._unpacked_at.add(start)
+            self._unpacked_bytes += size
+        stored = memoryview(record)[stored_at:]
+        try:
+            records = unpack(stored, named, size)
+        except NOT_UNPACKED:
+            raise self.damaged(f"{where} cannot be unpacked") from None
+        if len(records) != size:
+            raise self.damaged(f"{where} does not unpack to the {size:,} bytes it tells")
+        if not self.may_have_crc(crc, records):
+            raise self.damaged(f"{where} has another content than its CRC tells")
+        return records
+
+    def records_at(self, chunk: Chunk) -> int:
+        """Where in the file the records of an uncompressed chunk begin."""
+        return chunk.start if chunk.is_message else chunk.start + CHUNK_HEADER.size + 12
+
+    def messages(self, records: bytes) -> Iterator[StoredMessage]:
+        """The messages in a chunk's records, in their order. Raises LogError at once if one is damaged."""
+        return (_message(records, start) for start in self.parts(records).messages)
+
+    def metadata(self, offset: int) -> MetadataRecord:
+        """The metadata record that begins at `offset`."""
+        content = self._content(offset, Opcode.METADATA)
+        try:
+            record: MetadataRecord = MetadataRecord.read(ReadDataStream(io.BytesIO(content)))
+        except UNREADABLE:
+            raise self.damaged("a metadata record cannot be read") from None
+        return record
+
+    def attachment(self, offset: int) -> Attachment:
+        """The attachment that begins at `offset`."""
+        content = self._content(offset, Opcode.ATTACHMENT)
+        if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
+            raise self.damaged("an attachment has another content than its CRC tells")
+        try:
+            attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
+        except UNREADABLE:
+            raise self.damaged("an attachment cannot be read") from None
+        return attachment
+
+    def _content(self, offset: int, opcode: int) -> bytes:
+        found, length = RECORD.unpack(self.read(offset, RECORD.size))
+        if found != opcode:
+            raise self.damaged("a record is not where the summary says")
+        return self.read(offset + RECORD.size, length)
+
+    def parts(self, records: bytes) -> Parts:
+        """Where the messages and definitions in a chunk's records are. Raises LogError if one is damaged."""
+        found = Parts(array("q"), [])
+        unpack, is_message = RECORD.unpack_from, found.messages.append
+        position, size = 0, len(records)
+        for _ in range(self.size + FREE_MESSAGES):
+            if position > size - RECORD.size:
+                break
+            opcode, length = unpack(records, position)
+            end = position + RECORD.size + length
+            if opcode == _OP_MESSAGE:
+                if length < _LEAST_MESSAGE:
+                    raise self.damaged("a message is cut off")
+                is_message(position)
+            elif opcode in _DEFINITIONS:
+                if len(found.definitions) == _MOST_DEFINITIONS:
+                    raise self.damaged("more schemas and channels than a file can have")
+                found.definitions.append((opcode, position, end))
+            position = end
+        else:
+            raise self.damaged(f"more records than {self.size:,} bytes can hold")
+        if position > size:
+            raise self.damaged("a record points out of its chunk")
+        if position < size:
+            raise self.damaged("a record in a chunk is cut off")
+        return found
+
+    def check_count(self, messages: int) -> None:
+        """Raise LogError if that many messages cannot be in a file of this size."""
+        if messages > self.size + FREE_MESSAGES:
+            raise self.damaged(f"{counted(messages, 'message')} in {self.size:,} bytes")
+
+    def damaged(self, what: str) -> LogError:
+        return LogError(f"{self.path}: damaged: {what}; `bc-log recover {self.path}` saves the rest")
+
+
+def _message(records: bytes, start: int) -> StoredMessage:
+    _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
+    content = start + MESSAGE.size
+    return StoredMessage(channel, sequence, log_time, publish_time, start, content, length - _LEAST_MESSAGE)
+
+
+def _advice(path: Path) -> str:
+    """What may have been meant: sessions are known by their names, logs by their files."""
+    for meant in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
+        if meant.is_file():
+            return f"did you mean {meant}?"
+    parts = sorted(path.parent.glob("*.part")) if path.parent.is_dir() else []
+    for part in parts:
+        if part.name.startswith(f"{path.name}."):
+            return f"did you mean {part}?"
+    return "`bc-record NAME` makes a log"
+
+
+def prefixed(data: bytes, at: int) -> bytes:
+    """A string of MCAP: its length, then its bytes; no longer than what is there."""
+    (length,) = struct.unpack_from("<I", data, at)
+    return data[at + 4 : at + 4 + length]
+
+
+def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
+    """What was compressed, at most one byte more than `size`. Raises NOT_UNPACKED."""
+    match compression:
+        case b"":
+            return bytes(stored)
+        case b"zstd":
+            with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
+                return bytes(reader.read(size + 1))
+        case b"lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1))
+    raise ValueError(f"unknown compression {compression!r}")

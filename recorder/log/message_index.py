@@ -1,0 +1,86 @@
+"""Where every message of a log lies, and where the pictures lie within theirs: one pass over the file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from recorder.log.compressed_image import SCHEMA, image_data
+from recorder.log.mcap_file import MESSAGE, RECORD, Chunk, McapFile
+from recorder.log.scan import Structure
+
+UNCOMPRESSED: Final = -1
+"""In the place of a chunk's offset: the bytes lie in the file as they are."""
+LAST_TIME_NS: Final = 2**63 - 1
+"""MCAP's times are unsigned, but those of files, tables and NumPy are not."""
+
+PLACE: Final = np.dtype(
+    [
+        ("channel", np.uint16),
+        ("sequence", np.uint32),
+        ("log_time_ns", np.uint64),
+        ("offset", np.int64),  # of the message's content, from the start of the file or within its chunk unpacked
+        ("length", np.int64),
+        ("picture", np.int64),  # as offset, of a CompressedImage's data; -1 where the message is none
+        ("picture_length", np.int64),
+        ("chunk", np.int64),  # where the compressed chunk begins that holds it, or UNCOMPRESSED
+    ]
+)
+
+_HEAD: Final = np.dtype(
+    [
+        ("opcode", np.uint8),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time_ns", "<u8"),
+        ("publish_time_ns", "<u8"),
+    ]
+)  # as MESSAGE, without gaps
+
+
+def find_places(file: McapFile, structure: Structure, chunks: Iterable[Chunk]) -> NDArray[np.void]:
+    """One PLACE for each message in these chunks, in their order.
+
+    Raises LogError for a damaged chunk, or a time that no clock of ours can hold.
+    """
+    images = _image_channels(structure)
+    parts, count = [], 0
+    for chunk in chunks:
+        parts.append(_in_chunk(file, chunk, images))
+        count += len(parts[-1])
+        file.check_count(count)
+    table = np.concatenate(parts) if parts else np.empty(0, PLACE)
+    if (table["log_time_ns"] > LAST_TIME_NS).any():
+        raise file.damaged(f"a message of the time {table['log_time_ns'].max()} ns")
+    return table
+
+
+def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArray[np.void]:
+    records = file.records(chunk)
+    starts = np.array(file.parts(records).messages, np.int64)
+    table = np.empty(len(starts), PLACE)
+    if not len(starts):
+        return table
+    base = 0 if chunk.compression else file.records_at(chunk)
+    # every message's head at once, wherever they begin: a tuple of each would take 300 bytes
+    heads = sliding_window_view(np.frombuffer(records, np.uint8), MESSAGE.size)[starts].view(_HEAD)[:, 0]
+    for name in ("channel", "sequence", "log_time_ns"):
+        table[name] = heads[name]
+    table["offset"] = starts + (base + MESSAGE.size)
+    table["length"] = heads["length"].astype(np.int64) - (MESSAGE.size - RECORD.size)
+    table["picture"], table["picture_length"] = -1, 0
+    table["chunk"] = chunk.start if chunk.compression else UNCOMPRESSED
+    for at in np.flatnonzero(np.isin(table["channel"], images)).tolist():
+        picture, length = image_data(records, int(table["offset"][at]) - base, int(table["length"][at]))
+        if picture >= 0:
+            table["picture"][at], table["picture_length"][at] = picture + base, length
+    return table
+
+
+def _image_channels(structure: Structure) -> NDArray[np.uint16]:
+    return np.array([number for number in structure.channels if structure.is_protobuf(number, SCHEMA)], np.uint16)

@@ -1,0 +1,369 @@
+"""Reading a log: what it says of itself, its vehicle states, and where in the file each picture lies.
+
+Nothing is given out of a chunk whose CRC does not hold. A log that was never finished is read as far as it
+goes, and says so (`Log.notice`).
+"""
+
+from __future__ import annotations
+
+import bisect
+import hashlib
+import struct
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeVar
+
+import numpy as np
+import pyarrow as pa
+from mcap.records import Attachment, Channel, Schema
+from mcap.records import Message as McapMessage
+from numpy.typing import NDArray
+
+from common import Skipped
+from common.closing import Closing
+from recorder.errors import LogError
+from recorder.log import topics
+from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
+from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, find_places
+from recorder.log.salvage import salvage
+from recorder.log.scan import read_structure
+from recorder.log.topics import CAMERAS, Camera, camera_topic, prediction_topic
+
+if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
+    from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
+
+_CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
+_CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
+
+Decoded = TypeVar("Decoded", "VehicleState", "PilotCommand", "Prediction")
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message: its content is `length` bytes from `offset`."""
+
+    sequence: int
+    log_time_ns: int
+    offset: int  # from the start of the file, or within `chunk` unpacked
+    length: int
+    chunk: int = UNCOMPRESSED  # where in the file the compressed chunk begins that holds it
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Where the pictures of one topic lie in their log; arrays of one length, in the order of writing."""
+
+    sequence: NDArray[np.int64]
+    log_time_ns: NDArray[np.int64]
+    offset: NDArray[np.int64]  # of the JPEG or PNG itself, as in Message
+    length: NDArray[np.int64]  # bytes
+    chunk: NDArray[np.int64]  # as in Message
+
+
+class Log(Closing):
+    """A log, open for reading. Use it as a context manager, or call `close()`.
+
+    `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
+    `shows_progress`: with a progress bar while all of it is read, which is when messages are first asked for.
+    Raises LogError where the file is missing, not an MCAP file, or damaged.
+    """
+
+    def __init__(self, path: Path | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
+        self.path = Path(path)
+        self._shows_progress = shows_progress
+        self._file = McapFile(self.path)
+        try:
+            self._structure = read_structure(self._file)
+            if salvages:
+                salvage(self._file, self._structure)
+        except BaseException:
+            self._file.close()
+            raise
+        self._chunk_starts = [chunk.start for chunk in self.chunks]
+        self._is_verified = bytearray(len(self.chunks))
+        self._unpacked: OrderedDict[int, bytes] = OrderedDict()
+        self._lock = threading.Lock()
+        self._copied_from: set[int] = set()
+        self._copied = 0
+        self._pictures: dict[str, Pictures] = {}
+
+    def close(self) -> None:
+        self._file.close()
+
+    @property
+    def problem(self) -> str:
+        """Why the log is not a finished one; empty if it is."""
+        return self._structure.problem
+
+    @property
+    def notice(self) -> str:
+        """What to tell a person before such a log is used; empty for a finished one."""
+        if not self.problem:
+            return ""
+        middle = sum(end - start for start, end in self.lost if end < self.size)
+        also = f", and {middle:,} bytes before it are damaged" if middle else ""
+        return (
+            f"{self.path}: {self.problem}{also}; what is complete in it is read."
+            f" `bc-log recover {self.path}` makes a finished log of it"
+        )
+
+    @property
+    def has_crcs(self) -> bool:
+        """Whether all of it has CRCs. Other programs may do without: damage in their logs is then not noticed."""
+        return self._file.have_crcs(self.chunks)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is of this toolkit, so that topics and row numbers mean what docs/log-format.md says."""
+        return self._file.is_ours
+
+    @property
+    def lost(self) -> list[tuple[int, int]]:
+        """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
+        unless it `salvages`."""
+        return self._structure.lost
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file when it was opened."""
+        return self._file.size
+
+    @property
+    def chunks(self) -> list[Chunk]:
+        return self._structure.chunks
+
+    @property
+    def channels(self) -> dict[int, Channel]:
+        return self._structure.channels
+
+    @property
+    def schemas(self) -> dict[str, str]:
+        """The name of the schema of each topic; empty where it has none."""
+        names = {number: schema.name for number, schema in self._structure.schemas.items()}
+        return {channel.topic: names.get(channel.schema_id, "") for channel in self.channels.values()}
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The record `bc.session`: where the log comes from. Empty if it has none."""
+        return self.read_metadata(topics.SESSION_METADATA)
+
+    def read_metadata(self, name: str) -> dict[str, str]:
+        """The last metadata record called `name`, or {}."""
+        return dict(self.all_metadata()).get(name, {})
+
+    def all_metadata(self) -> list[tuple[str, dict[str, str]]]:
+        """Every metadata record, by name and in the order of the file."""
+        return [self.metadata_record(offset) for offset in self.metadata_records]
+
+    @property
+    def metadata_records(self) -> list[int]:
+        """Where the metadata records begin."""
+        return sorted(self._structure.metadata_at)
+
+    def metadata_record(self, offset: int) -> tuple[str, dict[str, str]]:
+        """Name and values of a metadata record. Only the CRC of all data of a finished log covers it, which is not
+        compared here, because that means reading all of the file; `bc-log check` does."""
+        record = self._file.metadata(offset)
+        return record.name, dict(record.metadata)
+
+    @property
+    def attachments(self) -> list[int]:
+        """Where the attachments begin (MCAP's files within a log; this toolkit writes none)."""
+        return sorted(self._structure.attachments_at)
+
+    def attachment(self, offset: int) -> Attachment:
+        return self._file.attachment(offset)
+
+    @property
+    def told_messages(self) -> int | None:
+        """How many messages the log says that it holds; None where it does not say."""
+        return None if self._structure.statistics is None else self._structure.statistics.message_count
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages by topic: from the summary, if there is one."""
+        if self._structure.statistics is not None:
+            by_channel = self._structure.statistics.channel_message_counts
+        else:
+            found = np.unique(self._places["channel"], return_counts=True)
+            by_channel = dict(zip(*(column.tolist() for column in found), strict=True))
+        counts: dict[str, int] = {}
+        for number, channel in self.channels.items():
+            counts[channel.topic] = counts.get(channel.topic, 0) + by_channel.get(number, 0)
+        return counts
+
+    @property
+    def time_range_ns(self) -> tuple[int, int]:
+        """The first and the last log time; (0, 0) without messages."""
+        if self._structure.statistics is not None:
+            statistics = self._structure.statistics
+            return statistics.message_start_time, statistics.message_end_time
+        times = self._places["log_time_ns"]
+        return (int(times.min()), int(times.max())) if len(times) else (0, 0)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Tells this content from any other: SHA-256 over the chunks' headers (with the CRC of each chunk's
+        content) and the file's size. It reads some 50 bytes a chunk, and changes with any picture."""
+        digest = hashlib.sha256(struct.pack("<Q", self.size))
+        for chunk in self.chunks:
+            is_told = self._file.has_crc(chunk)
+            digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if is_told else chunk.end - chunk.start))
+        return digest.hexdigest()
+
+    def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
+        """`length` bytes from `offset`, as `Pictures` and `Message` give them. May be called from several threads.
+
+        Raises LogError where the CRC of the chunk around them does not hold; it is computed once for each chunk.
+        """
+        if chunk != UNCOMPRESSED:
+            data = self._unpacked_records(chunk)[offset : offset + length]
+            if offset < 0 or len(data) != length:
+                raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
+            return data
+        number = bisect.bisect_right(self._chunk_starts, offset) - 1
+        if number < 0 or offset + length > self.chunks[number].end:
+            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
+        if not self._is_verified[number]:
+            self._file.records(self.chunks[number])
+            self._is_verified[number] = True
+        return self._file.read(offset, length)
+
+    def frames(self) -> pa.Table:
+        """The cameras' pictures, one a row, in the order of the file: row (the frame's number in the log), camera,
+        log_time_ns, offset, length and chunk (for `read`)."""
+        parts = []
+        for camera in CAMERAS:
+            found = self.pictures(camera_topic(camera))
+            columns = {
+                "row": found.sequence,
+                "camera": pa.array([camera] * len(found.sequence), pa.string()),
+                **{name: getattr(found, name) for name in ("log_time_ns", "offset", "length", "chunk")},
+            }
+            parts.append(pa.table(columns))
+        return pa.concat_tables(parts).sort_by([("chunk", "ascending"), ("offset", "ascending")])
+
+    def vehicle(self) -> pa.Table:
+        """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
+        (0 .. 1), speed_mph (NaN where the source did not tell it)."""
+        found = list(self.vehicle_states())
+        columns = {
+            "row": pa.array([message.sequence for message, _ in found], pa.int64()),
+            "log_time_ns": pa.array([message.log_time_ns for message, _ in found], pa.int64()),
+        }
+        for name in ("steering", "throttle", "brake", "speed_mph"):
+            columns[name] = pa.array([getattr(state, name) for _, state in found], pa.float64())
+        return pa.table(columns)
+
+    def picture(self, row: int, camera: Camera = "center") -> bytes:
+        """The JPEG (or PNG) of a camera at a row, byte for byte. Raises LogError if there is none."""
+        found = self.pictures(camera_topic(camera))
+        (at,) = np.nonzero(found.sequence == row)
+        if not len(at):
+            raise LogError(f"{self.path}: row {row} has no picture of the {camera} camera")
+        return self.read(int(found.offset[at[0]]), int(found.length[at[0]]), int(found.chunk[at[0]]))
+
+    def pictures(self, topic: str) -> Pictures:
+        """Where the pictures of a CompressedImage topic lie."""
+        if topic not in self._pictures:
+            table = self._of_topic(topic)
+            if (table["picture"] < 0).any():
+                raise self._file.damaged(f"a message on {topic} is not a CompressedImage")
+            names = ("sequence", "log_time_ns", "picture", "picture_length", "chunk")
+            self._pictures[topic] = Pictures(*(table[name].astype(np.int64) for name in names))
+        return self._pictures[topic]
+
+    def messages(self, topic: str) -> list[Message]:
+        """Where the messages of `topic` lie, in the order of writing."""
+        names = ("sequence", "log_time_ns", "offset", "length", "chunk")
+        table = self._of_topic(topic)
+        return [Message(*row) for row in zip(*(table[name].tolist() for name in names), strict=True)]
+
+    def vehicle_states(self) -> Iterator[tuple[Message, VehicleState]]:
+        from recorder.bc_pb2 import VehicleState
+
+        return self._decoded(topics.VEHICLE, VehicleState)
+
+    def commands(self) -> Iterator[tuple[Message, PilotCommand]]:
+        from recorder.bc_pb2 import PilotCommand
+
+        return self._decoded(topics.PILOT_COMMAND, PilotCommand)
+
+    def predictions(self, run: str) -> Iterator[tuple[Message, Prediction]]:
+        """What the network of a run says of recorded pictures, in a log of predictions."""
+        from recorder.bc_pb2 import Prediction
+
+        return self._decoded(prediction_topic(run), Prediction)
+
+    def messages_of(
+        self, chunk: Chunk, skipped: Skipped | None = None
+    ) -> Iterator[tuple[Schema | None, Channel, McapMessage]]:
+        """The messages of one chunk with what describes them, for copying them into another log.
+
+        Those that no log can hold are added to `skipped`; without it, they raise LogError.
+        """
+        records = self._file.records(chunk)
+        messages = list(self._file.messages(records))
+        if chunk.start not in self._copied_from:
+            self._file.check_count(self._copied + len(messages))
+            self._copied_from.add(chunk.start)
+            self._copied += len(messages)
+        for stored in messages:
+            channel = self.channels.get(stored.channel)
+            if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:
+                what = "a topic that is not known" if channel is None else "a time that cannot be"
+                if skipped is None:
+                    raise self._file.damaged(f"a message of {what}")
+                skipped.add(f"messages of {what}", f"channel {stored.channel}, number {stored.sequence}")
+                continue
+            data = records[stored.offset : stored.offset + stored.length]
+            message = McapMessage(
+                stored.channel, stored.log_time_ns, data, stored.publish_time_ns, stored.sequence
+            )
+            yield self._structure.schemas.get(channel.schema_id), channel, message
+
+    @cached_property
+    def _places(self) -> NDArray[np.void]:
+        chunks: Iterable[Chunk] = self.chunks
+        if self._shows_progress:
+            from common.progress import track  # training reads logs where no bars are installed
+
+            chunks = track(chunks, f"reading {self.path.name}", len(self.chunks))
+        places = find_places(self._file, self._structure, chunks)
+        self._is_verified = bytearray(b"\1") * len(self.chunks)
+        return places
+
+    def _of_topic(self, topic: str) -> NDArray[np.void]:
+        mask = np.zeros(len(self._places), np.bool_)
+        for number, channel in self.channels.items():
+            if channel.topic == topic:
+                mask |= self._places["channel"] == number
+        return self._places[mask]
+
+    def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
+        from google.protobuf.message import DecodeError
+
+        for message in self.messages(topic):
+            try:
+                yield message, kind.FromString(self.read(message.offset, message.length, message.chunk))
+            except DecodeError as error:
+                raise self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}") from error
+
+    def _unpacked_records(self, start: int) -> bytes:
+        records = self._unpacked.get(start)
+        if records is None:
+            number = bisect.bisect_left(self._chunk_starts, start)
+            if number == len(self.chunks) or self.chunks[number].start != start:
+                raise self._file.damaged(f"no chunk begins at byte {start:,}")
+            records = self._file.records(self.chunks[number])
+            with self._lock:
+                self._unpacked[start] = records
+                kept = list(self._unpacked.values())
+                while len(kept) > _CACHED_CHUNKS or sum(map(len, kept)) > _CACHED_BYTES:
+                    kept.pop(0)
+                    self._unpacked.popitem(last=False)
+        return records

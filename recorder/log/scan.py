@@ -1,0 +1,303 @@
+"""What an MCAP file holds, and where: from the summary at its end, or by walking through it.
+
+A file without a readable end (its recording was killed, goes on still, or it is damaged) is walked through from
+its start, past stretches that make no sense, and every chunk is found whose CRC holds.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+import struct
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, Channel, ChunkIndex, MetadataIndex, Schema, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.well_known import MessageEncoding
+
+from common.locks import is_being_written
+from recorder.errors import LogError
+from recorder.log.mcap_file import (
+    CHUNK_HEADER,
+    MAGIC,
+    MAX_CHUNK_BYTES,
+    MAX_RECORD_BYTES,
+    MESSAGE,
+    RECORD,
+    UNREADABLE,
+    Chunk,
+    McapFile,
+    prefixed,
+)
+from recorder.log.topics import QUALITY_METADATA
+
+GOES_ON: Final = "unfinished: its recording is still going on"
+KILLED: Final = "unfinished: its recording was killed, or it was cut off"
+
+_FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
+_DATA_END_BYTES: Final = RECORD.size + 4
+
+# A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
+_CHUNK_START: Final = re.compile(
+    rb"\x06.{3}\x00{5}.{16}.{3}\x00{5}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)", re.DOTALL
+)
+_SEARCH_BYTES: Final = 1 << 16
+_MOST_WASTE: Final = 16  # times the file's size
+_LEAST_BUDGET: Final = 1 << 24
+
+
+@dataclass
+class Structure:
+    """What a file holds, and where."""
+
+    chunks: list[Chunk] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    metadata_at: list[int] = field(default_factory=list)  # offsets of the records
+    attachments_at: list[int] = field(default_factory=list)
+    statistics: Statistics | None = None  # of a finished file
+    problem: str = ""  # why the file had to be walked through; empty for a finished one
+    has_end: bool = True  # whether the data section is finished
+    data_end: int = 0  # where it ends in a finished file, by the summary
+    has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
+    lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
+
+    def is_protobuf(self, channel: int, schema: str) -> bool:
+        """Whether a channel's messages are of this schema, in Protobuf: other programs write some as JSON too."""
+        known = self.channels[channel]
+        its = self.schemas.get(known.schema_id)
+        return its is not None and (its.name, known.message_encoding) == (schema, MessageEncoding.Protobuf)
+
+
+def read_structure(file: McapFile) -> Structure:
+    """What is in the file: from its end if that is sound, else by walking through it."""
+    found = _summary(file)
+    if found is None:
+        return _walk(file)
+    if _is_complete(found):
+        return found
+    # other programs may leave out of the summary what can be found by walking; the file is a finished one
+    walked = _walk(file)
+    return replace(walked, problem="") if walked.has_end and not walked.lost else walked
+
+
+def has_summary(file: McapFile) -> bool:
+    """Whether the file has the summary at its end that tells where everything is."""
+    return _summary(file) is not None
+
+
+def _is_complete(summary: Structure) -> bool:
+    """Whether a summary tells of all that the file holds, as far as it counts that."""
+    told = summary.statistics
+    return (
+        told is not None
+        and len(summary.chunks) == told.chunk_count
+        and len(summary.channels) >= told.channel_count
+        and len(summary.schemas) >= told.schema_count
+        and len(summary.metadata_at) == told.metadata_count
+        and len(summary.attachments_at) == told.attachment_count
+        and (summary.chunks != [] or not told.message_count)
+    )
+
+
+def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]:
+    """Take into `found` what has been completed behind `position` of a file that grows.
+
+    Where to go on next time, and whether there is nothing more to come. Start at `len(MAGIC)`, and know the
+    file's new size after it. Raises LogError where the file was deleted before its end was written, or is
+    damaged all over.
+    """
+    is_there = file.grow()
+    wasted, most_waste = 0, search_budget(file)
+    while file.size - position >= RECORD.size:
+        opcode, length = RECORD.unpack(file.read(position, RECORD.size))
+        end = position + RECORD.size + length
+        if opcode == Opcode.DATA_END and length == 4:
+            return position, True
+        if end > file.size and length <= MAX_CHUNK_BYTES:
+            break  # it is being written
+        try:
+            if end > file.size:
+                raise file.damaged("no record")
+            take(file, opcode, position, end, found)
+        except LogError:
+            wasted += min(end, file.size) - position
+            if wasted > most_waste:
+                raise
+            end = next_chunk(file, position + 1)
+            if end == file.size:
+                break  # the next chunk may still come
+            found.lost.append((position, end))
+        position = end
+    if not is_there:
+        raise LogError(f"{file.path}: deleted before it was finished; nothing more will come")
+    return position, False
+
+
+def _summary(file: McapFile) -> Structure | None:
+    tail = _FOOTER.size + len(MAGIC)
+    if file.size < 2 * len(MAGIC) + _FOOTER.size:
+        return None
+    footer = file.read(file.size - tail, tail)
+    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
+    is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
+    if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
+        return None
+    summary = file.read(start, file.size - start)
+    if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
+        return None
+    found = Structure(data_end=start - _DATA_END_BYTES)
+    try:
+        for record in StreamReader(
+            io.BytesIO(summary),
+            skip_magic=True,
+            emit_chunks=True,  # it would unpack one, to whatever size
+            record_size_limit=len(summary),
+        ).records:
+            match record:
+                case Schema():
+                    found.schemas[record.id] = record
+                case Channel():
+                    found.channels[record.id] = record
+                case ChunkIndex():
+                    end = record.chunk_start_offset + record.chunk_length
+                    found.chunks.append(Chunk(record.chunk_start_offset, end, record.compression))
+                case MetadataIndex():
+                    found.metadata_at.append(record.offset)
+                    found.has_quality |= record.name == QUALITY_METADATA
+                case AttachmentIndex():
+                    found.attachments_at.append(record.offset)
+                case Statistics():
+                    found.statistics = record
+    except UNREADABLE:
+        return None
+    found.chunks.sort(key=lambda chunk: chunk.start)
+    edges = [len(MAGIC), *(edge for chunk in found.chunks for edge in (chunk.start, chunk.end)), start]
+    if any(later < earlier for earlier, later in itertools.pairwise(edges)):
+        return None
+    return found
+
+
+def _walk(file: McapFile) -> Structure:
+    found = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
+    position, wasted, most_waste = len(MAGIC), 0, search_budget(file)
+    unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
+    while file.size - position >= RECORD.size:
+        opcode, length = RECORD.unpack(file.read(position, RECORD.size))
+        end = position + RECORD.size + length
+        try:
+            if end > file.size:
+                raise file.damaged("no record")
+            if opcode == Opcode.DATA_END and length == 4:
+                found.problem = "its end is damaged"
+                found.has_end = True
+                break
+            take(file, opcode, position, end, found)
+        except LogError:
+            following = next_chunk(file, unsure + 1) if wasted < most_waste else file.size
+            if following == position:
+                following = next_chunk(file, position + 1)
+            wasted += following - unsure + _SEARCH_BYTES + _cost(file, position, end)
+            lost_from = position if following > position else unsure
+            if found.lost and found.lost[-1][1] == lost_from:
+                found.lost[-1] = (found.lost[-1][0], following)
+            else:
+                found.lost.append((lost_from, following))
+            position = unsure = following
+        else:
+            position = end
+            if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+                unsure = end
+    if position < file.size and not found.has_end:
+        found.lost.append((position, file.size))  # a few bytes of a record that was being written
+    return found
+
+
+def take(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
+    """Add to `found` the record of a data section from `start` to `end`. Raises LogError where it is none."""
+    if opcode == Opcode.CHUNK:
+        definitions(file, file.records(Chunk(start, end)), found)
+        compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
+        found.chunks.append(Chunk(start, end, compression.decode()))
+    elif opcode == Opcode.MESSAGE and _is_message(file, start, end, found):
+        found.chunks.append(Chunk(start, end, is_message=True))
+    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        _define(file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True)
+    elif opcode == Opcode.METADATA:
+        file.metadata(start)
+        found.metadata_at.append(start)
+    elif opcode == Opcode.ATTACHMENT:
+        file.attachment(start)
+        found.attachments_at.append(start)
+    elif not (opcode == Opcode.MESSAGE_INDEX and _is_index(file, start, end)) and start != len(MAGIC):
+        raise file.damaged("no record of a data section")  # but the header, which is the first
+
+
+def _is_message(file: McapFile, start: int, end: int, found: Structure) -> bool:
+    """Files without chunks exist, not of ours; no file has both, and a damaged chunk may look like a message."""
+    if file.promises_crcs or end - start < MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
+        return False
+    return MESSAGE.unpack(file.read(start, MESSAGE.size))[2] in found.channels
+
+
+def _cost(file: McapFile, start: int, end: int) -> int:
+    """Bytes that were read, and at most unpacked, to find out that a record is damaged."""
+    if end > file.size:
+        return 0
+    told = file.read(start, min(CHUNK_HEADER.size, end - start))
+    size = CHUNK_HEADER.unpack(told)[4] if told[0] == Opcode.CHUNK and len(told) == CHUNK_HEADER.size else 0
+    return end - start + (size if size <= MAX_CHUNK_BYTES else 0)
+
+
+def _is_index(file: McapFile, start: int, end: int) -> bool:
+    """A chunk whose first byte is damaged may look like its index too."""
+    length = end - start - RECORD.size
+    return length >= 6 and struct.unpack("<I", file.read(start + RECORD.size + 2, 4))[0] == length - 6
+
+
+def search_budget(file: McapFile) -> int:
+    """How many bytes a search for what is whole may read or unpack in vain."""
+    return _MOST_WASTE * file.size + _LEAST_BUDGET
+
+
+def next_chunk(file: McapFile, position: int) -> int:
+    """Where the next bytes are that look like a chunk; the file's size if nowhere."""
+    while position < file.size:
+        block = file.read(position, min(_SEARCH_BYTES + 64, file.size - position))
+        if (match := _CHUNK_START.search(block)) is not None:
+            return position + match.start()
+        position += _SEARCH_BYTES
+    return file.size
+
+
+def _define(file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False) -> None:
+    """Outside of chunks no CRC tells a schema from other bytes, but that it is written `exactly` as it was."""
+    try:
+        record: Schema | Channel = (Schema if opcode == Opcode.SCHEMA else Channel).read(
+            ReadDataStream(io.BytesIO(content))
+        )
+    except UNREADABLE:
+        raise file.damaged("a schema or channel cannot be read") from None
+    if exactly and _written(record) != RECORD.pack(opcode, len(content)) + content:
+        raise file.damaged("no schema or channel")
+    if isinstance(record, Schema):
+        structure.schemas.setdefault(record.id, record)
+    else:
+        structure.channels.setdefault(record.id, record)
+
+
+def definitions(file: McapFile, records: bytes, structure: Structure) -> None:
+    """Add the schemas and channels that are among `records`."""
+    for opcode, start, end in file.parts(records).definitions:
+        _define(file, opcode, records[start + RECORD.size : end], structure)
+
+
+def _written(record: Schema | Channel) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    written: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return written

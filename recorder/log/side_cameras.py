@@ -1,0 +1,152 @@
+"""How far the side cameras are from the centre one, measured in their own pictures.
+
+A camera that is moved sideways by d, at the height h above a flat road, sees a point of the road that is R rows
+below the horizon R * d / h columns farther to the other side, whatever its focal length. So the shift between two
+cameras' pictures, row by row, tells d / h; where the road is, and the horizon, nobody has to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.errors import RecordingError
+from recorder.log.reader import Log
+from recorder.log.topics import CAMERAS, camera_topic
+from recorder.pictures.picture_size import can_be_decoded
+
+UDACITY_SPACING: Final = 0.63
+"""d / h of the real simulator, as measured here: 0.62 to 0.64 in published recordings of its three tracks."""
+UDACITY_CORRECTION: Final = 0.2
+"""What is added to the steering there, in use since the first projects with it."""
+
+MOMENTS: Final = 60
+_WIDTH_PX: Final = 320
+_ROWS: Final = (0.4, 0.85)  # of the height: under most horizons, above most bonnets
+_BANDS: Final = 18
+_MOST_SHIFT: Final = 0.25  # of the width
+_NEAR_PX: Final = 1.5  # a band that fits the line
+_MOST_ASKEW: Final = 0.15  # how much left and right may differ, as a share of their mean
+
+Gray = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SideCameras:
+    """What was measured."""
+
+    left: float  # distance from the centre camera, as a share of the cameras' height above the road
+    right: float
+    moments: int  # how many had all three pictures
+
+    @property
+    def spacing(self) -> float:
+        return (self.left + self.right) / 2
+
+    @property
+    def side_correction(self) -> float:
+        """What brings such cameras' car back as Udacity's 0.2 does its own.
+
+        The steering that leads back to the line within a given way grows with the distance from it (pure pursuit:
+        curvature = 2 * distance / way^2). It holds for cameras as high and a car that turns as sharply as
+        Udacity's: what no picture tells.
+        """
+        return round(UDACITY_CORRECTION * self.spacing / UDACITY_SPACING, 2)
+
+
+def side_cameras(log: Log) -> SideCameras:
+    """Of a log with pictures of all three cameras. Raises RecordingError where they do not tell, and why."""
+    places = [log.pictures(camera_topic(camera)) for camera in CAMERAS]
+    rows = np.array(sorted(set.intersection(*(set(each.sequence.tolist()) for each in places))), np.int64)
+    if not len(rows):
+        raise RecordingError(f"{log.path}: no moment has pictures of all three cameras")
+    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, MOMENTS).round().astype(int))].tolist()
+    moments = ([_decoded(log.picture(row, camera)) for camera in CAMERAS] for row in chosen)
+    try:
+        return measure(moments)
+    except ValueError as error:
+        raise RecordingError(f"{log.path}: {error}") from None
+
+
+def measure(moments: Iterable[list[Gray | None]]) -> SideCameras:
+    """Of the pictures (H, W) of the centre, left and right camera in many places; where one is None, or of another
+    size than the others, the moment is passed over. Raises ValueError where they do not tell."""
+    left: list[Floats] = []
+    right: list[Floats] = []
+    rows = 0  # of a band
+    for pictures in moments:
+        bands = [_bands(picture) for picture in pictures if picture is not None]
+        if len(bands) == 3 and len({band.shape for band in bands}) == 1:
+            centre, left_of, right_of = bands
+            rows = centre.shape[1]
+            left.append(_likeness(left_of, centre))
+            right.append(_likeness(centre, right_of))
+    if not left:
+        raise ValueError("no moment has whole pictures of one size of all three cameras")
+    found = SideCameras(_slope(np.mean(left, axis=0), rows), _slope(np.mean(right, axis=0), rows), len(left))
+    if abs(found.left - found.right) > _MOST_ASKEW * found.spacing:
+        raise ValueError(
+            f"the left camera is {found.left:.2f} of its height from the centre one, the right one"
+            f" {found.right:.2f}: one correction does not fit both"
+        )
+    return found
+
+
+def _decoded(picture: bytes) -> Gray | None:
+    if not can_be_decoded(picture):
+        return None
+    try:
+        found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:
+        return None
+    return None if found is None else found.astype(np.uint8, copy=False)
+
+
+def _bands(picture: Gray) -> NDArray[np.float32]:
+    """(bands, rows, columns): edges that stand upright, in stripes of the ground."""
+    height = max(1, round(picture.shape[0] * _WIDTH_PX / picture.shape[1]))
+    small = cv2.resize(picture, (_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+    edges = cv2.Sobel(cv2.GaussianBlur(small, (3, 3), 0), cv2.CV_32F, 1, 0)
+    first, last = (round(share * height) for share in _ROWS)
+    each = (last - first) // _BANDS
+    if each < 1:
+        raise ValueError("pictures that are too flat to measure in")
+    return np.asarray(edges[first : first + _BANDS * each].reshape(_BANDS, each, _WIDTH_PX), np.float32)
+
+
+def _likeness(to_the_right: NDArray[np.float32], other: NDArray[np.float32]) -> Floats:
+    """(bands, shifts): the correlation of the first one's columns x + shift with the other's x."""
+    most = round(_MOST_SHIFT * _WIDTH_PX)
+    result = np.zeros((_BANDS, most + 1))
+    for shift in range(most + 1):
+        a, b = to_the_right[..., shift:], other[..., : _WIDTH_PX - shift]
+        a, b = (part - part.mean(axis=(1, 2), keepdims=True) for part in (a, b))
+        size = np.sqrt((a * a).sum(axis=(1, 2)) * (b * b).sum(axis=(1, 2)))
+        result[:, shift] = (a * b).sum(axis=(1, 2)) / np.maximum(size, 1e-9)
+    return result
+
+
+def _slope(likeness: Floats, rows: int) -> float:
+    """Columns of shift for each row, of bands of so many rows each. Raises ValueError if they lie on no line."""
+    best = np.argmax(likeness[:, 1:-1], axis=1) + 1
+    before, at, after = (likeness[np.arange(_BANDS), best + k] for k in (-1, 0, 1))
+    bend = before - 2 * at + after
+    shift = best + np.where(bend < 0, 0.5 * (before - after) / np.minimum(bend, -1e-9), 0.0).clip(-0.5, 0.5)
+    row = rows * np.arange(_BANDS)
+    # the median of the slopes between all pairs (Theil and Sen): a bonnet in a third of the bands does no harm
+    first, second = np.triu_indices(_BANDS, 1)
+    slope = float(np.median((shift[second] - shift[first]) / (row[second] - row[first])))
+    rest = shift - slope * row
+    fits = np.abs(rest - np.median(rest)) < _NEAR_PX
+    if slope <= 0 or fits.mean() < 2 / 3:
+        raise ValueError(
+            "the side cameras' pictures are not shifted against the centre one's as those of a level road are:"
+            " they look another way, or show too little of it"
+        )
+    return slope

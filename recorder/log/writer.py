@@ -1,0 +1,337 @@
+"""Writing a log: an MCAP file that appears under its name only when it is whole."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Literal, Self
+
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import DecodeError, Message
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.records import Attachment, Channel, Schema
+from mcap.records import Message as McapMessage
+from mcap.well_known import MessageEncoding
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.schema import register_schema
+
+from common import UserError, files
+from common.interrupts import uninterrupted
+from common.locks import lock
+from common.versions import version_of
+from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
+from recorder.log import topics
+from recorder.log.compressed_image import SCHEMA, image_data
+from recorder.log.row_quality import StatesWritten, summary
+from recorder.log.topics import CAMERAS, Camera, camera_topic, prediction_topic
+from recorder.pictures.picture_size import PNG_START, PictureSizes
+
+CHUNK_BYTES: Final = 256 * 1024
+FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
+
+_CAMERA_TOPICS: Final = frozenset(map(camera_topic, CAMERAS))
+
+EventLevel = Literal["INFO", "WARNING", "ERROR"]
+
+
+def timestamp(time_ns: int) -> Timestamp:
+    return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
+
+
+class LogWriter:
+    """One log being written, as `NAME.mcap.XXXXXX.part` until `close()` gives it its name. Until then the file is
+    locked, so that others can tell that it still grows.
+
+    Chunks are uncompressed, so that every picture lies in the file byte for byte and can be read by its
+    offset. All messages of one frame share a log time and a sequence number (the frame's number in the log).
+    Messages of one topic are kept in the order in which they are written, whatever their times. Text that is not
+    UTF-8 (a name of a file may not be) is written with such bytes escaped.
+
+    ``live=True`` closes a chunk and brings it to the disk twice a second, so that a killed process, or a pulled
+    plug, costs at most a second; an import leaves it off, and its bytes then depend on its input alone.
+
+    As a context manager it closes the log, or discards it if anything was raised; what was recorded live is
+    kept even then, because nobody can record it again.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: dict[str, str] | None,
+        *,
+        overwrite: bool = False,
+        live: bool = False,
+        profile: str = topics.PROFILE,
+    ) -> None:
+        """`metadata` says where the log comes from; None for copies of other programs' logs, which do not.
+
+        Raises UserError if `path` exists and may not be overwritten, or cannot be written.
+        """
+        files.refuse_existing(path, overwrite)
+        self.path = path
+        self.part = files.part_path(path)
+        self._overwrite = overwrite
+        self._live = False  # until its beginning is written, nothing of it is worth keeping
+        self._is_broken = False
+        self._is_whole = False
+        self._last_flush_s = time.monotonic()
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._copied: dict[int, tuple[Channel, int]] = {}
+        self._copied_channels: dict[tuple[object, ...], int] = {}
+        self._copied_schemas: dict[tuple[str, str, bytes], int] = {}
+        self._states = StatesWritten()
+        self._sizes = PictureSizes()
+        self._sync: files.BackgroundSync | None = None
+        self._folders: list[Path] = []
+        try:
+            self._folders = files.make_folder(path.parent)
+            self._stream = self.part.open("xb")
+        except OSError as error:
+            files.remove_empty(self._folders)
+            raise self._broken(error) from None
+        try:
+            self._begin(metadata, live, profile)
+        except BaseException:
+            self.discard()
+            raise
+        self._live = live
+
+    def _begin(self, metadata: dict[str, str] | None, live: bool, profile: str) -> None:
+        with contextlib.suppress(OSError):  # a file system without locks
+            lock(self._stream)
+        if live:
+            self._sync = files.BackgroundSync(self._stream.fileno())
+        self._mcap = McapWriter(
+            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
+        )
+        self._to_disk(self._mcap.start, profile=profile, library=f"{topics.LIBRARY} {version_of()}")
+        if metadata is not None:
+            self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
+
+    def picture(self, camera: Camera, time_ns: int, sequence: int, picture: bytes) -> None:
+        """A camera's JPEG or PNG, byte for byte."""
+        kind = "png" if picture.startswith(PNG_START) else "jpeg"
+        self._sizes.add(camera_topic(camera), sequence, picture)
+        self._image(camera_topic(camera), time_ns, sequence, picture, kind)
+
+    def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
+        """The picture that the network saw, as PNG (lossless)."""
+        self._image(topics.PILOT_INPUT, time_ns, sequence, png, "png")
+
+    def vehicle(self, time_ns: int, sequence: int, state: VehicleState) -> None:
+        self._write(topics.VEHICLE, state, time_ns, sequence)
+        self._states.add(sequence, time_ns, state)
+
+    def command(self, time_ns: int, sequence: int, command: PilotCommand) -> None:
+        self._write(topics.PILOT_COMMAND, command, time_ns, sequence)
+
+    def prediction(self, run: str, time_ns: int, sequence: int, prediction: Prediction) -> None:
+        """What the network of a run says of a recorded picture."""
+        self._write(prediction_topic(_utf8(run)), prediction, time_ns, sequence)
+
+    def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
+        self._write(topics.POSE, pose, time_ns, sequence)
+
+    def event(self, time_ns: int, text: str, level: EventLevel = "INFO", name: str = "") -> None:
+        """Something that happened: `name` says where (`recorder`, `drive`), `text` what."""
+        message = LogMessage(
+            timestamp=timestamp(time_ns),
+            level=LogMessage.Level.Value(level),
+            message=_utf8(text),
+            name=_utf8(name),
+        )
+        self._write(topics.EVENTS, message, time_ns, 0)
+
+    def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
+        """A message of another log, as it is but for its sequence number."""
+        known = self._copied.get(id(channel))
+        if known is None:
+            # keeping the channel keeps its id from being used again
+            known = self._copied[id(channel)] = (channel, self._copied_channel(schema, channel))
+        self._message(known[1], message.log_time, message.publish_time, sequence, message.data)
+        if channel.topic == topics.VEHICLE and schema is not None and schema.name == topics.VEHICLE_SCHEMA:
+            try:
+                self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
+            except DecodeError:
+                raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+        elif channel.topic in _CAMERA_TOPICS and schema is not None and schema.name == SCHEMA:
+            at, length = image_data(message.data, 0, len(message.data))
+            if at >= 0:
+                self._sizes.add(channel.topic, sequence, message.data[at : at + length])
+
+    def copy_attachment(self, attachment: Attachment) -> None:
+        self._to_disk(
+            self._mcap.add_attachment,
+            attachment.create_time,
+            attachment.log_time,
+            attachment.name,
+            attachment.media_type,
+            attachment.data,
+        )
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file until now; the open chunk is not in it yet."""
+        return self._stream.tell()
+
+    @property
+    def notices(self) -> list[str]:
+        """What a person should know of the cameras' pictures until now."""
+        return self._sizes.notices()
+
+    def flush_if_due(self) -> None:
+        """Close the chunk if the last flush is long enough ago (call it also while nothing arrives)."""
+        now_s = time.monotonic()
+        if self._sync is not None and now_s - self._last_flush_s >= FLUSH_S:
+            self._to_disk(self._mcap.flush)
+            self._to_disk(self._sync.request)
+            self._last_flush_s = now_s
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        escaped = {_utf8(key): _utf8(value) for key, value in values.items()}
+        self._to_disk(self._mcap.add_metadata, _utf8(name), escaped)
+
+    def close(self) -> None:
+        """Write the summary and give the log its name.
+
+        Raises UserError if the name was taken meanwhile: the whole log is then still there, and named. If anything
+        else is raised, a Ctrl-C too, nothing stays, but what was recorded live: that is finished all the same.
+        """
+        with uninterrupted() if self._live else contextlib.nullcontext():
+            try:
+                self.finish()
+                self.publish()
+            except BaseException:
+                if not self._is_whole:
+                    (self._abandon if self._live else self.discard)()
+                raise
+
+    def finish(self) -> None:
+        """Write the summary; the log still has its temporary name (`part`)."""
+        if len(self._states):
+            sizes = self._sizes.mixed()
+            told = {"picture_sizes": json.dumps(sizes)} if sizes else {}
+            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | told)
+        self._to_disk(self._finish)
+
+    def publish(self) -> None:
+        """Give the finished log its name. Raises what `close` does."""
+        with uninterrupted():
+            self._is_whole = True  # from here on an error names it
+            files.publish(self.part, self.path, self._overwrite)
+
+    def discard(self) -> None:
+        """Give up: nothing of this log stays, nor of the folders that were made for it."""
+        with uninterrupted():
+            self._abandon()
+            self.part.unlink(missing_ok=True)
+            files.remove_empty(self._folders)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if not self._stream.closed:  # by its user
+                self._end(kind is None)
+        except KeyboardInterrupt:
+            if not self._stream.closed:  # it came before anything was done
+                self._end(is_sound=False)
+            raise
+
+    def _end(self, is_sound: bool) -> None:
+        is_kept = self._live and bool(self._channels or self._copied)
+        if self._is_broken and is_kept:
+            self._abandon()  # the error that broke it names the file, which stays
+        elif is_sound or is_kept:
+            self.close()
+        else:
+            self.discard()
+
+    def _image(self, topic: str, time_ns: int, sequence: int, data: bytes, kind: str) -> None:
+        # Rerun gives every entity a frame of this name; with none, or another, its views warn of a missing one.
+        frame_id = f"tf#{topic}"
+        image = CompressedImage(timestamp=timestamp(time_ns), frame_id=frame_id, data=data, format=kind)
+        self._write(topic, image, time_ns, sequence)
+
+    def _write(self, topic: str, message: Message, time_ns: int, sequence: int) -> None:
+        channel = self._channels.get(topic) or self._register(topic, type(message))
+        self._message(channel, time_ns, time_ns, sequence, message.SerializeToString())
+
+    def _message(self, channel: int, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
+        try:  # as _to_disk does, without the cost of another call for every message
+            self._mcap.add_message(channel, log_time, data, publish_time, sequence)
+        except OSError as error:
+            raise self._broken(error) from None
+        if self._live:
+            self.flush_if_due()
+
+    def _register(self, topic: str, message: type[Message]) -> int:
+        name = message.DESCRIPTOR.full_name
+        if name not in self._schemas:
+            self._schemas[name] = register_schema(self._mcap, message)
+        self._channels[topic] = self._mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
+        return self._channels[topic]
+
+    def _copied_channel(self, schema: Schema | None, channel: Channel) -> int:
+        """Logs that are merged share the channels that are alike."""
+        metadata = dict(channel.metadata)
+        number = self._copied_schema(schema)
+        key = (channel.topic, channel.message_encoding, number, *sorted(metadata.items()))
+        if key not in self._copied_channels:
+            self._copied_channels[key] = self._mcap.register_channel(
+                channel.topic, channel.message_encoding, number, metadata
+            )
+        return self._copied_channels[key]
+
+    def _copied_schema(self, schema: Schema | None) -> int:
+        if schema is None:
+            return 0  # in MCAP: no schema
+        key = (schema.name, schema.encoding, schema.data)
+        if key not in self._copied_schemas:
+            self._copied_schemas[key] = self._mcap.register_schema(*key)
+        return self._copied_schemas[key]
+
+    def _finish(self) -> None:
+        self._mcap.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        if self._sync is not None:
+            self._sync.close()
+        self._stream.close()
+
+    def _to_disk(self, action: Callable[..., Any], *arguments: Any, **options: Any) -> None:
+        try:
+            action(*arguments, **options)
+        except OSError as error:
+            raise self._broken(error) from None
+
+    def _broken(self, error: OSError) -> UserError:
+        """What to tell when the disk is full, or gone."""
+        self._is_broken = True
+        if not self._live:
+            return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")
+        return UserError(
+            f"{self.part}: cannot be written any further ({error.strerror}); what was recorded until now is in it:"
+            f" make room and give `bc-log recover {self.part}`"
+        )
+
+    def _abandon(self) -> None:
+        if self._sync is not None:
+            self._sync.close()
+        self._stream.raw.close()  # what is left in the buffer would meet the full disk again
+
+
+def _utf8(text: str) -> str:
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -1,0 +1,142 @@
+"""Looking at pictures: do they decode, and does a camera show the very same one again and again?"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from array import array
+from collections import deque
+from collections.abc import Callable, Collection
+from concurrent.futures import Executor, Future
+from typing import Final
+
+import numpy as np
+
+from recorder.log.row_quality import stretches
+from recorder.pictures.picture_size import can_be_decoded
+
+FROZEN_PICTURES: Final = 3
+"""So many equal pictures in a row from a moving car are a frozen camera: a slow one may repeat a picture once."""
+
+_PICTURES_A_JOB: Final = 32  # one by one, handing them over would cost a tenth of the time
+_JOB_BYTES: Final = 1 << 20
+_MOST_WAITING_BYTES: Final = 1 << 24
+_OVERHEAD_BYTES: Final = 256  # of a picture that waits, besides its own
+
+_DECODER_BYTES: Final = (224 + 64 * (os.cpu_count() or 1)) << 20  # of addresses: what OpenCV and its threads take
+
+_Place = tuple[str, int]  # topic, and position among its pictures
+
+
+class Seen:
+    """The pictures of one topic in their order, without the pictures themselves: 17 bytes each."""
+
+    def __init__(self) -> None:
+        self.rows = array("q")
+        self.times_ns = array("q")
+        self._is_repeated = bytearray()
+        self._last: bytes | None = None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def add(self, row: int, time_ns: int, picture: bytes) -> None:
+        self.rows.append(row)
+        self.times_ns.append(time_ns)
+        self._is_repeated.append(picture == self._last)
+        self._last = picture
+
+    @property
+    def has_repeated(self) -> bool:
+        return any(self._is_repeated)
+
+    def frozen(self, standing: Collection[tuple[int, int]]) -> list[tuple[int, int]]:
+        """First and last position of each stretch of equal pictures from a moving car.
+
+        `standing` holds row and time of the vehicle states in which it stands: there, equal pictures are right.
+        """
+        is_held = np.array(self._is_repeated, np.bool_)
+        for at in np.flatnonzero(is_held).tolist():
+            is_held[at] = (self.rows[at], self.times_ns[at]) not in standing
+        # a stretch of repetitions begins with the picture that is repeated
+        return [(first - 1, last) for first, last in stretches(is_held) if last - first + 2 >= FROZEN_PICTURES]
+
+
+class Look:
+    """Looks at pictures of several topics as they are taken in, in the order of their log."""
+
+    def __init__(self, pool: Executor | None, on_decoded: Callable[[int], object] = lambda count: None) -> None:
+        """Decodes on `pool`, and tells `on_decoded` how many more it has; without a pool nothing is decoded."""
+        if pool is not None:
+            _load_decoder()
+        self._pool = pool
+        self._on_decoded = on_decoded
+        self._job: list[tuple[_Place, bytes]] = []
+        self._job_bytes = 0
+        self._waiting: deque[tuple[list[_Place], int, Future[list[bool]]]] = deque()
+        self._waiting_bytes = 0
+        self.seen: dict[str, Seen] = {}
+        self.decoded = 0
+        self.broken: list[_Place] = []
+        """The pictures that do not decode, in the order in which they were taken; whole after `finish`."""
+
+    def take(self, topic: str, row: int, time_ns: int, picture: bytes) -> None:
+        """Waits while too many bytes are still to be decoded. `time_ns` must be below 2**63."""
+        seen = self.seen.setdefault(topic, Seen())
+        seen.add(row, time_ns, picture)
+        if self._pool is None:
+            return
+        self._job.append(((topic, len(seen) - 1), picture))
+        self._job_bytes += len(picture) + _OVERHEAD_BYTES
+        if len(self._job) == _PICTURES_A_JOB or self._job_bytes >= _JOB_BYTES:
+            self._submit(self._pool)
+            while self._waiting_bytes > _MOST_WAITING_BYTES:
+                self._settle()
+
+    def finish(self) -> None:
+        """Wait until every picture is decoded."""
+        if self._pool is not None:
+            self._submit(self._pool)
+        while self._waiting:
+            self._settle()
+
+    def _submit(self, pool: Executor) -> None:
+        places = [place for place, _ in self._job]
+        future = pool.submit(_decode_all, [picture for _, picture in self._job])
+        self._waiting.append((places, self._job_bytes, future))
+        self._waiting_bytes += self._job_bytes
+        self._job, self._job_bytes = [], 0
+
+    def _settle(self) -> None:
+        places, size, future = self._waiting.popleft()
+        self._waiting_bytes -= size
+        self.broken.extend(place for place, is_sound in zip(places, future.result(), strict=True) if not is_sound)
+        self.decoded += len(places)
+        self._on_decoded(len(places))
+
+
+def _load_decoder() -> None:
+    """Raises MemoryError where there is no room for OpenCV, which would end the process without a word."""
+    try:
+        mmap.mmap(-1, _DECODER_BYTES).close()
+    except OSError:
+        raise MemoryError from None
+    import cv2  # noqa: F401
+
+
+def decodes(picture: bytes) -> bool:
+    """Whether it is a JPEG or PNG, not too large, that OpenCV decodes to its end. Wrong bytes within the coded
+    picture that end where they should decode to a wrong picture, which nothing can tell from a right one."""
+    if not can_be_decoded(picture):
+        return False
+    import cv2  # what looks at no picture needs none of its memory
+
+    try:
+        # at an eighth of the size: a fraction of the time, and the whole picture is still read through
+        return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
+    except cv2.error:
+        return False
+
+
+def _decode_all(pictures: list[bytes]) -> list[bool]:
+    return [decodes(picture) for picture in pictures]

@@ -1,0 +1,182 @@
+"""The simulator's messages: telemetry as it is told, and commands as it understands them.
+
+Telemetry comes from outside and may be anything; what is not a telemetry raises TelemetryError, never more.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from common.errors import counted, shown
+from recorder.log.topics import MAX_STEERING_DEG
+from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.server.locale_numbers import POINT, decimal_separator, read_number, written
+from recorder.server.world import World, parse_world
+
+MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
+
+MAX_SPEED_MPH: Final = 1e7  # what is beyond makes distances that nobody can read
+
+_NUMBERS: Final = ("steering_angle", "throttle", "speed")
+_FIELDS: Final = (*_NUMBERS, "image")
+_MOST_NAMES: Final = 6
+_SHOWN: Final = 30  # characters of what a client has told, in a reason
+_OTHER_PICTURES: Final = {
+    b"\x89PNG": "PNG",
+    b"GIF8": "GIF",
+    b"RIFF": "WebP",
+    b"BM": "BMP",
+    b"II*": "TIFF",
+    b"MM": "TIFF",
+}
+
+
+class TelemetryError(ValueError):
+    """A telemetry that cannot be used; it is answered all the same.
+
+    Its text is the reason, with whatever the client has told; `kind` the reason alone, by which they are counted.
+    """
+
+    def __init__(self, kind: str, detail: str = "") -> None:
+        super().__init__(kind + detail)
+        self.kind = kind
+        self.speed_mph: float | None = None
+        """What could be read all the same; None where that could not."""
+        self.decimal_separator: str | None = None
+        self.world: World | None = None
+        self.world_problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """One moment as the simulator tells it."""
+
+    steering: float  # -1 (left) .. 1 (right), the wheels as they are; beyond that where it was told so
+    throttle: float  # 0..1; beyond that too
+    speed_mph: float
+    jpeg: bytes
+    decimal_separator: str = POINT  # as the simulator's machine writes numbers, and wants to read them
+    told_separator: str | None = None  # the same, if this telemetry tells it without doubt
+    world: World | None = None  # None unless the simulator tells more than the real one does
+    world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
+
+
+def parse_telemetry(data: object, known_separator: str | None = None) -> Telemetry:
+    """Raises TelemetryError with the reason, and what could be read all the same.
+
+    `known_separator` is what the same connection told before: whole numbers, and 1,234, do not tell it.
+    """
+    if not isinstance(data, dict):
+        raise TelemetryError(f"not an object but a {type(data).__name__}")
+    told = _decimal_separator(data)
+    decimal = told or known_separator or POINT  # by default as "N4" writes it, where three decimals never are
+    numbers: dict[str, float] = {}
+    problems: list[TelemetryError] = []
+    if missing := [name for name in _FIELDS if data.get(name) is None]:
+        problems.append(_missing(missing, data))
+    for name in _NUMBERS:
+        if name not in missing:
+            try:
+                numbers[name] = _number(data[name], name, decimal)
+            except TelemetryError as error:
+                problems.append(error)
+    try:
+        jpeg = _image(data["image"]) if "image" not in missing else b""
+    except TelemetryError as error:
+        problems.append(error)
+    world, world_problems = parse_world(data.get("world"), decimal)
+    if problems:
+        problem = problems[0]
+        problem.speed_mph, problem.decimal_separator = numbers.get("speed"), told
+        problem.world, problem.world_problems = world, world_problems
+        raise problem
+    return Telemetry(
+        steering=numbers["steering_angle"] / MAX_STEERING_DEG,
+        throttle=numbers["throttle"],
+        speed_mph=numbers["speed"],
+        jpeg=jpeg,
+        decimal_separator=decimal,
+        told_separator=told,
+        world=world,
+        world_problems=world_problems,
+    )
+
+
+def check_whole_jpeg(jpeg: bytes) -> None:
+    """Raises TelemetryError for what is no whole JPEG: the end of a cut one would be grey."""
+    if is_whole_jpeg(jpeg):
+        return
+    for start, name in _OTHER_PICTURES.items():
+        if jpeg.startswith(start):
+            raise TelemetryError(f"image is a {name}, not a JPEG")
+    if jpeg.startswith(b"\xff\xd8"):
+        raise TelemetryError("image is a JPEG that is cut off or damaged", f" ({counted(len(jpeg), 'byte')})")
+    raise TelemetryError("image is not a JPEG", f" ({counted(len(jpeg), 'byte')})")
+
+
+def format_command(steering: float, throttle: float, decimal_separator: str = POINT) -> dict[str, str]:
+    """A `steer` command: strings, because the simulator drops a telemetry whose answer holds JSON numbers."""
+    return {
+        "steering_angle": written(steering, decimal_separator),
+        "throttle": written(throttle, decimal_separator),
+    }
+
+
+def _decimal_separator(data: dict[object, object]) -> str | None:
+    """What a number tells without doubt; None where none does."""
+    for name in ("throttle", "steering_angle", "speed"):
+        value = data.get(name)
+        if isinstance(value, str) and read_number(value) is not None and (told := decimal_separator(value)):
+            return told
+    return None
+
+
+def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
+    told = ", ".join(_short(name) for name in list(data)[:_MOST_NAMES]) + (
+        ", ..." if len(data) > _MOST_NAMES else ""
+    )
+    which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return TelemetryError(f"{which} {'is' if len(names) == 1 else 'are'} missing", f" (told: {told or 'nothing'})")
+
+
+def _number(value: object, field: str, decimal: str) -> float:
+    """`value` of a field that is there."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise TelemetryError(f"{field} is not a number but a {type(value).__name__}")
+    try:
+        number = read_number(value, decimal) if isinstance(value, str) else float(value)
+    except OverflowError:
+        number = math.inf
+    if number is None:
+        raise TelemetryError(f"{field} is not a number", f" ({_short(value)})")
+    if not math.isfinite(number):
+        raise TelemetryError(f"{field} is not finite")
+    if field == "speed" and abs(number) > MAX_SPEED_MPH:
+        raise TelemetryError(f"speed is beyond {MAX_SPEED_MPH:,.0f} mph")
+    return number
+
+
+def _short(value: object) -> str:
+    """Of a client's text, enough to find it by."""
+    text = str(value)
+    return shown(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
+
+
+def _image(value: object) -> bytes:
+    """The picture of a field that is there."""
+    if not isinstance(value, str):
+        raise TelemetryError(f"image is not a string but a {type(value).__name__}")
+    if not value:
+        raise TelemetryError("image is empty")
+    if len(value) > MAX_IMAGE_BYTES:
+        raise TelemetryError(f"image is larger than {MAX_IMAGE_BYTES:,} bytes")
+    if value.startswith("data:"):
+        raise TelemetryError("image begins with data:", " (send only what comes after base64,)")
+    try:
+        return base64.b64decode(value, validate=True)
+    except (binascii.Error, ValueError):
+        raise TelemetryError("image is not base64") from None

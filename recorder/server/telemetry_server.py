@@ -1,0 +1,316 @@
+"""The server that simulators connect to, as Socket.IO clients: whatever they tell is answered by a handler."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Final, Literal, Protocol, TypeVar
+from urllib.parse import parse_qs
+
+import socketio
+from engineio.exceptions import EngineIOError
+from socketio import packet
+
+from common.errors import shown
+from recorder.server.allowed_hosts import LetIn
+from recorder.server.connection_guard import CROWD, END_S, MOST_CONNECTIONS, Said
+from recorder.server.engineio_connection import HAS_HUNG_UP, Connection, Host
+from recorder.server.locale_numbers import POINT
+from recorder.server.malformed_packets import CheckedPacket, hang_up_on_broken_packets, one_line_log
+from recorder.server.socketio2 import accept_old_clients
+from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
+
+TICK_S: Final = 0.1
+FIRST_S: Final = 1.0
+"""The real simulator tells its first at once. Each command that it did not ask for keeps one more in flight."""
+QUIET_S: Final = 5.0
+"""Whoever has opened a connection and told nothing for so long speaks something else."""
+MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
+"""Above it the connection is cut; a picture that is too large is answered first."""
+
+MUTE: Final = (
+    f"somebody has opened a websocket and told nothing for {QUIET_S:g} s: start the simulator's autonomous mode;"
+    " other clients have to speak Socket.IO"
+)
+POLLING: Final = (
+    "a client connects by long polling, which is slow: let it use a websocket (python-socketio's client does, once"
+    " `pip install websocket-client` is done)"
+)
+
+REFUSED: Final = (
+    "refused a web page or client that asks {}: this port is for this machine, and for what --host names; others"
+    " write its address as numbers"
+)
+MOST_SHOWN: Final = 100  # characters of such a name
+
+ServerMode = Literal["eventlet", "threading"]
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Steer:
+    """A command to the simulator's car."""
+
+    steering: float  # -1 (left) .. 1 (right)
+    throttle: float  # -1..1
+    decimal_separator: str = POINT  # of the simulator's machine
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to one telemetry, and what is done when it has left."""
+
+    command: Steer | None  # None is `manual`: a human drives
+    then: Callable[[float], None]
+    """Called when the system has taken the answer, or the client has gone, with the milliseconds since the
+    telemetry's last byte had come."""
+
+
+class Handler(Protocol):
+    """What is done with telemetry; `sid` names a connection. It is never called by two threads at once, and what
+    it raises ends `TelemetryServer.run`."""
+
+    def connected(self, sid: str) -> None: ...
+
+    def disconnected(self, sid: str, reason: str) -> None: ...
+
+    def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
+        """`data` is whatever the client has sent; None while a human holds a key. `received_s` is the
+        `time.perf_counter()` at which its last byte had come."""
+        ...
+
+    def tick(self) -> None:
+        """Called ten times a second, also while nothing arrives."""
+        ...
+
+    def stopping(self, sid: str) -> Steer | None:
+        """The last command to a client that was steered, at the end of a run, also of one that failed: a car keeps
+        its last command. None sends nothing."""
+        ...
+
+
+class TelemetryServer:
+    """Serves the real simulator and modern Socket.IO clients, any number of them, on one port."""
+
+    def __init__(
+        self,
+        handler: Handler,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 4567,
+        mode: ServerMode = "eventlet",
+        said: Said = lambda text: None,
+        first: Steer | Literal["manual", "nothing"] = "nothing",
+    ) -> None:
+        """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible.
+
+        "eventlet" serves all connections in the thread that runs it, "threading" each in one of its own.
+        `said` gets a line for a person where something else than a simulator connects, each line once; like the
+        handler, it is never called by two threads at once. `first` is sent to who has opened a websocket and told
+        no telemetry for `FIRST_S`: a classic server's first command comes unasked, and some clients wait for it.
+        """
+        self._first = first
+        self._handler = handler
+        self._said = said
+        self._told: set[str] = set()
+        self._is_over = False
+        self._failure: Exception | None = None
+        self._steered: set[str] = set()  # the clients that were sent commands
+        # by Engine.IO's name of a connection, until it is sent: its own name, when it was asked for, the answer
+        self._answers: dict[str, tuple[str, float, Answer]] = {}
+        self._on_their_way = 0  # answers that have not left yet
+        self._lock = threading.RLock()
+        self._let_in = LetIn(host)
+        self._has_refused = False
+        self._host = _host(mode, host, port, self._say)
+        self.port: int = self._host.port
+        log = one_line_log(self._say)
+        self._server = socketio.Server(
+            async_mode=mode,
+            async_handlers=False,
+            serializer=CheckedPacket,
+            cors_allowed_origins=self._let_in.allows,
+            logger=log,
+            engineio_logger=log,
+            max_http_buffer_size=MAX_MESSAGE_BYTES,
+            monitor_clients=False,  # the tick does
+        )
+        self._server.on("connect", self._on_connect)
+        self._server.on("disconnect", self._on_disconnect)
+        self._server.on("telemetry", self._on_telemetry)
+        accept_old_clients(self._server)
+        self._application = hang_up_on_broken_packets(self._server, self._say)
+        self._engine = self._server.eio
+        self._connected, self._received = (self._engine.handlers[name] for name in ("connect", "message"))
+        self._engine.on("connect", self._on_connection)
+        self._engine.on("message", self._on_message)
+
+    def run(self, until: Callable[[], bool]) -> None:
+        """Serve until `until()` is true; it is called as the handler is.
+
+        At the end every client that was steered gets what `Handler.stopping` gives, and every connection is
+        closed. Raises what the handler raised.
+        """
+        self._host.start(self._serve)
+        try:
+            while not self._is_done(until):
+                self._host.wait(TICK_S)  # a tick, because a signal does not wake eventlet
+                with self._lock:
+                    self._call(self._handler.tick)
+                    self._look_after_connections()
+        finally:
+            self._is_over = True
+            self._let_answers_leave()
+            with self._lock:
+                for sid in list(self._steered):
+                    self._stop(sid)
+                for connection in list(self._engine.sockets.values()):
+                    connection.close(wait=False)
+            self._host.end()
+        if self._failure is not None:
+            raise self._failure
+
+    def push(self, sid: str, command: Steer) -> None:
+        """Send a command that no telemetry asked for; to be called by the handler, from `tick`."""
+        with self._lock:
+            if self._server.manager.is_connected(sid, "/"):
+                self._steered.add(sid)
+                self._server.emit(*_event(command), to=sid)
+
+    def _let_answers_leave(self) -> None:
+        """One that a thread still holds would come after the last command, and the car keep that."""
+        until_s = time.monotonic() + END_S
+        while time.monotonic() < until_s:
+            with self._lock:  # no telemetry is being handled
+                if not self._on_their_way:
+                    return
+            self._host.wait(0.01)
+
+    def _is_done(self, until: Callable[[], bool]) -> bool:
+        with self._lock:
+            return self._failure is not None or until()
+
+    def _stop(self, sid: str) -> None:
+        try:
+            command = self._handler.stopping(sid)
+        except Exception as error:
+            self._failure = self._failure or error
+        else:
+            if command is not None:
+                self.push(sid, command)
+
+    def _serve(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
+        if refused := self._let_in.refused(environ):
+            self._refuse(refused)
+            start_response("403 Forbidden", [("Content-Length", "0")])
+            return []
+        answer = self._application(environ, start_response)
+        return self._host.after_websocket() if environ.get(HAS_HUNG_UP) else answer
+
+    def _refuse(self, what: str) -> None:
+        with self._lock:  # once: a page that tries name after name must not fill the screen
+            if not self._has_refused:
+                self._has_refused = True
+                self._say(REFUSED.format(shown(what[:MOST_SHOWN])))
+
+    def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
+        if not _is_for_websocket(environ) and len(self._engine.sockets) > MOST_CONNECTIONS:
+            self._say(CROWD)  # a websocket is a connection, which the host counts; who polls leaves none
+            return False
+        Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._say)
+        with self._lock:
+            return self._connected(engine_sid, environ)
+
+    def _on_message(self, engine_sid: str, data: str | bytes) -> None:
+        connection: Connection = self._engine.sockets[engine_sid]
+        with self._lock:
+            self._received(engine_sid, data)
+            asked = self._answers.pop(engine_sid, None)
+            self._on_their_way += asked is not None
+        if asked is None:
+            return
+        # Without the lock: a client that does not read what it is sent keeps nobody else waiting.
+        sid, received_s, answer = asked
+        name, fields = _event(answer.command)
+        with contextlib.suppress(OSError, EngineIOError):  # the client has gone
+            if not connection.send_now(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
+                self._server.emit(name, fields, to=sid)
+        total_ms = (time.perf_counter() - received_s) * 1e3
+        with self._lock:
+            self._on_their_way -= 1
+            self._call(answer.then, total_ms)
+
+    def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
+        if not self._is_over:
+            self._call(self._handler.connected, sid)
+
+    def _on_disconnect(self, sid: str, reason: str) -> None:
+        self._steered.discard(sid)
+        if not self._is_over:
+            self._call(self._handler.disconnected, sid, reason)
+
+    def _on_telemetry(self, sid: str, data: object = None, *_: object) -> None:
+        engine_sid = self._server.manager.eio_sid_from_sid(sid, "/")
+        connection: Connection = self._engine.sockets[engine_sid]
+        connection.waits, received_s = False, connection.received_s
+        answer = None if self._is_over else self._call(self._handler.telemetry, sid, data, received_s)
+        if answer is not None:
+            if answer.command is not None:
+                self._steered.add(sid)
+            self._answers[engine_sid] = (sid, received_s, answer)
+
+    def _look_after_connections(self) -> None:
+        for engine_sid, connection in list(self._engine.sockets.items()):
+            connection.tick()
+            if connection.closed and not connection.is_by_websocket:
+                self._engine.sockets.pop(engine_sid, None)
+                continue
+            if self._first != "nothing" and connection.waits_longer_than(FIRST_S):
+                event = _event(self._first if isinstance(self._first, Steer) else None)
+                connection.send_first(packet.Packet(packet.EVENT, data=[*event]).encode())
+            if connection.is_older_than(QUIET_S):
+                if not connection.is_by_websocket:
+                    self._say(POLLING)
+                elif not connection.has_told:
+                    self._say(MUTE)
+
+    def _say(self, text: str) -> None:
+        with self._lock:
+            if text not in self._told:
+                self._told.add(text)
+                self._call(self._said, text)
+
+    def _call(self, function: Callable[..., Result], *arguments: object) -> Result | None:
+        """Call the handler. python-socketio would swallow its errors: they are kept, and end the run."""
+        if self._failure is not None:
+            return None
+        try:
+            return function(*arguments)
+        except Exception as error:
+            self._failure = error
+            return None
+
+
+def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
+    if command is None:
+        return "manual", {}
+    return "steer", format_command(command.steering, command.throttle, command.decimal_separator)
+
+
+def _is_for_websocket(environ: dict[str, Any]) -> bool:
+    query = parse_qs(str(environ.get("QUERY_STRING", "")))
+    return query.get("transport", [""])[0] == "websocket"
+
+
+def _host(mode: ServerMode, host: str, port: int, said: Said) -> Host:
+    """Each imports what only its mode needs."""
+    if mode == "eventlet":
+        from recorder.server.eventlet_host import GreenHost
+
+        return GreenHost(host, port, said)
+    from recorder.server.threaded_host import ThreadedHost
+
+    return ThreadedHost(host, port, said)

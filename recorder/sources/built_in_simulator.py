@@ -1,0 +1,127 @@
+"""Recording the built-in simulator's expert driver into a log, faster than real time."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import tyro
+
+from common import Skipped, UserError
+from common.files import refuse_existing
+from common.progress import progress_bar
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.log.topics import CAMERAS
+from recorder.log.writer import LogWriter
+from recorder.server.pose_message import pose_message
+from recorder.sources.import_recording import Imported
+from simulator.driving.expert import Expert
+from simulator.driving.recovery_driving import MOST_RECOVERY, drive_for_recording, steps_each
+from simulator.driving.simulation import Simulation
+from simulator.protocol.udacity_writer import UdacityFolder
+
+# Simulated time has no date. This one makes the same drive the same log, byte for byte.
+CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
+
+
+@dataclass(frozen=True)
+class SimulatedDrive:
+    """How the expert drives."""
+
+    track: str = "lake"
+    """The track of the built-in simulator: lake, mountain, or random:SEED."""
+    laps: float = 1.0
+    """How far to drive; 0.5 records the first half of the track and nothing of the second."""
+    speed: float = 10.0
+    """Set speed in mph; the expert slows for bends."""
+    rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
+    """Recorded rows a second; it must divide 50."""
+    recovery: float = 0.35
+    """Share of the rows in which the car, pushed off its line, comes back; the push itself is not recorded."""
+    noise: float = 0.03
+    """How unsteady the expert's hand is; 0 is a machine's, 0.03 a calm person's."""
+    seed: int = 0
+    """Pushes and noise are drawn from it: same seed, same log."""
+
+
+def record_simulated(
+    drive: SimulatedDrive, log: Path, *, udacity: Path | None = None, overwrite: bool = False
+) -> Imported:
+    """Record the expert's drive to `log`, and as the real simulator would to the folder `udacity`, if given.
+
+    Raises RecordingError for a drive that cannot be, UserError if `log` exists and `overwrite` is off.
+    """
+    refuse_existing(log, overwrite)  # before the folder is begun
+    check_drive(drive)
+    try:
+        simulation = Simulation(drive.track)
+    except ValueError as error:
+        raise RecordingError(f"--track {drive.track}: {error}") from None
+    expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)
+    steps = drive_for_recording(simulation.course, expert, drive.laps, drive.rate, drive.recovery, drive.seed)
+    metadata = {
+        "source": "simulator",
+        "simulator": "built-in",
+        "track": simulation.track.name,
+        "track_fingerprint": simulation.track.fingerprint(),
+        "driver": "expert",
+        **{
+            f"drive.{name}": f"{getattr(drive, name):g}" for name in ("laps", "speed", "rate", "recovery", "noise")
+        },
+        "drive.seed": str(drive.seed),
+    }
+    length_m = drive.laps * simulation.track.line.length_m
+    rows = 0
+    with (
+        UdacityFolder(udacity) if udacity is not None else contextlib.nullcontext() as folder,
+        LogWriter(log, metadata, overwrite=overwrite) as writer,
+        progress_bar() as bar,
+    ):
+        task = bar.add_task(f"recording {drive.track}", total=math.ceil(length_m), note="metres")
+        for step in steps:
+            time_ns = CLOCK_START_NS + round(step.time_s * 1e9)
+            jpegs = {camera: simulation.jpeg(camera, step.pose) for camera in CAMERAS}
+            for camera, jpeg in jpegs.items():
+                writer.picture(camera, time_ns, rows, jpeg)
+            state = VehicleState(
+                steering=step.steering, throttle=step.throttle, brake=step.brake, speed_mph=step.speed_mph
+            )
+            writer.vehicle(time_ns, rows, state)
+            writer.pose(time_ns, rows, pose_message(step.pose, time_ns))
+            if folder is not None:
+                folder.row(
+                    time_ns,
+                    jpegs,
+                    steering=step.steering,
+                    throttle=step.throttle,
+                    brake=step.brake,
+                    speed_mph=step.speed_mph,
+                )
+            rows += 1
+            bar.update(task, completed=step.progress_m)
+        if not rows:
+            raise UserError(f"{drive.laps:g} laps: too short to record a single row")
+        if folder is not None:
+            folder.finish()
+    return Imported(log, rows, rows * len(CAMERAS), Skipped())
+
+
+def check_drive(drive: SimulatedDrive) -> None:
+    """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
+    try:
+        steps_each(drive.rate)
+    except ValueError as error:
+        raise RecordingError(str(error)) from None
+    for flag, value, is_good, expected in (
+        ("--laps", drive.laps, 0 < drive.laps < math.inf, "a number above 0"),
+        ("--speed", drive.speed, 0 < drive.speed < math.inf, "a set speed above 0 mph"),
+        ("--recovery", drive.recovery, 0 <= drive.recovery <= MOST_RECOVERY, f"a share of 0 .. {MOST_RECOVERY:g}"),
+        ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),
+        ("--seed", drive.seed, drive.seed >= 0, "a whole number from 0 on"),
+    ):
+        if not is_good:
+            raise RecordingError(f"{flag} {value:g}: {expected} was expected")

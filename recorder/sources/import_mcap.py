@@ -1,0 +1,284 @@
+"""Importing what other programs logged: MCAP files of any program, and ROS 2 bags.
+
+The user tells which topic holds the pictures and which field of which topic the steering.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import re
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+from mcap.records import Channel, Message, Schema
+from numpy.typing import NDArray
+
+from common import Skipped
+from common.files import refuse_existing
+from common.progress import track
+from common.untrusted import open_regular
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.log.mcap_file import WITHOUT_CRCS
+from recorder.log.reader import Log
+from recorder.log.topics import PROFILE
+from recorder.log.writer import LogWriter
+from recorder.sources.import_recording import Imported, SkippedEvents
+from recorder.sources.mcap_messages import (
+    Decoder,
+    FieldError,
+    brief,
+    decoder_for,
+    is_picture_type,
+    is_whole_picture,
+    number_in,
+    picture_in,
+)
+from recorder.sources.ros2_bag import MCAP, SQLITE, SqliteFile, bag_files, is_bag
+
+MOST_STEERING_AGE_S: Final = 1.0
+
+_TIME_END_NS: Final = 2**63
+# magic, then the header's opcode, length, and the length of its profile
+_OWN_START: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
+_BEYOND: Final = "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
+
+
+@dataclass(frozen=True)
+class ForeignTopics:
+    """What to take out of another program's log."""
+
+    image: str
+    """The topic of the pictures: foxglove.CompressedImage or sensor_msgs/CompressedImage, JPEG or PNG."""
+    steering: str
+    """The topic and the field of the steering, such as /drive.drive.steering_angle or /joy.axes.0."""
+    steering_scale: float = 1.0
+    """What makes -1 (left) .. 1 (right) of it, where 1 is 25 degrees. ROS counts left as positive: give -1 for
+    what is -1..1 already, -2.29 for radians."""
+
+
+class _File(Protocol):
+    """One file of a recording."""
+
+    @property
+    def path(self) -> Path: ...
+
+    def types(self, skipped: Skipped) -> dict[str, str]: ...
+
+    def messages(self, topic: str, what: str) -> Iterator[tuple[Schema | None, Channel, Message]]: ...
+
+
+@dataclass(frozen=True)
+class _McapFile:
+    path: Path
+
+    def types(self, skipped: Skipped) -> dict[str, str]:
+        """The type of the messages on each topic; what is missing of the file is skipped."""
+        with Log(self.path) as log:
+            if log.notice:
+                skipped.add("files that are not whole", log.notice)
+            return log.schemas
+
+    def has_crcs(self) -> bool:
+        with Log(self.path) as log:
+            return log.has_crcs
+
+    def messages(self, topic: str, what: str) -> Iterator[tuple[Schema | None, Channel, Message]]:
+        """The messages on `topic` in the order of the file, while a bar named `what` counts its chunks."""
+        with Log(self.path) as log:
+            for chunk in track(log.chunks, what, len(log.chunks)):
+                for schema, channel, message in log.messages_of(chunk):
+                    if channel.topic == topic:
+                        yield schema, channel, message
+
+
+@dataclass(frozen=True)
+class _Steering:
+    """Every steering in the order of time; arrays of one length."""
+
+    time_ns: NDArray[np.int64]
+    value: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Row:
+    time_ns: int
+    steering: float
+    picture: bytes
+
+
+def is_foreign(source: Path) -> bool:
+    """Whether `source` looks like another program's log: an MCAP file, finished or not, or a ROS 2 bag."""
+    return is_bag(source) if source.is_dir() else bool({MCAP, SQLITE} & set(source.suffixes))
+
+
+def is_own_log(source: Path) -> bool:
+    """Whether `source` is a log of this toolkit: an MCAP file whose header names its profile."""
+    try:
+        with open_regular(source) as stream:
+            return _OWN_START.match(stream.read(64)) is not None
+    except OSError:
+        return False
+
+
+def check_scale(steering_scale: float) -> None:
+    """Raise RecordingError for a scale that leaves no steering."""
+    if not math.isfinite(steering_scale) or steering_scale == 0:
+        raise RecordingError(f"--steering-scale {steering_scale:g}: a number other than 0 was expected")
+
+
+def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite: bool = False) -> Imported:
+    """Write the pictures of another program's log to `log`, byte for byte, each with the last steering before it.
+
+    Pictures without a steering that is at most a second old are left out. Speed is NaN, the pedals are 0.
+    Raises RecordingError if nothing in it can be used, LogError if a chunk of it is damaged, and UserError if
+    `log` exists and `overwrite` is off.
+    """
+    refuse_existing(log, overwrite)  # before minutes of reading
+    check_scale(topics.steering_scale)
+    events = SkippedEvents()
+    skipped = events.skipped
+    files = _files(source, skipped)
+    types = {topic: kind for file in files for topic, kind in file.types(skipped).items()}
+    steering_topic, field = _split(source, topics.steering, types)
+    _check_image_topic(source, topics.image, types)
+    steering = _read_steering(source, files, steering_topic, field, topics.steering_scale, skipped)
+    rows = _rows(files, topics.image, steering, f"importing {source.name}", skipped)
+    first = next(rows, None)
+    if first is None:
+        raise RecordingError(f"{source}: no picture on {topics.image} can be used{skipped.because()}")
+    metadata = {
+        "source": "ros2 bag" if source.is_dir() else "mcap",
+        "recording": Path(os.path.realpath(source)).name,
+        "image_topic": topics.image,
+        "steering_topic": topics.steering,
+        "steering_scale": repr(topics.steering_scale),
+    }
+    count = 0
+    has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
+    notices = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
+    with LogWriter(log, metadata, overwrite=overwrite) as writer:
+        for notice in notices:
+            writer.event(first.time_ns, notice, "WARNING", "recorder")
+        for row in itertools.chain([first], rows):
+            events.at(writer, row.time_ns)
+            writer.picture("center", row.time_ns, count, row.picture)
+            state = VehicleState(steering=row.steering, throttle=0.0, brake=0.0, speed_mph=math.nan)
+            writer.vehicle(row.time_ns, count, state)
+            count += 1
+    return Imported(log, count, count, skipped, [*notices, *writer.notices])
+
+
+def _files(source: Path, skipped: Skipped) -> list[_File]:
+    if source.is_dir():
+        paths = bag_files(source, skipped)
+    elif source.suffix == SQLITE:
+        raise RecordingError(f"{source}: a part of a ROS 2 bag; give the folder that it lies in")
+    else:
+        paths = [source]
+    return [SqliteFile(path) if path.suffix == SQLITE else _McapFile(path) for path in paths]
+
+
+def _split(source: Path, text: str, types: dict[str, str]) -> tuple[str, str]:
+    """The topic and the field that `text` names; the field is empty if it names a topic alone."""
+    topics = [topic for topic in types if text == topic or text.startswith(f"{topic}.")]
+    if not topics:
+        raise RecordingError(
+            f"{source}: no topic that {brief(text)!r} begins with; --steering is TOPIC.field, and {_listed(types)}"
+        )
+    topic = max(topics, key=len)
+    return topic, text[len(topic) + 1 :]
+
+
+def _check_image_topic(source: Path, topic: str, types: dict[str, str]) -> None:
+    if topic not in types:
+        raise RecordingError(f"{source}: no topic {brief(topic)!r} for --image; {_listed(types)}")
+    if not is_picture_type(types[topic]):
+        raise RecordingError(
+            f"{source}: the messages on {brief(topic)} are {_type(types[topic])}; --image needs"
+            f" foxglove.CompressedImage or sensor_msgs/CompressedImage; {_listed(types)}"
+        )
+
+
+def _listed(types: dict[str, str]) -> str:
+    if not types:
+        return "it has no topics"
+    return "its topics are " + ", ".join(f"{brief(topic)} ({_type(types[topic])})" for topic in sorted(types))
+
+
+def _type(name: str) -> str:
+    return brief(name) or "of no type"
+
+
+def _read_steering(
+    source: Path, files: list[_File], topic: str, field: str, scale: float, skipped: Skipped
+) -> _Steering:
+    times, values = array("q"), array("d")
+    problem = "there is no message on it"
+    for time_ns, name, message in _decoded(files, topic, f"reading {brief(topic)}", skipped):
+        try:
+            values.append(number_in(message, field) * scale)
+        except FieldError as error:
+            if error.is_final:
+                raise RecordingError(f"{source}: --steering: on {brief(topic)}, {error}") from None
+            skipped.add("messages without a steering", f"{name}: {error}")
+        else:
+            times.append(time_ns)
+    if not times:
+        problem = "; ".join(skipped.lines(most_names=1)) or problem
+        raise RecordingError(f"{source}: --steering: no number can be read on {brief(topic)}: {problem}")
+    order = np.argsort(np.array(times, np.int64), kind="stable")
+    return _Steering(np.array(times, np.int64)[order], np.array(values, np.float64)[order])
+
+
+def _rows(files: list[_File], topic: str, steering: _Steering, what: str, skipped: Skipped) -> Iterator[_Row]:
+    """The pictures that can be used, one at a time in the order of the files."""
+    for time_ns, name, message in _decoded(files, topic, what, skipped):
+        at = int(np.searchsorted(steering.time_ns, time_ns, "right")) - 1
+        if at < 0:
+            skipped.add("pictures before the first steering", name)
+            continue
+        if time_ns - int(steering.time_ns[at]) > MOST_STEERING_AGE_S * 1e9:
+            skipped.add(f"pictures whose last steering is over {MOST_STEERING_AGE_S:g} s old", name)
+            continue
+        try:
+            picture = picture_in(message)
+        except FieldError:
+            skipped.add("messages without a picture", name)
+            continue
+        if not is_whole_picture(picture):
+            skipped.add("pictures that are no whole JPEG or PNG", name)
+            continue
+        value = float(steering.value[at])
+        if abs(value) > 1:
+            skipped.add(_BEYOND, f"{name}: {value:g}")
+        yield _Row(time_ns, value, picture)
+
+
+def _decoded(files: list[_File], topic: str, what: str, skipped: Skipped) -> Iterator[tuple[int, str, object]]:
+    """The messages on `topic`: log time, what to call it, content."""
+    for file in files:
+        decoders: dict[int, Decoder] = {}
+        for schema, channel, message in file.messages(topic, what):
+            time_ns = message.log_time
+            if not isinstance(time_ns, int) or not 0 <= time_ns < _TIME_END_NS:
+                skipped.add("messages of a time that no log can hold", f"{brief(topic)} at {brief(repr(time_ns))}")
+                continue
+            name = f"{brief(topic)} at {time_ns / 1e9:.3f} s"
+            if channel.id not in decoders:
+                try:
+                    decoders[channel.id] = decoder_for(schema, channel)
+                except RecordingError as error:
+                    raise RecordingError(f"{file.path}: {error}") from None
+            try:
+                content = decoders[channel.id](message.data)
+            except Exception:  # decoders of somebody else's definitions may raise anything
+                skipped.add("messages that cannot be decoded", name)
+                continue
+            yield time_ns, name, content

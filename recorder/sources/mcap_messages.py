@@ -1,0 +1,174 @@
+"""What a message of another program says: its decoder, the number in one of its fields, the picture in it.
+
+Both the definitions and the messages are somebody else's: no decoder here runs code that it made of a definition.
+"""
+
+from __future__ import annotations
+
+import array
+import base64
+import binascii
+import contextlib
+import io
+import json
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
+from typing import Final, TypeGuard
+
+from google.protobuf.message import Message as ProtobufMessage
+from mcap.records import Channel, Schema
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
+
+from common.errors import shown
+from recorder.errors import RecordingError
+from recorder.pictures.image_check import decodes
+from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.pictures.picture_size import PNG_START
+
+INSTALL_ROS: Final = 'ROS 2 messages need two packages more: `pip install "behavioural-cloning-toolkit[ros]"`'
+
+_PICTURE_TYPE = re.compile(r"(foxglove|foxglove_msgs|sensor_msgs)[./](msg/)?CompressedImage")
+
+Decoder = Callable[[bytes], object]
+
+
+class FieldError(Exception):
+    """What was looked for is not in a message.
+
+    `is_final` where it is in no other message of its type either.
+    """
+
+    is_final = False
+
+
+def is_picture_type(name: str) -> bool:
+    return _PICTURE_TYPE.fullmatch(name) is not None
+
+
+def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
+    """The decoder of a channel's messages, which may raise anything.
+
+    Raises RecordingError where there is none.
+    """
+    encoding = channel.message_encoding
+    if encoding == "json":
+        return json.loads
+    if encoding == "protobuf":
+        find = ProtobufDecoders().decoder_for
+    elif encoding == "cdr":
+        try:
+            from mcap_ros2.decoder import DecoderFactory as RosDecoders
+        except ImportError:
+            raise RecordingError(f"{channel.topic}: {INSTALL_ROS}") from None
+        find = RosDecoders().decoder_for
+    else:
+        raise RecordingError(
+            f"{brief(channel.topic)}: its messages are encoded as {brief(encoding)};"
+            " protobuf, JSON and the CDR of ROS 2 can be read"
+        )
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):  # mcap-ros2-support prints what it then raises
+            decoder: Decoder | None = find(encoding, schema)
+    except Exception as error:  # whatever a definition that makes no sense leads to
+        raise RecordingError(
+            f"{brief(channel.topic)}: the definition of its type cannot be read ({brief(str(error))})"
+        ) from None
+    if decoder is None:
+        told = "none" if schema is None else brief(schema.encoding)
+        raise RecordingError(f"{brief(channel.topic)}: no definition of its type that can be read (it is {told})")
+    return decoder
+
+
+def number_in(message: object, field: str) -> float:
+    """The finite number in `field`, such as `drive.steering_angle` or `axes.0`.
+
+    Raises FieldError, telling what there is instead.
+    """
+    names = field.split(".") if field else []
+    try:
+        value, parents = message, ""
+        for name in names:
+            value = _child(value, name, parents)
+            parents = f"{parents}{name}."
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            has = f"; it has {_listed(fields)}" if (fields := _names(value)) else ""
+            raise FieldError(f"{brief(field) or 'the message'} is no number but {_kind(value)}{has}")
+    except FieldError as error:
+        is_typed = isinstance(message, ProtobufMessage | SimpleNamespace)
+        error.is_final = is_typed and not any(name.isdecimal() for name in names)  # lists may be longer elsewhere
+        raise
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number of over 308 digits
+        number = math.inf
+    if not math.isfinite(number):
+        raise FieldError(f"{brief(field)} is no finite number")
+    return number
+
+
+def picture_in(message: object) -> bytes:
+    """The bytes of a CompressedImage's picture, which JSON holds as base64 or a list of numbers.
+
+    Raises FieldError if it has none.
+    """
+    data = _child(message, "data", "")
+    try:
+        if isinstance(data, str):
+            return base64.b64decode(data, validate=True)
+        if isinstance(data, bytes | bytearray | memoryview | list):
+            return bytes(data)
+    except (binascii.Error, TypeError, ValueError):
+        pass
+    raise FieldError("data is no picture")
+
+
+def is_whole_picture(data: bytes) -> bool:
+    """Whether `data` is one complete JPEG or PNG that OpenCV decodes."""
+    return decodes(data) if data.startswith(PNG_START) else is_whole_jpeg(data)
+
+
+def brief(text: str) -> str:
+    """Text of somebody else's file, short enough for an error and without what moves a cursor."""
+    return shown(text if len(text) <= 200 else f"{text[:200]}...")
+
+
+def _child(value: object, name: str, parents: str) -> object:
+    if isinstance(value, Mapping):
+        if name in value:
+            return value[name]
+    elif isinstance(value, ProtobufMessage | SimpleNamespace):
+        if name in _names(value):
+            return getattr(value, name)
+    elif _is_list(value) and name.isdecimal() and len(name) < 10 and int(name) < len(value):
+        return value[int(name)]
+    where = brief(parents.removesuffix(".")) or "the message"
+    raise FieldError(f"{where} has no {brief(name)}; it has {_listed(_names(value))}")
+
+
+def _names(value: object) -> list[str]:
+    """The fields of a message, or the positions in a list."""
+    if isinstance(value, Mapping):
+        return [str(name) for name in value]
+    if isinstance(value, ProtobufMessage):
+        return [field.name for field in value.DESCRIPTOR.fields]
+    if isinstance(value, SimpleNamespace):  # what mcap-ros2-support makes of a message
+        return list(getattr(value, "__slots__", ()))
+    if _is_list(value):
+        return [str(position) for position in range(min(len(value), 100))]
+    return []
+
+
+def _is_list(value: object) -> TypeGuard[Sequence[object]]:
+    return isinstance(value, Sequence | array.array) and not isinstance(value, str)
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, str | bytes | bool):
+        return {str: "a text", bytes: "bytes", bool: "true or false"}[type(value)]
+    return "a list" if _is_list(value) else "nothing" if value is None else "a message"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(brief(name) for name in names[:40]) or "no fields"

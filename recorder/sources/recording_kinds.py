@@ -1,0 +1,90 @@
+"""What somebody else has recorded: which kind it is, and who reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from common.files import PART_SUFFIX
+from recorder.errors import RecordingError
+from recorder.sources.donkeycar import import_tub
+from recorder.sources.donkeycar_tub import is_tub
+from recorder.sources.find_recording import did_you_mean, is_udacity
+from recorder.sources.import_mcap import ForeignTopics, import_foreign, is_foreign, is_own_log
+from recorder.sources.import_recording import Imported, import_udacity
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Where in another program's log the pictures and the steering are."""
+
+    image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
+    """Topic of the pictures, in the log of another program that --from names."""
+    steering: Annotated[str | None, tyro.conf.arg(metavar="TOPIC.FIELD")] = None
+    """Topic and field of the steering, such as /cmd_vel.angular.z."""
+    steering_scale: float = 1.0
+    """What makes -1 (left) .. 1 (right) of that field; ROS counts left as positive: a negative scale."""
+
+
+def import_from(
+    source: Path,
+    log: Path,
+    topics: Topics | None = None,
+    *,
+    rate_hz: float | None = None,
+    all_catalogs: bool = False,
+    overwrite: bool = False,
+) -> Imported:
+    """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
+    ROS 2 bag (which need `topics`). `rate_hz` and `all_catalogs` are as for `import_tub`.
+
+    Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
+    `overwrite` is off.
+    """
+    topics = topics or Topics()
+    is_log = is_foreign(source)
+    of_donkeycar = not is_log and is_tub(source)
+    if not (is_log or of_donkeycar or is_udacity(source)) and (meant := did_you_mean(source)):
+        raise RecordingError(f"{source}: no recording itself;{meant}")
+    if all_catalogs and not of_donkeycar:
+        raise RecordingError(f"{source}: --all-catalogs is for DonkeyCar tubs, which this is not")
+    if topics != Topics() and not is_log:
+        raise RecordingError(f"{source}: --image and --steering are for other programs' logs, which this is not")
+    if rate_hz is not None and is_log:
+        raise RecordingError(f"{source}: --rate: its messages tell their times; leave it out")
+    if is_log:
+        return import_foreign(source, log, _chosen(source, log, topics), overwrite=overwrite)
+    if of_donkeycar:
+        return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, overwrite=overwrite)
+    return import_udacity(source, log, rate_hz=rate_hz, overwrite=overwrite)
+
+
+def _chosen(source: Path, log: Path, topics: Topics) -> ForeignTopics:
+    if topics == Topics() and is_own_log(source):
+        raise RecordingError(f"{source}: a log of this toolkit, {_instead_of_importing(source, log)}")
+    if topics.image is None or topics.steering is None:
+        raise RecordingError(
+            f"{source}: which topics? Give --image TOPIC and --steering TOPIC.FIELD;"
+            f" `bc-log info {source}` lists them"
+        )
+    return ForeignTopics(topics.image, topics.steering, topics.steering_scale)
+
+
+def refuse_to_watch(source: Path) -> None:
+    """Raise RecordingError for what is no folder that the Udacity simulator may write into."""
+    if not is_udacity(source) and (is_foreign(source) or is_tub(source)):
+        raise RecordingError(
+            f"{source}: --watch follows folders of the Udacity simulator, which this is not; import it when it is"
+            " finished, without --watch"
+        )
+
+
+def _instead_of_importing(source: Path, log: Path) -> str:
+    if source.suffix == PART_SUFFIX:
+        return f"still unfinished: `bc-log recover {source}` makes a whole one of it"
+    if source.resolve().parent == log.resolve().parent:
+        return "and a session already: `bc-index` takes it in"
+    return f"which is a session without being imported: copy it into {log.parent}/"

@@ -1,0 +1,193 @@
+"""ROS 2 bags: the files that a bag's folder consists of, and the messages in those that are SQLite databases.
+
+The databases are read here and not by rosbags, whose decoder runs code that it makes of the bag's own definitions.
+Layout: https://github.com/ros2/rosbag2, rosbag2_storage_sqlite3 and rosbag2_storage's metadata.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from mcap.records import Channel, Message, Schema
+
+from common import Skipped
+from common.progress import track
+from common.untrusted import read_bounded
+from recorder.errors import RecordingError
+from recorder.sources.mcap_messages import INSTALL_ROS, brief
+
+METADATA: Final = "metadata.yaml"
+MCAP, SQLITE = ".mcap", ".db3"
+
+_MOST_METADATA_BYTES: Final = 1 << 22
+_MOST_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite itself takes four times that
+_STEPS_BETWEEN_SIGNALS: Final = 1000  # of SQLite's machine: some of them, of large values, take milliseconds
+
+_SEPARATOR: Final = "=" * 80
+_ACKERMANN: Final = f"""\
+float32 steering_angle
+float32 steering_angle_velocity
+float32 speed
+float32 acceleration
+float32 jerk
+{_SEPARATOR}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+"""
+# What older bags leave out and rosbags does not know, though most bags of model cars have it (ackermann_msgs).
+_DEFINITIONS: Final = {
+    "ackermann_msgs/msg/AckermannDrive": _ACKERMANN,
+    "ackermann_msgs/msg/AckermannDriveStamped": (
+        "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
+        f"{_SEPARATOR}\nMSG: ackermann_msgs/AckermannDrive\n{_ACKERMANN}"
+    ),
+}
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether `folder` looks like a ROS 2 bag."""
+    try:
+        names = {path.name for path in folder.iterdir()}
+    except OSError:
+        return False
+    return METADATA in names and any(re.search(r"\.(mcap|db3)(\.|$)", name) for name in names)
+
+
+def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
+    """The bag's files in their order; what is not there, or not told in metadata.yaml, is skipped.
+
+    Raises RecordingError if metadata.yaml cannot be read, or nothing that it names.
+    """
+    root = Path(os.path.realpath(folder))
+    try:
+        inside = {
+            path.name: path for path in folder.iterdir() if path.is_file() and path.resolve().is_relative_to(root)
+        }
+        text = read_bounded(inside[METADATA], _MOST_METADATA_BYTES)
+    except (OSError, KeyError, RuntimeError):
+        raise RecordingError(f"{folder}: {METADATA} cannot be read; `ros2 bag reindex` writes a new one") from None
+    metadata = _parse(folder, text)
+    told = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
+    names = told.get("relative_file_paths") if isinstance(told, dict) else None
+    if not isinstance(told, dict) or not isinstance(names, list):
+        raise RecordingError(f"{folder}: {METADATA} names no files; `ros2 bag reindex` writes a new one")
+    if str(told.get("compression_mode") or "none").lower() not in ("none", "storage"):
+        raise RecordingError(f"{folder}: a compressed bag, which is not read; `ros2 bag convert` unpacks it")
+    listed = list(dict.fromkeys(re.split(r"[/\\]", name)[-1] for name in names if isinstance(name, str)))
+    files = []
+    for name in listed:
+        if name in inside and name.endswith((MCAP, SQLITE)):
+            files.append(inside[name])
+        else:
+            skipped.add("files of the bag that are not there, or lead out of it", brief(name))
+    for name in sorted(inside.keys() - set(listed)):
+        if name.endswith((MCAP, SQLITE)):
+            skipped.add(f"files of the bag that {METADATA} does not name", brief(name))
+        elif name.endswith("-wal") and inside[name].stat().st_size:
+            skipped.add(
+                "journals of messages that are not in the bag; `ros2 bag info` moves them there", brief(name)
+            )
+    if not files:
+        raise RecordingError(f"{folder}: none of the files that {METADATA} names is there")
+    return files
+
+
+@dataclass(frozen=True)
+class SqliteFile:
+    """One SQLite database of a bag. Everything raises RecordingError where it cannot be read."""
+
+    path: Path
+
+    def types(self, skipped: Skipped) -> dict[str, str]:
+        """The type of the messages on each topic."""
+        with self._open() as database:
+            return {str(name): str(kind) for name, kind in database.execute("SELECT name, type FROM topics")}
+
+    def messages(self, topic: str, what: str) -> Iterator[tuple[Schema, Channel, Message]]:
+        """The messages on `topic` by time, as an MCAP file would have them; a bar named `what` counts them."""
+        with self._open() as database:
+            channels = {}
+            for number, kind, encoding in database.execute(
+                "SELECT id, type, serialization_format FROM topics WHERE name = ?", (topic,)
+            ):
+                schema = Schema(number, self._definition(database, str(kind)), "ros2msg", str(kind))
+                channels[number] = schema, Channel(number, topic, str(encoding), {}, number)
+            places = ", ".join("?" * len(channels))
+            where = f"FROM messages WHERE topic_id IN ({places})"
+            ((count,),) = database.execute(f"SELECT COUNT(*) {where}", tuple(channels))
+            order = f"SELECT topic_id, timestamp, data {where} ORDER BY timestamp, id"
+            for number, time_ns, data in track(database.execute(order, tuple(channels)), what, count):
+                yield *channels[number], Message(number, time_ns, data, time_ns, 0)
+
+    @contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        try:
+            address = f"{self.path.absolute().as_uri()}?mode=ro&immutable=1"
+            with closing(sqlite3.connect(address, uri=True)) as database:
+                # Nothing that the file defines may run: a view could take for ever, and a trigger do more.
+                database.execute("PRAGMA trusted_schema = OFF")
+                database.execute("PRAGMA query_only = ON")
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_VALUE_BYTES)
+                # Python hears signals only between its own steps, so SQLite makes one now and then.
+                database.set_progress_handler(lambda: 0, _STEPS_BETWEEN_SIGNALS)
+                self._refuse_views(database)
+                yield database
+        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+            if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
+                raise KeyboardInterrupt from None  # the signal that the progress handler has heard
+            raise RecordingError(f"{self.path}: cannot be read as a ROS 2 bag ({brief(str(error))})") from None
+
+    def _refuse_views(self, database: sqlite3.Connection) -> None:
+        """Of what is read here, a bag has tables."""
+        for name in ("topics", "messages", "message_definitions"):
+            # The text, because SQLite goes by it: a view may be entered as a table, and a virtual table is code.
+            made_by = database.execute("SELECT sql FROM sqlite_master WHERE lower(name) = ?", (name,))
+            if not all(str(sql).startswith("CREATE TABLE ") for (sql,) in made_by):
+                raise sqlite3.DatabaseError(f"{name} is not a table")
+
+    def _definition(self, database: sqlite3.Connection, kind: str) -> bytes:
+        tables = database.execute("SELECT name FROM sqlite_master WHERE name = 'message_definitions'")
+        if tables.fetchone() is not None:
+            held = database.execute(
+                "SELECT encoded_message_definition FROM message_definitions"
+                " WHERE topic_type = ? AND encoding = 'ros2msg'",
+                (kind,),
+            ).fetchone()
+            if held is not None:
+                return str(held[0]).encode()
+        text = _DEFINITIONS.get(kind) or self._standard_definition(kind)
+        if text is None:
+            raise RecordingError(
+                f"{self.path}: the bag does not hold the definition of {brief(kind)}; where that type is known,"
+                " `ros2 bag convert` to MCAP adds it"
+            )
+        return text.encode()
+
+    def _standard_definition(self, kind: str) -> str | None:
+        """The definition of a type that is part of ROS 2."""
+        try:
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError:
+            raise RecordingError(f"{self.path}: {INSTALL_ROS}") from None
+        store = get_typestore(Stores.LATEST)
+        return store.generate_msgdef(kind, ros_version=2)[0] if kind in store.fielddefs else None
+
+
+def _parse(folder: Path, text: bytes) -> object:
+    try:
+        from ruamel.yaml import YAML
+    except ImportError:
+        raise RecordingError(f"{folder}: {INSTALL_ROS}") from None
+    try:
+        parsed: object = YAML(typ="safe").load(text)
+    except Exception:  # ruamel raises nearly anything on what is no YAML
+        return None
+    return parsed

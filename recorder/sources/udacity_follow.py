@@ -1,0 +1,265 @@
+"""Following a Udacity recording while the simulator writes it.
+
+The simulator appends rows while somebody drives, and renders their pictures one by one when the recording is
+stopped; another drive may follow. Nothing waits for anything: a row is logged when its line is complete, a picture
+when its file is whole, with the time and the number of its row.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from common.errors import counted
+from common.interrupts import stop_signals
+from common.progress import StatusLine
+from common.untrusted import read_bounded
+from recorder.errors import RecordingError
+from recorder.log.topics import CAMERAS, Camera
+from recorder.log.writer import LogWriter
+from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.sources.file_tail import Tail
+from recorder.sources.find_recording import did_you_mean
+from recorder.sources.frame_rate import check_rate
+from recorder.sources.import_recording import (
+    NOT_WHOLE,
+    UNREADABLE,
+    Imported,
+    SkippedEvents,
+    udacity_metadata,
+    vehicle_state,
+)
+from recorder.sources.udacity_csv import RowReader
+from recorder.sources.udacity_recording import (
+    CSV_NAME,
+    MOST_PICTURE_BYTES,
+    PictureFiles,
+    check_csv,
+)
+
+POLL_S: Final = 0.25
+_PICTURES_A_ROUND: Final = 500  # so that signals, new rows and the status line are not kept waiting
+_SETTLING_S: Final = 2.5  # some file systems give times to 2 s: so long, a changed folder may have changed again
+_RATE_S: Final = 2.0  # over which the rate is measured
+
+_Stamp = tuple[int, int]  # size and modification time of a file
+
+
+def watch_udacity(
+    folder: Path,
+    log: Path,
+    *,
+    rate_hz: float | None = None,
+    idle_s: float | None = None,
+    overwrite: bool = False,
+    on_started: Callable[[Path], None] | None = None,
+) -> Imported:
+    """Write the recording in `folder` to `log` while it grows; neither the folder nor its csv need be there yet.
+
+    Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last new row or picture; called outside the main
+    thread, only on the latter. `on_started` is called with the path of the growing file. `rate_hz` is as for
+    `import_udacity`.
+
+    Raises RecordingError if there was no usable row, and UserError if `log` exists and `overwrite` is off, or
+    cannot be written any more.
+    """
+    check_rate(rate_hz)
+    metadata = udacity_metadata(folder, rate_hz)
+    if folder.exists() and not folder.is_dir():
+        raise RecordingError(f"{folder}: a file; give the folder that {CSV_NAME} is in, or will be")
+    with (
+        stop_signals() as stopped,
+        LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
+        StatusLine() as status,
+    ):
+        watched = _Watched(folder, writer, rate_hz)
+        if on_started is not None:
+            on_started(writer.part)
+        if not watched.has_csv():
+            meant = did_you_mean(folder)
+            status.say(f"waiting for {folder / CSV_NAME};{meant}" if meant else f"waiting for {folder / CSV_NAME}")
+        while not stopped.is_set():
+            is_busy = watched.poll()
+            writer.flush_if_due()
+            status.show(watched.status())
+            if is_busy:
+                continue
+            if idle_s is not None and watched.idle_s() >= idle_s:
+                break
+            stopped.wait(POLL_S)
+        watched.finish()
+        if not watched.rows:
+            raise RecordingError(watched.why_nothing())
+    return Imported(log, watched.rows, watched.pictures, watched.skipped, writer.notices)
+
+
+class _Watched:
+    """What has come of a recording, and what is still awaited."""
+
+    def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None) -> None:
+        self.rows = 0
+        self.pictures = 0
+        self._events = SkippedEvents()
+        self.skipped = self._events.skipped
+        self._folder = folder
+        self._writer = writer
+        self._csv = Tail(folder / CSV_NAME)
+        self._reader = RowReader(self.skipped, rate_hz)
+        self._files = PictureFiles(folder, self.skipped)
+        self._looked: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
+        self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
+        self._ready: dict[str, str] = {}  # awaited and there: file name -> path; in this order
+        self._partly: dict[str, tuple[str, _Stamp | None]] = {}  # the same, but not whole when last read
+        self._last_ns = 0
+        self._last_s: float | None = None
+        self._rate_from = (time.monotonic(), 0)
+        self._rate = 0.0
+
+    def has_csv(self) -> bool:
+        return os.path.isfile(self._folder / CSV_NAME)  # noqa: PTH113  (never raises)
+
+    def poll(self) -> bool:
+        """Log what is new; True if there is more to do at once."""
+        with contextlib.suppress(OSError):
+            check_csv(self._folder)
+        self._take_rows(self._csv.new_lines())
+        self._look(everywhere=False)
+        for name, (path, stamp) in list(self._partly.items()):
+            if _stamp(path) != stamp:
+                del self._partly[name]
+                self._ready[name] = path
+        self._take_pictures(_PICTURES_A_ROUND)
+        return bool(self._ready) or self._csv.is_behind
+
+    def finish(self) -> None:
+        """Take what is there, and count what never came."""
+        self._take_rows(self._csv.new_lines())
+        while self._csv.is_behind:
+            self._take_rows(self._csv.new_lines())
+        self._take_rows(self._csv.rest())
+        self._look(everywhere=True)
+        self._ready |= {name: path for name, (path, _) in self._partly.items()}
+        self._take_pictures(len(self._ready))
+        for name, uses in self._awaited.items():
+            for _, _, time_ns in uses:
+                self._events.at(self._writer, time_ns)
+                self._skip(name)
+        if self.rows:
+            self._events.at(self._writer, self._last_ns)
+        with contextlib.suppress(OSError):
+            self._files.skip_without_row(self._reader.named)
+
+    def idle_s(self) -> float:
+        """Seconds since the last row or picture; 0 before the first."""
+        return 0.0 if self._last_s is None else time.monotonic() - self._last_s
+
+    def status(self) -> str:
+        if not self.rows and not self.has_csv():
+            return f"waiting for {self._folder / CSV_NAME}"
+        now_s = time.monotonic()
+        since_s, pictures = self._rate_from
+        if now_s - since_s >= _RATE_S:
+            self._rate = (self.pictures - pictures) / (now_s - since_s)
+            self._rate_from = (now_s, self.pictures)
+        return (
+            f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
+            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s,"
+            f" waiting for {counted(len(self._awaited), 'picture')},"
+            f" {len(self.skipped):,} skipped"
+        )
+
+    def why_nothing(self) -> str:
+        csv = self._folder / CSV_NAME
+        if not self.has_csv():
+            return f"{csv}: it never came; give the folder that the simulator's training mode records into"
+        return f"{csv}: no usable row{self.skipped.because()}"
+
+    def _take_rows(self, lines: list[tuple[int, bytes]]) -> None:
+        places = self._places() if lines else []
+        for line, content in lines:
+            self._last_s = time.monotonic()
+            row = self._reader.read(line, content)
+            if row is None:
+                continue
+            self._last_ns = row.time_ns
+            self._events.at(self._writer, row.time_ns)
+            self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
+            for camera, name in zip(CAMERAS, row.names, strict=True):
+                if not name:
+                    continue
+                self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
+                self._notice(name, places)
+            self.rows += 1
+
+    def _notice(self, name: str, places: list[Path]) -> None:
+        """An awaited picture may be there."""
+        if name not in self._partly and (path := self._files.find(name, places)) is not None:
+            self._ready[name] = path
+
+    def _look(self, everywhere: bool) -> None:
+        """Look for new pictures in the folders that have changed."""
+        now_s = time.monotonic()
+        # A folder that vanishes meanwhile, or cannot be read now, is looked at the next time.
+        with contextlib.suppress(OSError):
+            places = self._files.places()
+            for place in places:
+                changed_ns = place.stat().st_mtime_ns
+                last_ns, since_s = self._looked.get(place, (None, now_s))
+                if changed_ns != last_ns:
+                    since_s = now_s
+                elif not everywhere and now_s - since_s > _SETTLING_S:
+                    continue
+                for name in self._files.names_in(place):
+                    if name in self._awaited and name not in self._ready:
+                        self._notice(name, places)
+                self._looked[place] = (changed_ns, since_s)
+
+    def _places(self) -> list[Path]:
+        with contextlib.suppress(OSError):
+            return self._files.places()
+        return []
+
+    def _take_pictures(self, most: int) -> None:
+        for name in list(islice(self._ready, most)):
+            path = self._ready.pop(name)
+            self._partly.pop(name, None)
+            stamp = _stamp(path)
+            jpeg = self._read(path)
+            if jpeg is None or not is_whole_jpeg(jpeg):
+                self._partly[name] = path, stamp
+                continue
+            self._last_s = time.monotonic()
+            for camera, sequence, time_ns in self._awaited.pop(name):
+                self._writer.picture(camera, time_ns, sequence, jpeg)
+                self.pictures += 1
+
+    def _skip(self, name: str) -> None:
+        """Say why an awaited picture is not in the log."""
+        places = self._places()
+        path = self._files.find(name, places)
+        if path is None:
+            self._files.skip_missing(name, places)
+        else:
+            self.skipped.add(UNREADABLE if self._read(path) is None else NOT_WHOLE, name)
+
+    def _read(self, path: str) -> bytes | None:
+        """The bytes of a picture, or None if it cannot be read now, or has become something else."""
+        if not os.path.isfile(path) or not self._files.is_inside(path):  # noqa: PTH113
+            return None
+        try:
+            return read_bounded(path, MOST_PICTURE_BYTES)
+        except OSError:
+            return None
+
+
+def _stamp(path: str) -> _Stamp | None:
+    try:
+        status = os.stat(path)  # noqa: PTH116  (a Path of each would take longer)
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns

@@ -1,0 +1,219 @@
+"""A folder that the simulator's training mode has written: `driving_log.csv` and the pictures that its rows name.
+
+Pictures are found wherever people have put them. What cannot be used is named in `Recording.skipped`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from common import Skipped
+from common.untrusted import open_regular
+from recorder.errors import RecordingError
+from recorder.sources.name_set import NameSet
+from recorder.sources.text_lines import LineSplitter
+from recorder.sources.udacity_csv import Row, RowReader
+
+CSV_NAME: Final = "driving_log.csv"
+MOST_CSV_BYTES: Final = 1 << 30  # 200 hours of driving
+MOST_PICTURE_BYTES: Final = 1 << 26
+MISSING = "pictures that a row names but no folder has"
+WITHOUT_ROW = "pictures without a row"
+LINKS = "pictures that are links out of the recording"
+
+_BLOCK_BYTES: Final = 1 << 16
+
+
+@dataclass(frozen=True)
+class Recording:
+    """All of a recording at once: some kilobytes a row."""
+
+    folder: Path
+    rows: list[Row]
+    pictures: dict[str, str]  # file name -> path, of all that a row names
+    skipped: Skipped
+
+
+class PictureFiles:
+    """The JPEG files of a recording: in IMG/ beside the csv, in the csv's folder, in ../IMG; the first wins.
+
+    Where one of these folders is a link, its user keeps the pictures elsewhere, and it is followed. A picture that
+    is a link is followed only within these folders: a recording is somebody else's data.
+    """
+
+    def __init__(self, folder: Path, skipped: Skipped) -> None:
+        self._folder = folder
+        self._skipped = skipped
+        self._links = NameSet()  # those that were told
+
+    def places(self) -> list[Path]:
+        """The folders that there are to look into."""
+        return [place for place in self._places() if place.is_dir()]
+
+    def find(self, name: str, places: list[Path]) -> str | None:
+        """Where the picture called `name` is, in the first of `places` that has it."""
+        for place in places:
+            path = f"{place}/{name}"
+            try:
+                mode = os.lstat(path).st_mode
+            except (OSError, ValueError):
+                continue
+            if stat.S_ISREG(mode) or (stat.S_ISLNK(mode) and os.path.isfile(path) and self.is_inside(path)):  # noqa: PTH113
+                return path
+        return None
+
+    def names_in(self, place: Path) -> Iterator[str]:
+        """The pictures in one of the `places`; links that leave the recording are skipped."""
+        with os.scandir(place) as entries:
+            for entry in entries:
+                if not entry.name.lower().endswith((".jpg", ".jpeg")):
+                    continue
+                if entry.is_symlink() and not self.is_inside(entry.path):
+                    self._skip_link(entry.path)
+                elif entry.is_file():
+                    yield entry.name
+
+    def skip_missing(self, name: str, places: list[Path]) -> None:
+        """Skip a picture that a row names and `find` does not; a link out of the recording is told as one."""
+        for place in places:
+            path = f"{place}/{name}"
+            if os.path.islink(path) and not self.is_inside(path):  # noqa: PTH114
+                self._skip_link(path)
+                return
+        self._skipped.add(MISSING, name)
+
+    def _skip_link(self, path: str) -> None:
+        if self._links.add(path):
+            self._skipped.add(LINKS, Path(path).name)
+
+    def skip_without_row(self, named: NameSet) -> None:
+        """Skip the pictures that no row names, by name: the order of a folder is another one on every disk."""
+        names = {name for place in self.places() for name in self.names_in(place) if name not in named}
+        for name in sorted(names):
+            self._skipped.add(WITHOUT_ROW, name)
+
+    def is_inside(self, path: str) -> bool:
+        """Whether a picture is, all links followed, in one of the places."""
+        real = Path(os.path.realpath(path))
+        return any(real.is_relative_to(os.path.realpath(place)) for place in self._places())
+
+    def why_none(self) -> str:
+        """Why not one picture is there, as far as it can be told."""
+        places = self._places()
+        for place in places:
+            if place.is_symlink() and not place.exists():
+                return f"{place} is a link to {place.readlink()}, which is not there"
+        for place in self.places():
+            for _ in self.names_in(place):
+                pass
+        if self._skipped.counts[LINKS]:
+            return "its pictures are links out of it, which are not followed; `cp -rL` copies what they name"
+        return f"they are looked for in IMG/, in {self._folder.name}/ and in ../IMG/"
+
+    def _places(self) -> tuple[Path, Path, Path]:
+        root = Path(os.path.realpath(self._folder))
+        return root / "IMG", root, root.parent / "IMG"
+
+
+class UdacityFolder:
+    """A recording, read from its first line to its last without ever being held as a whole."""
+
+    def __init__(self, folder: Path, skipped: Skipped, rate_hz: float | None = None) -> None:
+        """Raises RecordingError if there is no csv in `folder`, or for a rate that no camera has."""
+        self.folder = folder
+        self.csv = folder / CSV_NAME
+        self._skipped = skipped
+        self._reader = RowReader(skipped, rate_hz)
+        self._files = PictureFiles(folder, skipped)
+        with _told(folder):
+            if folder.is_file():
+                raise RecordingError(f"{folder}: a file; give the folder that holds {CSV_NAME} and IMG/")
+            if not folder.is_dir():
+                raise RecordingError(f"{folder}: no such folder; give the folder that holds {CSV_NAME} and IMG/")
+            if not self.csv.is_file():
+                raise RecordingError(
+                    f"{folder}: no {CSV_NAME} in it; give the folder that the simulator recorded into"
+                )
+            check_csv(folder)
+
+    def line_count(self) -> int:
+        return sum(1 for _ in self._lines())
+
+    def rows(self) -> Iterator[tuple[Row, tuple[str | None, ...]]]:
+        """The rows that can be used, each with the paths of its pictures, None for those that are missing.
+
+        To be called once. At its end raises RecordingError if there was no row, or not a single picture.
+        """
+        row_count = found = 0
+        with _told(self.folder):
+            places = self._files.places()
+            for place in places:
+                # of a folder that cannot be read, every picture would seem to be missing
+                os.scandir(place).close()
+        for line, content in enumerate(self._lines(), start=1):
+            row = self._reader.read(line, content)
+            if row is None:
+                continue
+            row_count += 1
+            paths = tuple(self._files.find(name, places) if name else None for name in row.names)
+            found += sum(path is not None for path in paths)
+            yield row, paths
+            for name, path in zip(row.names, paths, strict=True):
+                if name and path is None:
+                    self._files.skip_missing(name, places)
+        if not row_count:
+            if not self.csv.stat().st_size:
+                raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
+            raise RecordingError(f"{self.csv}: no usable row{self._skipped.because()}")
+        if not found:
+            with _told(self.folder):
+                raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
+        with _told(self.folder):
+            self._files.skip_without_row(self._reader.named)
+
+    def _lines(self) -> Iterator[bytes]:
+        splitter = LineSplitter()
+        with _told(self.csv), open_regular(self.csv) as stream:
+            while block := stream.read(_BLOCK_BYTES):
+                yield from splitter.feed(block)
+        if last := splitter.rest():
+            yield last
+
+
+def read_recording(folder: Path) -> Recording:
+    """Read the csv of `folder` and find its pictures; no picture is opened.
+
+    Raises RecordingError if there is no csv, no usable row, or not a single picture.
+    """
+    skipped = Skipped()
+    rows, pictures = [], {}
+    for row, paths in UdacityFolder(folder, skipped).rows():
+        rows.append(row)
+        pictures.update({name: path for name, path in zip(row.names, paths, strict=True) if path is not None})
+    return Recording(folder, rows, pictures, skipped)
+
+
+@contextlib.contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What cannot be read, in one line."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from None
+
+
+def check_csv(folder: Path) -> None:
+    """Raise RecordingError if the csv of `folder` is a link out of it, or far too large; OSError without one."""
+    csv = folder / CSV_NAME
+    if csv.is_symlink() and not Path(os.path.realpath(csv)).is_relative_to(os.path.realpath(folder)):
+        raise RecordingError(
+            f"{csv}: a link out of the recording, which is not followed; give a folder of its own"
+        )
+    if csv.stat().st_size > MOST_CSV_BYTES:
+        raise RecordingError(f"{csv}: larger than {MOST_CSV_BYTES / 1e9:.0f} GB, which no drive writes")

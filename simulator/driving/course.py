@@ -1,0 +1,247 @@
+"""A car on a track, and the book that is kept of it: laps, distance from the line, off the road, interventions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.driving.vehicle import AXLE_TO_CENTRE_M, MPS_PER_MPH, STEP_S, WHEELBASE_M, VehicleState, step
+from simulator.pose import Pose
+from simulator.roads.centreline import Centreline
+
+Height = Callable[[float, float], float]
+"""The ground's height in metres at (x_m, y_m)."""
+
+WHEEL_TRACK_M = 1.6  # between the left and the right wheels
+INTERVENTION_COST_S = (
+    6.0  # Bojarski et al. 2016, section 7.1: a person takes over, steers back, restarts the system
+)
+STUCK_S = 5.0  # without a metre of progress for this long, the car is stuck
+_STUCK_PROGRESS_M = 1.0
+
+
+class Road(Protocol):
+    """What a course needs of a track."""
+
+    @property
+    def line(self) -> Centreline: ...
+    @property
+    def half_width_m(self) -> NDArray[np.float64]:
+        """(N,), one for each point of the centre line."""
+        ...
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What an evaluation says of a drive, from its start to now."""
+
+    elapsed_s: float
+    distance_m: float  # rolled, in any direction
+    laps: float
+    interventions: int
+    autonomy_percent: float  # 100 * (1 - 6 s * interventions / elapsed s), at least 0
+    mean_offset: float  # of |offset| / half width, over time
+    max_offset: float
+    steering_per_s: float  # mean |d steering / dt| of the commands: how much the wheel is worked
+    mean_speed_mph: float
+
+
+class Course:
+    """Drives the vehicle along a road in steps of 0.02 s. It starts at rest on the centre line, at arc length 0.
+
+    Progress is the road's length that the car has covered ON the road: driving back takes it away again, and
+    what is skipped off the road is not made good. Off the road means that the car's centre is farther from the
+    centre line than the road's half width there.
+    """
+
+    vehicle: VehicleState
+    arc_m: float  # where the car is along the road, 0 .. its length
+    offset_m: float  # of the car's centre from the centre line, positive to the left
+    interventions: int
+
+    def __init__(self, road: Road, height_m: Height | None = None) -> None:
+        self._line = road.line
+        self._half_width_m: list[float] = np.asarray(road.half_width_m, dtype=np.float64).tolist()
+        if len(self._half_width_m) != len(self._line.points_m):
+            raise ValueError(
+                f"{len(self._half_width_m)} half widths for a centre line of {len(self._line.points_m)} points"
+            )
+        self._height_m = height_m
+        self.start()
+
+    def start(self, arc_m: float = 0.0) -> None:
+        """Puts the car at rest on the centre line at ``arc_m`` and opens a new book."""
+        self._steps = 0
+        self._pause_s = 0.0
+        self._distance_m = 0.0
+        self._progress_m = 0.0
+        self._best_progress_m = 0.0
+        self._offset_sum = 0.0
+        self._max_offset = 0.0
+        self._steering = 0.0
+        self._steering_travel = 0.0
+        self.interventions = 0
+        self._put(arc_m, 0.0, 0.0, VehicleState(0.0, 0.0, 0.0))
+
+    def advance(self, steering: float, throttle: float, seconds: float = STEP_S) -> None:
+        """Holds a command (each -1..1, clamped) for ``seconds``, a whole number of 0.02 s steps."""
+        steps = round(seconds / STEP_S)
+        if steps < 1 or abs(steps * STEP_S - seconds) > 1e-6:
+            raise ValueError(f"{seconds} s is not a whole number of {STEP_S} s steps")
+        steering = min(1.0, max(-1.0, steering))
+        self._steering_travel += abs(steering - self._steering)
+        self._steering = steering
+        for _ in range(steps):
+            place = self._line.at(self.arc_m)
+            slope = place.slope * math.cos(self.vehicle.heading_rad - place.heading_rad)
+            self.vehicle = step(self.vehicle, steering, throttle, slope, self.off_road)
+            self._keep_book()
+
+    def intervene(self) -> None:
+        """Puts the car at rest on the centre line where it last was on the road, aligned, and counts it."""
+        self.interventions += 1
+        self._put(self._road_arc_m, 0.0, 0.0, VehicleState(0.0, 0.0, 0.0))
+
+    def displace(self, offset_m: float, turn_rad: float, seconds: float) -> None:
+        """Moves the car beside the centre line at its arc length, turned by ``turn_rad`` (left is positive) from
+        the road's direction, with its speed, while the clock (and nothing else) runs on for ``seconds``."""
+        self._pause_s += seconds
+        self._put(self.arc_m, offset_m, turn_rad, self.vehicle)
+
+    @property
+    def line(self) -> Centreline:
+        return self._line
+
+    @property
+    def time_s(self) -> float:
+        """The simulated clock since the start, displacements included."""
+        return self._steps * STEP_S + self._pause_s
+
+    @property
+    def half_width_m(self) -> float:
+        """Of the road, where the car is."""
+        point: int = round(self.arc_m / self._line.step_m)
+        return self._half_width_m[point % len(self._half_width_m)]
+
+    @property
+    def offset(self) -> float:
+        """The car's distance from the centre line as a share of the half width, positive to the left."""
+        return self.offset_m / self.half_width_m
+
+    @property
+    def off_road(self) -> bool:
+        return abs(self.offset_m) > self.half_width_m
+
+    @property
+    def heading_error_rad(self) -> float:
+        """The car's heading less the road's, -pi..pi: positive where it points to the left of the road."""
+        error = self.vehicle.heading_rad - self._line.at(self.arc_m).heading_rad
+        return math.remainder(error, math.tau)
+
+    @property
+    def progress_m(self) -> float:
+        """Road covered since the start, in its direction (negative behind the start)."""
+        return self._progress_m
+
+    @property
+    def laps(self) -> float:
+        """Laps driven, with the part of the present one."""
+        return self._progress_m / self._line.length_m
+
+    @property
+    def whole_laps(self) -> int:
+        """Laps finished: a line that is crossed backwards and again counts once."""
+        return int(self._best_progress_m / self._line.length_m)
+
+    @property
+    def stuck(self) -> bool:
+        """No progress for ``STUCK_S``: standing, turning in circles or driving the wrong way."""
+        return (self._steps - self._progress_step) * STEP_S >= STUCK_S
+
+    @property
+    def intervention_due(self) -> bool:
+        """When a policy without a person's judgement takes over: off the road, or stuck."""
+        return self.off_road or self.stuck
+
+    @property
+    def measures(self) -> Measures:
+        elapsed = self._steps * STEP_S
+        steps, seconds = max(1, self._steps), max(STEP_S, elapsed)
+        return Measures(
+            elapsed_s=elapsed,
+            distance_m=self._distance_m,
+            laps=self.laps,
+            interventions=self.interventions,
+            autonomy_percent=100.0 * max(0.0, 1.0 - INTERVENTION_COST_S * self.interventions / seconds),
+            mean_offset=self._offset_sum / steps,
+            max_offset=self._max_offset,
+            steering_per_s=self._steering_travel / seconds,
+            mean_speed_mph=self._distance_m / seconds / MPS_PER_MPH,
+        )
+
+    @property
+    def pose(self) -> Pose:
+        """The rear axle's place, and the attitude of four wheels that stand on the ground.
+
+        Slopes are taken between the axles and between the wheels, so that bumps smaller than the car are smoothed.
+        """
+        car = self.vehicle
+        cos, sin = math.cos(car.heading_rad), math.sin(car.heading_rad)
+
+        def height(forward_m: float, left_m: float) -> float:
+            x, y = car.x_m + forward_m * cos - left_m * sin, car.y_m + forward_m * sin + left_m * cos
+            if self._height_m is not None:
+                return self._height_m(x, y)
+            return self._line.at(self._line.project(x, y, self.arc_m)[0]).z_m
+
+        rear, front = height(-AXLE_TO_CENTRE_M, 0.0), height(AXLE_TO_CENTRE_M, 0.0)
+        left, right = height(0.0, WHEEL_TRACK_M / 2), height(0.0, -WHEEL_TRACK_M / 2)
+        return Pose(
+            x_m=car.x_m - AXLE_TO_CENTRE_M * cos,
+            y_m=car.y_m - AXLE_TO_CENTRE_M * sin,
+            z_m=rear,
+            heading_rad=car.heading_rad,
+            pitch_rad=math.atan2(front - rear, WHEELBASE_M),
+            roll_rad=math.atan2(left - right, WHEEL_TRACK_M),
+        )
+
+    def _put(self, arc_m: float, offset_m: float, turn_rad: float, motion: VehicleState) -> None:
+        place = self._line.at(arc_m)
+        self.vehicle = VehicleState(
+            place.x_m - offset_m * math.sin(place.heading_rad),
+            place.y_m + offset_m * math.cos(place.heading_rad),
+            place.heading_rad + turn_rad,
+            motion.speed_mps,
+            motion.wheel_angle_rad,
+            motion.yaw_rate_radps,
+        )
+        self.arc_m = arc_m % self._line.length_m
+        self.offset_m = offset_m
+        self._road_arc_m = self.arc_m
+        self._progress_mark_m = self._progress_m
+        self._progress_step = self._steps
+
+    def _keep_book(self) -> None:
+        self._steps += 1
+        moved_m = abs(self.vehicle.speed_mps) * STEP_S
+        self._distance_m += moved_m
+        arc_before_m, on_road_before = self.arc_m, not self.off_road
+        self.arc_m, self.offset_m = self._line.project(self.vehicle.x_m, self.vehicle.y_m, self.arc_m)
+        offset = abs(self.offset)
+        self._offset_sum += offset
+        self._max_offset = max(self._max_offset, offset)
+        if offset <= 1.0:
+            # The shortest way round the loop. On the inside of a bend the road passes faster than the car moves,
+            # up to a point's spacing at once; a jump from one arm of a hairpin to the other is no driving.
+            gained_m = math.remainder(self.arc_m - arc_before_m, self._line.length_m)
+            if on_road_before and abs(gained_m) <= self._line.step_m + 4.0 * moved_m:
+                self._progress_m += gained_m
+            self._road_arc_m = self.arc_m
+        self._best_progress_m = max(self._best_progress_m, self._progress_m)
+        if self._progress_m >= self._progress_mark_m + _STUCK_PROGRESS_M:
+            self._progress_mark_m, self._progress_step = self._progress_m, self._steps

@@ -1,0 +1,133 @@
+"""The expert driver: pure pursuit of the centre line, at a speed that the bends ahead allow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from simulator.driving.course import Course
+from simulator.driving.vehicle import (
+    AXLE_TO_CENTRE_M,
+    BRAKE_MPS2,
+    MAX_WHEEL_RAD,
+    MPS_PER_MPH,
+    STEERING_LAG_S,
+    THROTTLE_MPS2,
+    VehicleState,
+    resistance_mps2,
+    slope_mps2,
+    wheel_angle_for,
+)
+from simulator.roads.centreline import Centreline, Floats
+
+# The point that is pursued lies this far ahead. Nearer would keep a hairpin more exactly (this cuts it by 0.15
+# of the half width), but would answer a push with jerks, and a network that imitates them late would weave.
+LOOK_AHEAD_M = 4.0
+LOOK_AHEAD_S = 0.6
+
+BEND_MPS2 = 2.5  # lateral acceleration of a brisk driver, a third of the grip: the rest is for corrections
+SLOW_DOWN_MPS2 = 2.0  # planned braking
+_CURVATURE_SPAN_M = 5.0  # curvature is averaged over this length, so that one uneven point slows nobody
+_SPEED_GAIN_PER_S = 1.5
+
+# Hands wander slowly and without jerks: an Ornstein-Uhlenbeck process, passed once through a lag.
+_NOISE_TIME_S = 1.0
+_NOISE_LAG_S = 0.2
+
+
+class Expert:
+    """Drives a course along its centre line.
+
+    ``set_speed_mph`` is what it keeps where bends allow. ``noise`` is the standard deviation of the human-like
+    wandering that is added to its steering (0: none; 0.03 is a calm person), drawn from ``seed``: the same seed
+    and course give the same drive.
+    """
+
+    def __init__(self, line: Centreline, set_speed_mph: float, noise: float = 0.0, seed: int = 0) -> None:
+        if set_speed_mph <= 0:
+            raise ValueError(f"the set speed must be above 0 mph, not {set_speed_mph}")
+        if noise < 0:
+            raise ValueError(f"noise is a standard deviation, 0 or more, not {noise}")
+        self._line = line
+        self._speed_mps: list[float] = plan_speed(line, set_speed_mph * MPS_PER_MPH).tolist()
+        self._noise = _Wandering(noise, seed)
+
+    def control(self, course: Course) -> tuple[float, float]:
+        """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
+        steering = self._steer(course) + self._noise.at(course.time_s)
+        return min(1.0, max(-1.0, steering)), self._throttle(course)
+
+    def _steer(self, course: Course) -> float:
+        """Pure pursuit (Coulter 1992, CMU-RI-TR-92-01): the arc from the rear axle to a point of the line."""
+        x, y, direction = _where_it_will_be(course.vehicle)
+        speed = abs(course.vehicle.speed_mps)
+        arc, _ = self._line.project(x, y, course.arc_m)
+        goal = self._line.at(arc + LOOK_AHEAD_M + LOOK_AHEAD_S * speed)
+        dx, dy = goal.x_m - x, goal.y_m - y
+        to_the_left = -dx * math.sin(direction) + dy * math.cos(direction)
+        curvature = 2.0 * to_the_left / (dx * dx + dy * dy)
+        return -wheel_angle_for(curvature, speed) / MAX_WHEEL_RAD
+
+    def _throttle(self, course: Course) -> float:
+        """What the wanted acceleration, the resistances and the slope ask of engine or brakes."""
+        speed = course.vehicle.speed_mps
+        place = self._line.at(course.arc_m)
+        point: int = round(course.arc_m / self._line.step_m)
+        wanted = self._speed_mps[point % len(self._speed_mps)]
+        force = _SPEED_GAIN_PER_S * (wanted - speed) + resistance_mps2(speed, course.off_road)
+        force += slope_mps2(place.slope)
+        # At walking pace a negative throttle would reverse the car.
+        if force < 0 and speed < 0.5:
+            return 0.0
+        return min(1.0, max(-1.0, force / (THROTTLE_MPS2 if force > 0 else BRAKE_MPS2)))
+
+
+def plan_speed(line: Centreline, most_mps: float) -> Floats:
+    """(N,) m/s: the speed at each point of the line from which every bend ahead is still met slowly enough.
+
+    In a bend v² = a / curvature; before it v² may be higher by twice the braking times the distance.
+    """
+    span = 2 * round(_CURVATURE_SPAN_M / line.step_m / 2) + 1
+    curvature = np.mean([np.roll(line.curvature_per_m, k - span // 2) for k in range(span)], axis=0)
+    allowed: Floats = np.minimum(most_mps**2, BEND_MPS2 / np.maximum(np.abs(curvature), 1e-6))
+    gain = 2.0 * SLOW_DOWN_MPS2 * line.step_m
+    planned = allowed.copy()
+    for k in range(1, math.ceil(most_mps**2 / gain)):
+        planned = np.minimum(planned, np.roll(allowed, -k) + k * gain)
+    speed: Floats = np.sqrt(planned)
+    return speed
+
+
+def _where_it_will_be(car: VehicleState) -> tuple[float, float, float]:
+    """The rear axle's place and direction of motion when a command given now takes hold of the wheels."""
+    turn = car.yaw_rate_radps * STEERING_LAG_S
+    middle = car.heading_rad + turn / 2 - car.rear_slip_rad
+    way = car.speed_mps * STEERING_LAG_S
+    x = car.x_m - AXLE_TO_CENTRE_M * math.cos(car.heading_rad) + way * math.cos(middle)
+    y = car.y_m - AXLE_TO_CENTRE_M * math.sin(car.heading_rad) + way * math.sin(middle)
+    return x, y, car.heading_rad + turn - car.rear_slip_rad
+
+
+class _Wandering:
+    """Smooth noise over time with a given standard deviation."""
+
+    def __init__(self, deviation: float, seed: int) -> None:
+        # The lag takes some of the process's variance away; this much is put in to leave the deviation asked for.
+        self._deviation = deviation * math.sqrt(1.0 + _NOISE_LAG_S / _NOISE_TIME_S)
+        self._random = np.random.default_rng(seed)
+        self._time_s = 0.0
+        self._raw = 0.0
+        self._smooth = 0.0
+
+    def at(self, time_s: float) -> float:
+        if self._deviation == 0.0:
+            return 0.0
+        # A time that starts again is a new drive.
+        passed_s = max(0.0, time_s - self._time_s)
+        self._time_s = time_s
+        keep = math.exp(-passed_s / _NOISE_TIME_S)
+        spread = self._deviation * math.sqrt(1.0 - keep * keep)
+        self._raw = keep * self._raw + spread * self._random.standard_normal()
+        self._smooth += (self._raw - self._smooth) * (1.0 - math.exp(-passed_s / _NOISE_LAG_S))
+        return self._smooth

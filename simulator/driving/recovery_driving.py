@@ -1,0 +1,139 @@
+"""The drive of a recording: the expert follows the line, is pushed off it now and then, and comes back.
+
+A network that has only seen the middle of the road does not know what to do beside it. The push is not recorded
+(nobody should learn to leave the line), the coming back is; the clock runs on meanwhile, so that each push is
+a gap in the recording's times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulator.driving.course import Course
+from simulator.driving.expert import Expert
+from simulator.driving.vehicle import STEP_S
+from simulator.pose import Pose
+
+PUSH_S = 1.0  # how long the clock runs on at each push: plainly a gap at any recording rate in use
+MIN_PUSH, MAX_PUSH = 0.3, 0.8  # to either side, of the half width
+MAX_TURN_RAD = math.radians(25.0)
+# A turned car moves on to the side while it steers back. It is turned no further than that within this time, at
+# its speed, it would still be on the road.
+_REACTION_S = 1.0
+_ROOM = 0.9  # of the half width
+
+MOST_RECOVERY = 0.9  # share of the rows
+
+# Back on the line: this near and this well aligned (the middle of a car is 6 degrees askew in a bend of 12 m
+# even when its rear axle is not), or after this time.
+_BACK_OFFSET = 0.2
+_BACK_TURN_RAD = math.radians(8.0)
+_LONGEST_RECOVERY_S = 6.0
+_USUAL_RECOVERY_S = 2.0
+
+
+@dataclass(frozen=True)
+class DriveStep:
+    """One recorded moment: what the car does and what the expert commands there."""
+
+    time_s: float  # the simulated clock, 0 at the start
+    steering: float  # -1 (left) .. 1 (right)
+    throttle: float  # 0 .. 1
+    brake: float  # 0 .. 1
+    speed_mph: float
+    pose: Pose
+    progress_m: float  # along the road since the start
+    offset: float  # from the centre line, as a share of the half width, positive to the left
+    recovering: bool
+    after_gap: bool  # the first step after moments that were not recorded
+
+
+def drive_for_recording(
+    course: Course,
+    expert: Expert,
+    laps: float,
+    rate_hz: float = 10.0,
+    recovery_share: float = 0.35,
+    seed: int = 0,
+) -> Iterator[DriveStep]:
+    """Drives ``laps`` from the course's start, yielding ``rate_hz`` steps for each second that is recorded.
+
+    About ``recovery_share`` (0 .. 0.9) of the steps are recoveries, at places and from pushes drawn from
+    ``seed``. No step lies past ``laps``: a network trained on half a lap has never been in the other half.
+    The expert steers at 50 Hz; ``rate_hz`` must divide that.
+    """
+    steps = steps_each(rate_hz)
+    if not 0.0 <= recovery_share <= MOST_RECOVERY:
+        raise ValueError(f"recovery_share must be within 0 .. {MOST_RECOVERY:g}, not {recovery_share:g}")
+    if laps <= 0:
+        raise ValueError(f"laps must be above 0, not {laps:g}")
+    return _drive(course, expert, laps * course.line.length_m, steps, recovery_share, seed)
+
+
+def steps_each(rate_hz: float) -> int:
+    """How many of the simulator's steps there are to a told one. Raises ValueError if they are no whole number."""
+    steps = round(1.0 / (rate_hz * STEP_S)) if rate_hz > 0 else 0
+    if steps < 1 or abs(steps * STEP_S * rate_hz - 1.0) > 1e-6:
+        raise ValueError(f"--rate {rate_hz:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
+    return steps
+
+
+def _drive(
+    course: Course, expert: Expert, end_m: float, steps_each: int, share: float, seed: int
+) -> Iterator[DriveStep]:
+    random = np.random.default_rng(seed)
+    course.start()
+    recovering_since_s: float | None = None
+    next_push_s = _normal_stretch_s(random, share, _USUAL_RECOVERY_S)
+    after_gap = False
+    while course.progress_m <= end_m:
+        if recovering_since_s is not None and _back(course, recovering_since_s):
+            next_push_s = course.time_s + _normal_stretch_s(random, share, course.time_s - recovering_since_s)
+            recovering_since_s = None
+        if recovering_since_s is None and course.time_s >= next_push_s:
+            _push(course, random)
+            recovering_since_s, after_gap = course.time_s, True
+        steering, throttle = expert.control(course)
+        yield DriveStep(
+            time_s=course.time_s,
+            steering=steering,
+            throttle=max(0.0, throttle),
+            brake=max(0.0, -throttle),
+            speed_mph=course.vehicle.speed_mph,
+            pose=course.pose,
+            progress_m=course.progress_m,
+            offset=course.offset,
+            recovering=recovering_since_s is not None,
+            after_gap=after_gap,
+        )
+        after_gap = False
+        course.advance(steering, throttle)
+        for _ in range(steps_each - 1):
+            course.advance(*expert.control(course))
+
+
+def _normal_stretch_s(random: np.random.Generator, share: float, recovery_s: float) -> float:
+    """How long the expert is left alone for, so that a recovery of ``recovery_s`` makes up its share."""
+    if share == 0.0:
+        return math.inf
+    return recovery_s * (1.0 - share) / share * random.uniform(0.5, 1.5)
+
+
+def _push(course: Course, random: np.random.Generator) -> None:
+    """Puts the car off its line, moved aside and turned at random."""
+    side = random.choice([-1.0, 1.0])
+    offset_m = side * random.uniform(MIN_PUSH, MAX_PUSH) * course.half_width_m
+    turn = random.uniform(-MAX_TURN_RAD, MAX_TURN_RAD)
+    room_m = _ROOM * course.half_width_m - math.copysign(offset_m, offset_m * turn)
+    most = room_m / max(1.0, course.vehicle.speed_mps * _REACTION_S)
+    course.displace(offset_m, max(-most, min(most, turn)), PUSH_S)
+
+
+def _back(course: Course, since_s: float) -> bool:
+    if course.time_s - since_s >= _LONGEST_RECOVERY_S:
+        return True
+    return abs(course.offset) <= _BACK_OFFSET and abs(course.heading_error_rad) <= _BACK_TURN_RAD

@@ -1,0 +1,31 @@
+"""The built-in simulator as one thing: a track, its world, a car on it, and what the car's cameras see."""
+
+from __future__ import annotations
+
+import cv2
+
+from simulator.driving.course import Course
+from simulator.pose import Pose
+from simulator.rendering.camera import Camera, Renderer
+from simulator.rendering.world_maps import build_world
+from simulator.roads.track_names import load_track
+
+JPEG_QUALITY = 75  # Unity's default; the pictures are of the size of the real ones
+
+
+class Simulation:
+    """A car at rest at the start of a track. Raises ValueError for a track that does not exist."""
+
+    def __init__(self, track: str) -> None:
+        self.track = load_track(track)
+        world = build_world(self.track)
+        self.course = Course(self.track, world.height_m)
+        self._renderer = Renderer(world)
+
+    def jpeg(self, camera: Camera = "center", pose: Pose | None = None) -> bytes:
+        """What a camera sees, 320x160, from where the car is or from another pose."""
+        picture = self._renderer.render(pose or self.course.pose, camera)
+        ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if not ok:  # cannot happen with a picture of ours; said rather than lost in silence
+            raise RuntimeError("OpenCV could not write a JPEG")
+        return encoded.tobytes()

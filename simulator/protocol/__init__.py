@@ -1,0 +1,1 @@
+"""The real simulator's side of the connection, and its recordings' folder."""

@@ -1,0 +1,100 @@
+"""Writing a drive as the real simulator's training mode does: `driving_log.csv` and `IMG/`."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from common import UserError, files
+from common.interrupts import uninterrupted
+from simulator.rendering.camera import Camera
+
+ORDER: tuple[Camera, ...] = ("center", "left", "right")
+
+
+class UdacityFolder:
+    """A recording being written into `folder`, which must be empty or not exist.
+
+    As a context manager it gives the csv its name in the end; if anything was raised, nothing of it stays.
+    Everything raises UserError where the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if folder.exists() and any(folder.iterdir()):
+            raise UserError(f"{folder}: not empty; a recording needs a new folder")
+        self._folder = folder
+        self._images = folder.resolve() / "IMG"
+        self._csv_path = folder / "driving_log.csv"
+        self._part = files.part_path(self._csv_path)
+        self._made: list[Path] = []
+        with self._told():
+            self._made = files.make_folder(self._images)
+            try:
+                self._csv = self._part.open("x", encoding="utf-8", newline="")
+            except OSError:
+                files.remove_empty(self._made)
+                raise
+
+    def row(
+        self,
+        time_ns: int,
+        jpegs: Mapping[Camera, bytes],
+        *,
+        steering: float,
+        throttle: float,
+        brake: float,
+        speed_mph: float,
+    ) -> None:
+        """One row and its pictures; the time becomes part of their names, to the millisecond."""
+        moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
+        stamp = f"{moment:%Y_%m_%d_%H_%M_%S}_{moment.microsecond // 1000:03d}"
+        paths = [self._images / f"{camera}_{stamp}.jpg" for camera in ORDER]
+        # C# prints floats with seven significant digits, and exponents as E-05
+        values = [f"{value:.7g}".replace("e", "E") for value in (steering, throttle, brake, speed_mph)]
+        with self._told():
+            for camera, path in zip(ORDER, paths, strict=True):
+                path.write_bytes(jpegs[camera])
+            self._csv.write(",".join([*map(str, paths), *values]) + "\n")
+
+    def finish(self) -> None:
+        """Bring all rows to the disk; the csv still has its temporary name."""
+        with self._told():
+            self._csv.flush()
+            os.fsync(self._csv.fileno())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with uninterrupted():
+            if kind is not None:
+                self._discard()
+                return
+            with self._told():
+                self._csv.close()
+            files.publish(self._part, self._csv_path, overwrite=False)
+
+    def _discard(self) -> None:
+        with contextlib.suppress(OSError):  # what is left in the buffer would meet the full disk again
+            self._csv.close()
+        self._part.unlink(missing_ok=True)
+        shutil.rmtree(self._images, ignore_errors=True)
+        files.remove_empty(self._made)
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        """What cannot be written, in one line."""
+        try:
+            yield
+        except OSError as error:
+            raise UserError(
+                f"{self._folder}: cannot be written ({error.strerror}); nothing was kept of it"
+            ) from None

@@ -1,0 +1,1 @@
+"""What the cameras see: the land, the road's surface, what stands beside it, the sky."""

@@ -1,0 +1,166 @@
+"""What stands beside the road: trees, bushes, boulders and posts, each a flat picture that faces the
+camera."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.rendering.terrain import CELL_M, Terrain
+from simulator.roads.road_stretches import Floats
+from simulator.roads.track_names import Track
+
+Sprite = NDArray[np.uint8]  # (rows, columns, 4) BGRA, standing on its lowest row
+
+PINE, PALM, BUSH, BOULDER, POST = range(5)
+HEIGHTS_M = {PINE: (6.0, 12.0), PALM: (4.5, 7.5), BUSH: (0.8, 2.2), BOULDER: (0.8, 2.5), POST: (1.0, 1.0)}
+FROM_EDGE_M = {PINE: (4.0, 45.0), PALM: (3.0, 20.0), BUSH: (2.2, 25.0), BOULDER: (2.5, 20.0), POST: (0.9, 0.9)}
+POSTS_EVERY_M = 18.0
+STEEPEST = 0.9  # rise over run of ground that props stand on
+SIZE_PX = 128
+SUN = (0.5, 0.35, 0.8)  # the direction of the light: east, north, up
+
+
+def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> Floats:
+    """Stand props along the road: (P, 5) float64 of x, y, z of the foot, height in metres, and kind.
+
+    Nothing stands on another stretch of the road, in the water, or on a bridge.
+    """
+    line, found = track.line, []
+    for k in range(len(line.points_m)):
+        look = track.looks[track.look_index[k]]
+        for side, edge in ((1.0, look.left), (-1.0, look.right)):
+            kinds = (PALM, BUSH, BUSH, BOULDER) if look.jungle else (PINE, PINE, BUSH, BOULDER)
+            kind = kinds[int(random.integers(4))]
+            post = (
+                edge.kind in ("line", "dirt") and edge.bank_m < 2.0 and k % round(POSTS_EVERY_M / line.step_m) == 0
+            )
+            if post:
+                kind = POST
+            elif random.random() > edge.props_per_100m * line.step_m / 100.0:
+                continue
+            near, far = FROM_EDGE_M[kind]
+            # More of them near the road, where they are seen.
+            away = track.half_width_m[k] + near + (far - near) * random.random() ** 1.5
+            x = line.points_m[k, 0] - side * away * np.sin(line.heading_rad[k])
+            y = line.points_m[k, 1] + side * away * np.cos(line.heading_rad[k])
+            found.append((x, y, 0.0, random.uniform(*HEIGHTS_M[kind]), kind))
+    props = np.array(found, dtype=np.float64).reshape(-1, 5)
+    column, row = (np.round((props[:, i] - terrain.origin_m[i]) / CELL_M).astype(int) for i in (0, 1))
+    props[:, 2] = terrain.height_m[row, column] - 0.05
+    clear = terrain.beyond_m[row, column] > np.where(props[:, 4] == POST, 0.7, 2.0)
+    # Nor on a rock face.
+    rise = np.hypot(
+        *(cv2.Sobel(terrain.height_m, cv2.CV_32F, *d, scale=1 / (8 * CELL_M)) for d in ((1, 0), (0, 1)))
+    )
+    clear &= rise[row, column] < STEEPEST
+    return np.asarray(props[clear & (props[:, 2] > terrain.water_level_m + 0.2)], dtype=np.float64)
+
+
+def cast_shadows(track: Track, terrain: Terrain, props: Floats, random: np.random.Generator) -> NDArray[np.uint8]:
+    """How much light the props and the branches over shaded stretches leave: (rows, columns) uint8, 255 is
+    all."""
+    light = np.full(terrain.height_m.shape, 255, np.uint8)
+    reach = np.array([-SUN[0], -SUN[1]]) / SUN[2]
+
+    def cell(x_m: float, y_m: float) -> tuple[int, int]:
+        return round((x_m - terrain.origin_m[0]) / CELL_M), round((y_m - terrain.origin_m[1]) / CELL_M)
+
+    for x, y, _, height, kind in props:
+        if kind == POST:
+            continue
+        top = (x + reach[0] * height, y + reach[1] * height)
+        if kind in (PINE, PALM):
+            cv2.line(light, cell(x, y), cell(*top), 120, 1)
+        centre = cell(0.3 * x + 0.7 * top[0], 0.3 * y + 0.7 * top[1])
+        cv2.circle(light, centre, max(1, round(0.22 * height / CELL_M)), 115, -1)
+    line = track.line
+    for k in range(0, len(line.points_m), max(1, round(1.5 / line.step_m))):
+        if random.random() > track.looks[track.look_index[k]].shade:
+            continue
+        side = np.array([-np.sin(line.heading_rad[k]), np.cos(line.heading_rad[k])])
+        ahead = np.array([side[1], -side[0]])
+        start, end = sorted(random.uniform(-9.0, 9.0, 2))
+        foot = line.points_m[k, :2] + start * side
+        tip = line.points_m[k, :2] + end * side + random.uniform(-3.0, 3.0) * ahead
+        cv2.line(light, cell(*foot), cell(*tip), 125, int(random.integers(2, 5)))
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), 0.8), dtype=np.uint8)
+
+
+def draw_sprites() -> dict[int, list[Sprite]]:
+    """The pictures of each kind, several variants each, 128 px high."""
+    random = np.random.default_rng(5)
+    painters = {PINE: _pine, PALM: _palm, BUSH: _bush, BOULDER: _boulder, POST: _post}
+    return {kind: [paint(random) for _ in range(1 if kind == POST else 3)] for kind, paint in painters.items()}
+
+
+def _blobs(
+    random: np.random.Generator, sprite: Sprite, centres: Floats, radius_px: float, dark: Floats, bright: Floats
+) -> None:
+    """Foliage: discs, darker first and brighter on top, with the light from above left."""
+    for depth, (x, y) in enumerate(centres):
+        colour = dark + (bright - dark) * (depth / len(centres)) * random.uniform(0.6, 1.0)
+        radius = max(1, round(radius_px * random.uniform(0.5, 1.0)))
+        cv2.circle(sprite, (round(x), round(y)), radius, (*colour.tolist(), 255), -1, cv2.LINE_AA)
+
+
+def _pine(random: np.random.Generator) -> Sprite:
+    sprite = np.zeros((SIZE_PX, 72, 4), np.uint8)
+    cv2.line(sprite, (36, 127), (36, 15), (32, 44, 58, 255), 3, cv2.LINE_AA)
+    count = 150
+    y = np.sort(random.uniform(6, 88, count) + random.uniform(0, 6, count))[::-1]
+    spread = (y - 2) * random.uniform(0.22, 0.34)
+    x = 36 + spread * random.uniform(-1, 1, count)
+    order = random.permutation(count)
+    _blobs(random, sprite, np.stack([x, y], 1)[order], 5.0, np.array([18.0, 34, 28]), np.array([48.0, 92, 84]))
+    return sprite
+
+
+def _palm(random: np.random.Generator) -> Sprite:
+    sprite = np.zeros((SIZE_PX, 128, 4), np.uint8)
+    lean = random.uniform(-14, 14)
+    height = np.linspace(0, 1, 12)
+    trunk = np.stack([64 + lean * height**2, 127 - 88 * height], axis=1)
+    cv2.polylines(sprite, [np.round(trunk).astype(np.int32)], False, (52, 66, 78, 255), 5, cv2.LINE_AA)
+    for angle in np.concatenate([random.uniform(-0.3, np.pi + 0.3, 16), random.uniform(-0.6, np.pi + 0.6, 8)]):
+        t = np.linspace(0, 1, 8)
+        length = random.uniform(34, 52)
+        frond = trunk[-1] + np.stack([t * length * np.cos(angle), 30 * t**2 - t * length * np.sin(angle) * 0.7], 1)
+        shade = random.uniform(0.5, 1.1)
+        colour = (24 * shade, 74 * shade, 58 * shade, 255)
+        cv2.polylines(
+            sprite, [np.round(frond).astype(np.int32)], False, colour, int(random.integers(3, 6)), cv2.LINE_AA
+        )
+    return sprite
+
+
+def _bush(random: np.random.Generator) -> Sprite:
+    sprite = np.zeros((SIZE_PX, 192, 4), np.uint8)
+    angle, radius = random.uniform(0, np.pi, 130), np.sqrt(random.uniform(0, 1, 130))
+    centres = np.stack([96 + 78 * radius * np.cos(angle), 122 - 96 * radius * np.sin(angle)], axis=1)
+    _blobs(random, sprite, centres, 13.0, np.array([14.0, 34, 30]), np.array([36.0, 98, 88]))
+    return sprite
+
+
+def _boulder(random: np.random.Generator) -> Sprite:
+    sprite = np.zeros((SIZE_PX, 176, 4), np.uint8)
+    angle = np.linspace(0, np.pi, 14)
+    radius = random.uniform(0.75, 1.0, 14)
+    outline = np.stack([88 + 84 * radius * np.cos(angle), 127 - 118 * radius * np.sin(angle)], axis=1)
+    cv2.fillPoly(sprite, [np.round(outline).astype(np.int32)], (74, 86, 90, 255), cv2.LINE_AA)
+    inside = sprite[..., 3] == 255
+    shade = np.linspace(1.25, 0.55, SIZE_PX)[:, None] + 0.15 * random.normal(size=(SIZE_PX // 8, 22)).repeat(
+        8, 0
+    ).repeat(8, 1)
+    colours = np.clip(sprite[..., :3] * shade[..., None], 0, 255).astype(np.uint8)
+    sprite[..., :3] = np.where(inside[..., None], cv2.blur(colours, (5, 5)), sprite[..., :3])
+    return sprite
+
+
+def _post(random: np.random.Generator) -> Sprite:
+    sprite = np.zeros((SIZE_PX, 24, 4), np.uint8)
+    sprite[4:, 4:20] = (205, 210, 212, 255)
+    sprite[18:44, 4:20] = (40, 40, 46, 255)
+    sprite[24:38, 8:16] = (60, 60, 200, 255)
+    return sprite

@@ -1,0 +1,104 @@
+"""Draws the props into a picture: flat, upright, hidden by the ground where it is nearer."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.rendering.noise import Field
+from simulator.rendering.props import Sprite, draw_sprites
+from simulator.roads.road_stretches import Floats
+
+NEAR_M, FAR_M = 1.5, 150.0
+FADE_M = 30.0  # before FAR_M, over which they appear
+SMALLEST_PX = 3.0
+
+
+class PropsView:
+    """The props of one world: (P, 5) as placed by ``props.place_props``."""
+
+    def __init__(self, props: Floats) -> None:
+        self._props = props
+        self._sprites = {kind: [_halvings(s) for s in variants] for kind, variants in draw_sprites().items()}
+
+    def draw(
+        self,
+        picture: NDArray[np.uint8],
+        inverse: Field,
+        eye_m: tuple[float, float, float],
+        heading_rad: float,
+        to_camera: Floats,
+        focal_px: float,
+    ) -> None:
+        """Draw, far ones first, into a picture whose ground is at the given inverse forward distances
+        (1/m)."""
+        cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+        east, north, up = (self._props[:, :3] - eye_m).T
+        ahead, left = east * cos + north * sin, north * cos - east * sin
+        foot = to_camera @ np.stack([ahead, left, up])
+        depth = np.maximum(foot[0], 1e-3)
+        size_px = self._props[:, 3] * focal_px / depth
+        height, width = inverse.shape
+        column, row = width / 2 - focal_px * foot[1] / depth, height / 2 - focal_px * foot[2] / depth
+        seen = (
+            (ahead > NEAR_M)
+            & (ahead < FAR_M)
+            & (size_px > SMALLEST_PX)
+            & (np.abs(column - width / 2) < width / 2 + size_px)
+        )
+        for k in np.flatnonzero(seen)[np.argsort(-ahead[seen], kind="stable")]:
+            variants = self._sprites[int(self._props[k, 4])]
+            strength = min(1.0, (FAR_M - float(ahead[k])) / FADE_M)
+            _stamp(
+                picture,
+                inverse,
+                variants[k % len(variants)],
+                (column[k], row[k], size_px[k]),
+                1 / ahead[k],
+                strength,
+            )
+
+
+def _halvings(sprite: Sprite) -> list[Sprite]:
+    """The sprite and its averaged halvings, colours weighted by opacity, so that scaling down does not
+    flicker."""
+    levels = [sprite]
+    alpha = sprite[..., 3:].astype(np.float32)
+    weighted = np.dstack([sprite[..., :3] * alpha, alpha])
+    while weighted.shape[0] > 8:
+        weighted = cv2.resize(
+            weighted, (max(1, weighted.shape[1] // 2), weighted.shape[0] // 2), interpolation=cv2.INTER_AREA
+        )
+        colour = weighted[..., :3] / np.maximum(weighted[..., 3:], 1e-3)
+        levels.append(np.dstack([colour, weighted[..., 3:]]).astype(np.uint8))
+    return levels
+
+
+def _stamp(
+    picture: NDArray[np.uint8],
+    inverse: Field,
+    levels: list[Sprite],
+    place: tuple[float, float, float],
+    nearness: float,
+    strength: float,
+) -> None:
+    """Blend one sprite in; ``place`` is its foot's column and row and its height, in pixels."""
+    column, foot, size = place
+    sprite = levels[int(np.clip(np.log2(levels[0].shape[0] / size), 0, len(levels) - 1))]
+    scale = size / sprite.shape[0]
+    left, top = column - sprite.shape[1] * scale / 2, foot - size
+    x0, x1 = max(0, int(np.floor(left))), min(picture.shape[1], int(np.ceil(left + sprite.shape[1] * scale)))
+    y0, y1 = max(0, int(np.floor(top))), min(picture.shape[0], int(np.ceil(foot)))
+    if x0 >= x1 or y0 >= y1:
+        return
+    # Sub-pixel placement: sprite coordinates of the target's pixel centres.
+    affine = np.array(
+        [[1 / scale, 0.0, (x0 + 0.5 - left) / scale - 0.5], [0.0, 1 / scale, (y0 + 0.5 - top) / scale - 0.5]]
+    )
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    patch = cv2.warpAffine(sprite, affine, (x1 - x0, y1 - y0), flags=flags, borderMode=cv2.BORDER_CONSTANT)
+    free = inverse[y0:y1, x0:x1] < nearness * 1.02
+    alpha = (patch[..., 3] * free * np.float32(strength / 255.0))[..., None]
+    target = picture[y0:y1, x0:x1]
+    target[...] = target + alpha * (patch[..., :3].astype(np.float32) - target) + np.float32(0.5)

@@ -1,0 +1,120 @@
+"""A track's world, baked into maps that a camera can look things up in."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.rendering.ground_texture import paint_ground
+from simulator.rendering.noise import Field
+from simulator.rendering.props import cast_shadows, place_props
+from simulator.rendering.road_texture import paint_road
+from simulator.rendering.sky import paint_sky
+from simulator.rendering.terrain import CELL_M, shape_terrain
+from simulator.roads.road_stretches import Floats
+from simulator.roads.track_names import Track
+
+FORMAT = 3  # of the cache files; raise it when anything that shapes or paints a world changes
+
+
+@dataclass(frozen=True)
+class World:
+    """Maps of (rows to the north, columns to the east) square cells of ``CELL_M``; cell [0, 0] is at
+    ``origin_m``."""
+
+    origin_m: Floats  # (2,) east, north
+    length_m: Floats  # () of the road
+    height: Field  # (rows, columns) metres
+    offset: Field  # (rows, columns) metres from the centre line, positive to the left
+    arc: Field  # (rows, columns) metres along the centre line
+    ground: NDArray[np.uint8]  # (rows, columns, 3) BGR
+    road: NDArray[np.uint8]  # see road_texture.paint_road
+    sky: NDArray[np.uint8]  # see sky.paint_sky
+    props: Floats  # see props.place_props
+
+    def height_m(self, x_m: float, y_m: float) -> float:
+        """The height of the ground, bilinear between cells; beyond the map's rim it is the rim's."""
+        rows, columns = self.height.shape
+        column = min(max((x_m - self.origin_m[0]) / CELL_M, 0.0), columns - 1.001)
+        row = min(max((y_m - self.origin_m[1]) / CELL_M, 0.0), rows - 1.001)
+        i, j = int(row), int(column)
+        u, v = row - i, column - j
+        cells = self.height[i : i + 2, j : j + 2].astype(np.float64)
+        return float(
+            (1 - u) * ((1 - v) * cells[0, 0] + v * cells[0, 1]) + u * ((1 - v) * cells[1, 0] + v * cells[1, 1])
+        )
+
+
+def build_world(track: Track, cache: bool = True) -> World:
+    """Bake a track's world, or read it back if an earlier call has.
+
+    The cache lies in ``$BC_CACHE``, else in ``behavioural-cloning-toolkit`` under ``$XDG_CACHE_HOME`` or
+    ``~/.cache``. A cache that is damaged, old or not writable costs time and nothing else.
+    """
+    if not cache:
+        return _bake(track)
+    path = _cache_file(track)
+    world = _load(path)
+    if world is None:
+        world = _bake(track)
+        _save(path, world)
+    return world
+
+
+def _bake(track: Track) -> World:
+    seed = int.from_bytes(hashlib.sha256(track.name.encode()).digest()[:8], "little")
+    random = np.random.default_rng(seed)
+    terrain = shape_terrain(track, random)
+    props = place_props(track, terrain, random)
+    light = cast_shadows(track, terrain, props, random)
+    ground = paint_ground(track, terrain, light, random)
+    return World(
+        origin_m=np.array(terrain.origin_m),
+        length_m=np.array(track.line.length_m),
+        height=terrain.height_m,
+        offset=terrain.offset_m,
+        arc=terrain.arc_m,
+        ground=ground,
+        road=paint_road(track, terrain, ground, light, random),
+        sky=paint_sky(random, jungle=float(np.mean([track.looks[k].jungle for k in track.look_index]))),
+        props=props,
+    )
+
+
+def _cache_file(track: Track) -> Path:
+    base = os.environ.get("BC_CACHE")
+    if base:
+        folder = Path(base)
+    else:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folder /= "behavioural-cloning-toolkit"
+    name = track.name.replace(":", "-")
+    return folder / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
+
+
+def _load(path: Path) -> World | None:
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            return World(**{field.name: file[field.name] for field in fields(World)})
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _save(path: Path, world: World) -> None:
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            temporary = Path(file.name)
+            np.savez(file, **{field.name: getattr(world, field.name) for field in fields(World)})
+        os.replace(temporary, path)  # noqa: PTH105 - the whole file at once, or none of it
+    except OSError:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)

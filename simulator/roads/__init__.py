@@ -1,0 +1,1 @@
+"""Roads by name, as lists of stretches, and made from a seed."""

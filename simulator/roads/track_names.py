@@ -1,0 +1,71 @@
+"""Tracks by name: ``lake``, ``mountain`` and ``random:SEED``."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import did_you_mean
+from simulator.roads.built_in_tracks import LAKE, MOUNTAIN
+from simulator.roads.centreline import Centreline
+from simulator.roads.random_road import random_road
+from simulator.roads.road_stretches import Floats, Look, trace
+
+WIDTH_SMOOTHING_M = 4.0
+
+
+@dataclass(frozen=True)
+class Track:
+    """A closed road and what it looks like.
+
+    ``half_width_m`` is (N,) float64, for each of the N points of ``line``: from the centre line to the
+    road's edge on either side; a car whose middle is farther out than that is off the road. ``look_index``
+    is (N,), into ``looks``.
+    """
+
+    name: str
+    line: Centreline
+    half_width_m: Floats
+    looks: tuple[Look, ...]
+    look_index: NDArray[np.intp]
+
+    def fingerprint(self) -> str:
+        """A hash of everything that the track's world is made from."""
+        digest = hashlib.sha256(repr((self.name, self.looks)).encode())
+        for values in (self.line.points_m, self.half_width_m, self.look_index.astype(np.int64)):
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()
+
+
+def load_track(name: str) -> Track:
+    """The track called ``lake``, ``mountain`` or ``random:SEED`` (SEED a whole number, 0 or more).
+
+    Raises ``ValueError`` for any other name.
+    """
+    built_in = {"lake": LAKE, "mountain": MOUNTAIN}.get(name)
+    if built_in is not None:
+        points, index = trace(built_in)
+        return make_track(name, points, tuple(s.look for s in built_in), index)
+    seed = re.fullmatch(r"random:([0-9]{1,18})", name)
+    if seed is None:
+        meant = did_you_mean(name.lower(), ("lake", "mountain", "random:7"))
+        choice = "Choose lake, mountain or random:SEED (such as random:7)"
+        raise ValueError(f"no such track{f'; {meant}' if meant else '.'} {choice}")
+    points, looks, index = random_road(int(seed[1]))
+    return make_track(name, points, looks, index)
+
+
+def make_track(name: str, points_m: Floats, looks: tuple[Look, ...], index: NDArray[np.intp]) -> Track:
+    """A track from the points (N, 3) of a closed road in metres and the number of each point's look."""
+    line = Centreline(points_m)
+    count = len(line.points_m)
+    at = index[np.arange(count) * len(index) // count]
+    half_width = np.array([look.half_width_m for look in looks])[at]
+    reach = round(WIDTH_SMOOTHING_M / line.step_m)
+    padded = np.concatenate([half_width[-reach:], half_width, half_width[:reach]])
+    smooth = np.convolve(padded, np.full(2 * reach + 1, 1 / (2 * reach + 1)), mode="valid")
+    return Track(name, line, smooth, looks, at)

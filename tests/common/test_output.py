@@ -1,0 +1,244 @@
+"""What commands print passes one place: foreign control characters are escaped there, and commands spelled."""
+
+from __future__ import annotations
+
+import ast
+import os
+import pty
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.table import Table
+from test_rooms import MAY_IMPORT, ROOT
+
+from common.output import as_typed, print_message, print_result, print_table
+from driving import command, environment, run
+from logs import write_log
+from model import train
+from toy import TINY, road, toy_index
+
+EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\nbc-log: all is well\r\u202eb"
+CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u202e]")
+PRINTING = {"print", "Console", "sys.stdout", "sys.stderr", "sys.__stdout__", "sys.__stderr__", "os.write"}
+
+
+def printed_by_itself(tree: ast.Module) -> list[str]:
+    """Where a module prints, or gets hold of what prints."""
+    found = []
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.Call):
+            names = [ast.unparse(node.func)]
+        elif isinstance(node, ast.Attribute):
+            names = [ast.unparse(node)]
+        elif isinstance(node, ast.ImportFrom):
+            names = [alias.name for alias in node.names]
+        found += [f"line {getattr(node, 'lineno', 0)}: {name}" for name in names if name in PRINTING]
+    return found
+
+
+@pytest.mark.parametrize("room", sorted(MAY_IMPORT.keys() - {"common"}))
+def test_no_room_prints_by_itself(room: str) -> None:
+    """Results go through `common.output.print_result` and `print_table`, all else through `print_message`."""
+    for path in (ROOT / room).rglob("*.py"):
+        assert printed_by_itself(ast.parse(path.read_text(encoding="utf-8"))) == [], path
+
+
+def test_nothing_in_a_line_moves_the_cursor_or_begins_another(capsys: pytest.CaptureFixture[str]) -> None:
+    print_result(EVIL, "a second line")
+    print_message(EVIL)
+    print_message(EVIL, heading="bc-log:", style="red")
+    table = Table(EVIL, box=None)
+    table.add_row(f"[red]{EVIL}[/]")
+    print_table(table, f"[bold]{EVIL}[/]")
+    out, err = capsys.readouterr()
+    assert not CONTROL.search(out)
+    assert not CONTROL.search(err)
+    assert out.splitlines()[0].count("bc-log: all is well") == 1
+    assert out.splitlines()[1] == "a second line"
+    assert len(err.splitlines()) == 2
+
+
+def evil_commands(log: Path, index: Path) -> dict[str, list[str]]:
+    """Commands that have something to say of foreign names, and end well."""
+    other = log.with_name(f"{EVIL}2.mcap")
+    return {
+        "check": command("bc-log", "check", log),
+        "info": command("bc-log", "info", log),
+        "trim": command("bc-log", "trim", log, "--to", other, "--start", "0"),
+        "recover": command("bc-log", "recover", log, "--to", other),
+        "merge": command("bc-log", "merge", log, log, "--to", other),
+        "index": command("bc-index", log, "--index", index, "--report"),
+        "save": command("bc-play", log, "--save", log.with_suffix(".rrd")),
+        "missing": command("bc-log", "info", log.with_name(f"{EVIL}3.mcap")),
+        "usage": command("bc-log", "info", f"--{EVIL}"),
+    }
+
+
+@pytest.mark.parametrize("name", evil_commands(Path("log"), Path("index")))
+def test_no_name_reaches_the_terminal_as_a_control_character(name: str, tmp_path: Path) -> None:
+    log = write_log(tmp_path / f"{EVIL}.mcap", [0.1] * 20, road, cameras=["center"])
+    said = on_terminal(evil_commands(log, tmp_path / "index")[name], tmp_path)
+    beyond_colours = re.sub(r"\x1b\[[0-9;]*m|\r\n", "\n", said)
+    # what draws bars: lines erased, cursor up, hidden and shown
+    assert not CONTROL.search(re.sub(r"\x1b\[(2K|1A|\?25[lh])|\r", "", beyond_colours)), ascii(said)
+    assert "owned" in said  # it has been named
+
+
+def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
+    """What a command shows on a terminal of its own."""
+    shown, terminal = pty.openpty()
+    colours = {**environment(), "TERM": "xterm"}
+    colours.pop("NO_COLOR")
+    process = subprocess.Popen(line, cwd=cwd, env=colours, stdout=stdout or terminal, stderr=terminal)
+    os.close(terminal)
+    said = b""
+    try:
+        while data := os.read(shown, 65536):
+            said += data
+    except OSError:  # so ends a terminal on Linux
+        pass
+    os.close(shown)
+    process.wait()
+    return said.decode()
+
+
+def test_a_message_stands_above_a_status_line_and_the_way_out_is_said_once(tmp_path: Path) -> None:
+    """Whoever prints it: the status line is erased before, and drawn anew below."""
+    code = (
+        "import threading; from common.interrupts import Stopping, way_out_was_said\n"
+        "from common.output import print_message; from common.progress import StatusLine, track\n"
+        "slow = threading.Event(); asked = Stopping(lambda: None, slow.set)\n"
+        "with StatusLine() as line:\n"
+        "    line.show('the live line')\n"
+        "    print_message('MESSAGE')\n"
+        "for item in track([1], 'the live line', 1):\n"
+        "    print_message('MESSAGE')\n"
+        "with asked:\n"
+        "    asked.heard(2, 2); way_out_was_said()\n"
+        "    print_message(f'said again: {slow.wait(2.5)}')\n"
+    )
+    shown = on_terminal([sys.executable, "-c", code], tmp_path)
+    lines = [re.sub(r"^.*\x1b\[2K", "", line) for line in shown.replace("\r\n", "\n").split("\n")]
+    assert sum(re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]|\r", "", line) == "MESSAGE" for line in lines) == 2, ascii(shown)
+    assert "said again: False" in shown
+
+
+def test_results_get_into_the_file_while_a_bar_is_on_the_terminal(tmp_path: Path) -> None:
+    """A bar takes over what is printed, so that it stands above it."""
+    index = toy_index(tmp_path)
+    with (tmp_path / "said").open("wb") as file:
+        flags = ["--name", "toy", "--index", index, "--epochs", "1", "--batch", "8", "--threads", "1"]
+        shown = on_terminal(command("bc-train", *flags), tmp_path, stdout=file.fileno())
+    assert "epoch  1" in (tmp_path / "said").read_text()
+    assert "epoch  1" not in shown
+
+
+def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scripts = tmp_path / "a place" / "bin"
+    scripts.mkdir(parents=True)
+    (scripts / "bc-play").write_text("#!/bin/sh\n")
+    (scripts / "bc-play").chmod(0o755)
+    monkeypatch.setattr("sysconfig.get_path", lambda name: str(scripts))
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert shlex.split(as_typed("bc-play")) == [str(scripts / "bc-play")]
+    monkeypatch.chdir(tmp_path)
+    print_result("look at it with `bc-play run.mcap`; `bc-playful` is none, and bc-play is a name")
+    assert capsys.readouterr().out == (
+        "look at it with `'a place/bin/bc-play' run.mcap`; `bc-playful` is none, and bc-play is a name\n"
+    )
+    monkeypatch.setenv("PATH", str(scripts))
+    assert as_typed("bc-play") == "bc-play"
+    assert as_typed("rerun") == "rerun"  # of a toolkit that is not installed
+
+
+def test_what_libraries_print_keeps_its_colours_and_loses_the_rest() -> None:
+    code = (
+        "import sys; from common.streams import drain, unhurried_streams\n"
+        "with unhurried_streams():\n"
+        f"    print('\\x1b[31mred\\x1b[0m', {EVIL!r}, file=sys.stderr)\n"
+        "    print('\\udcff, and a tab:\\t.')\n"
+        "    drain()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, check=False, text=True
+    )
+    assert done.stderr.startswith("\x1b[31mred\x1b[0m a\\x1b]0;owned\\x07\\x1b[2J\\x9b31m\nbc-log")
+    assert done.stdout == "\\udcff, and a tab:\t.\n"
+
+
+BESIDE_A_BAR = """
+import logging
+from dataclasses import dataclass
+from common.command import run_command
+from common.output import print_message
+from common.progress import StatusLine, progress_bar
+
+@dataclass
+class Nothing:
+    pass
+
+def act(config):
+    with progress_bar() as bar:
+        bar.update(bar.add_task("training", total=10, note=""), advance=1)
+        print_message("said")
+        logging.getLogger("model").warning("logged: %s", {evil!r} * 5)
+        bar.refresh()
+    with StatusLine() as status:
+        status.show("driving")
+        logging.getLogger("model").warning("logged again")
+        print_message("said again")
+    return 0
+
+run_command("bc-test", Nothing, act)
+"""
+
+
+def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path) -> None:
+    shown = on_terminal([sys.executable, "-c", BESIDE_A_BAR.format(evil=EVIL)], tmp_path)
+    drawing = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+    lines = [re.split(r"\r", drawing.sub("", line))[-1] for line in shown.split("\r\n")]
+    assert "said" in lines
+    assert "logged again" in lines
+    assert "said again" in lines
+    (logged,) = (line for line in lines if line.startswith("logged: "))
+    assert logged.count("owned") == 5
+    assert not CONTROL.search(drawing.sub("", shown).replace("\r", "").replace("\n", ""))
+
+
+EARLIER = """
+import logging, sys
+from pathlib import Path
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+path = Path(sys.argv[1])
+with safe_open(path, framework="np") as file:
+    stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
+save_file(load_file(path), path, stored)
+"""
+
+
+def test_what_training_logs_is_a_message_in_every_command_that_loads_a_run(tmp_path: Path) -> None:
+    """A run of an earlier version, whose name nobody would give."""
+    index = toy_index(tmp_path)
+    evil = tmp_path / "runs" / "a\x1b[2Jb\nc"
+    train(index, evil, replace(TINY, epochs=1, batch=8), figures=False, show_progress=False)
+    subprocess.run([sys.executable, "-c", EARLIER, evil / "model.safetensors"], check=True)
+    told = f"{tmp_path}/runs/a\\x1b[2Jb\\nc: of an earlier version, without checksums: "
+    flags = ("--index", index, "--runs", tmp_path / "runs", "--epochs", 1, "--batch", 8, "--threads", 1)
+    for name, line in {
+        "bc-eval": (evil, "--index", index),
+        "bc-play": (tmp_path / "toy.mcap", "--run", evil, "--write", tmp_path / "said.mcap"),
+        "bc-train": ("--name", "next", "--init", evil, *flags),
+        "bc-drive": (evil, "--log", tmp_path / "drive.mcap", "--port", 0, "--viewer", "nowhere"),
+    }.items():
+        done = run(name, *line, cwd=tmp_path)
+        assert len([each for each in done.stderr.splitlines() if each.startswith(told)]) == 1, done.stderr
+        assert not CONTROL.search(done.stderr)

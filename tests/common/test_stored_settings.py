@@ -1,0 +1,81 @@
+"""Settings that come out of somebody's JSON are used only if they are settings."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.stored_settings import settings_from
+from dataset import IndexConfig
+from model import RunError, TrainConfig, load_pilot, train
+from model.cli import main
+from toy import TINY, toy_index
+from udacity import call
+
+
+def through_json(values: object) -> Any:
+    return json.loads(json.dumps(values))
+
+
+def test_what_was_stored_comes_back() -> None:
+    training = TrainConfig(epochs=3, rate=1e-3, device="cpu", threads=2)
+    assert settings_from(TrainConfig, through_json(training.as_dict())) == training
+    index = IndexConfig(per_bin=7, cameras=("left",), where="speed_mph > 5", validation=("a", "b"), gap_s=2)
+    assert settings_from(IndexConfig, through_json(index.as_dict())) == index
+    assert settings_from(TrainConfig, {"rate": 1}) == TrainConfig(rate=1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "stored"),
+    [
+        (TrainConfig, None),
+        (TrainConfig, [1]),
+        (TrainConfig, {"widgets": 1}),
+        (TrainConfig, {"epochs": 2.5}),
+        (TrainConfig, {"epochs": True}),
+        (TrainConfig, {"epochs": "3"}),
+        (TrainConfig, {"seed": 2**70}),
+        (TrainConfig, {"threads": 10**13}),
+        (TrainConfig, {"rate": 10**400}),
+        (TrainConfig, {"rate": math.inf}),
+        (TrainConfig, {"rate": math.nan}),
+        (TrainConfig, {"device": "tpu"}),
+        (TrainConfig, {"device": []}),
+        (TrainConfig, {"precision": {"x": 1}}),
+        (IndexConfig, {"cameras": "center"}),
+        (IndexConfig, {"cameras": ["front"]}),
+        (IndexConfig, {"bins": 2.5}),
+        (IndexConfig, {"validation": [["a"]]}),
+        (IndexConfig, {"per_bin": "foo"}),
+        (IndexConfig, {"balance": 1}),
+    ],
+)
+def test_what_is_no_setting_is_refused(kind: type[object], stored: object) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        settings_from(kind, stored)
+
+
+def test_a_run_that_was_fine_tuned_is_repeated_with_the_weights_it_began_with(tmp_path: Path) -> None:
+    index = toy_index(tmp_path)
+    one = replace(TINY, epochs=1, batch=8)
+    train(index, tmp_path / "base", one, figures=False)
+    train(index, tmp_path / "tuned", one, init=tmp_path / "base", figures=False)
+    places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path]
+    assert call(main, "--name", "again", "--like", "tuned", *places) == 0
+    tuned, again = load_pilot(tmp_path / "tuned"), load_pilot(tmp_path / "again")
+    assert tuned.weights_sha256 == again.weights_sha256
+    (tmp_path / "base" / "model.safetensors").write_bytes((tmp_path / "tuned" / "model.safetensors").read_bytes())
+    assert call(main, "--name", "third", "--like", "tuned", *places) == 1
+
+
+def test_a_config_nested_without_end_is_named(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.json").write_text("[" * 100_000)
+    with pytest.raises(RunError, match=r"config\.json: cannot be read"):
+        load_pilot(run)

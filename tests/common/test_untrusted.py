@@ -1,0 +1,362 @@
+"""Recordings and logs that somebody made to harm: no command waits for ever, or takes more memory than it may."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import signal
+import sqlite3
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zstandard
+from rosbags.rosbag2 import StoragePlugin
+
+from common.untrusted import open_regular, read_bounded
+from driving import Process, command, environment
+from logs import read_messages
+from other_logs import CAMERA, ROS_TOPICS, write_bag
+from recorder import Log, LogError, RecordingError, import_udacity
+from recorder.pictures.image_check import decodes
+from recorder.sources.donkeycar import import_tub
+from recorder.sources.import_mcap import import_foreign
+from recorder.sources.udacity_follow import watch_udacity
+from tubs import record_1, record_2, write_tub_1, write_tub_2
+from udacity import jpeg, make_recording, paths, picture_name
+from waiting import PATIENCE_S, wait_until
+
+MEMORY_BYTES = 1 << 30
+HOLE_BYTES = 1 << 42  # of a file without content: it takes no place on the disk
+CSV = f"{paths(0)},0,0,0,1\n{paths(1)},0,0,0,1\n"
+
+
+def with_hole(path: Path) -> Path:
+    try:
+        os.truncate(path, HOLE_BYTES)
+    except OSError:
+        pytest.skip("a file of 4 TB was not tried: the file system has none")
+    return path
+
+
+# Pipes
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Path:
+    """A pipe that nobody writes to: whoever opens it as a file waits for ever."""
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("pipes were not tried: this system has none among its files")
+    path = tmp_path / "pipe.mcap"
+    os.mkfifo(path)
+    return path
+
+
+def test_a_pipe_is_no_log(pipe: Path) -> None:
+    with pytest.raises(LogError, match="not a regular file"):
+        Log(pipe)
+
+
+@pytest.mark.parametrize("read", [open_regular, lambda path: read_bounded(path, 10)])
+def test_only_files_are_opened(pipe: Path, read: Callable[[Path], object]) -> None:
+    for path in (pipe, pipe.parent, Path(os.devnull), Path("a\0b"), pipe.with_name("nothing")):
+        with pytest.raises(OSError, match=r"\w"):
+            read(path)
+
+
+def test_a_file_is_read_whole_if_it_is_not_too_large(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"0123456789")
+    assert read_bounded(tmp_path / "a", 10) == b"0123456789"
+    with pytest.raises(OSError, match="larger than"):
+        read_bounded(tmp_path / "a", 9)
+
+
+def test_pipes_among_a_recordings_pictures_are_missing(tmp_path: Path, pipe: Path) -> None:
+    make_recording(tmp_path / "drive", CSV, [0, 1])
+    broken = tmp_path / "drive" / "IMG" / picture_name("left", 1)
+    broken.unlink()
+    pipe.rename(broken)
+    for record in (import_udacity, lambda folder, log: watch_udacity(folder, log, idle_s=0)):
+        done = record(tmp_path / "drive", tmp_path / f"{len(os.listdir(tmp_path))}.mcap")  # noqa: PTH208
+        assert (done.rows, done.pictures) == (2, 5)
+        assert [name for _, name in done.skipped] == [broken.name]
+
+
+def test_a_pipe_in_the_place_of_a_csv(tmp_path: Path, pipe: Path) -> None:
+    make_recording(tmp_path / "drive", CSV)
+    pipe.replace(tmp_path / "drive" / "driving_log.csv")
+    with pytest.raises(RecordingError, match=r"no driving_log\.csv"):
+        import_udacity(tmp_path / "drive", tmp_path / "log.mcap")
+
+
+# Files that are all hole
+
+
+def test_a_huge_picture_is_left_out_and_named(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", CSV, [0, 1])
+    huge = with_hole(tmp_path / "drive" / "IMG" / picture_name("center", 0))
+    for record in (import_udacity, lambda folder, log: watch_udacity(folder, log, idle_s=0)):
+        done = record(tmp_path / "drive", tmp_path / f"{len(os.listdir(tmp_path))}.mcap")  # noqa: PTH208
+        assert (done.rows, done.pictures) == (2, 5)
+        assert list(done.skipped) == [("pictures that cannot be read", huge.name)]
+
+
+def test_a_huge_csv_is_one_clear_line(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", CSV)
+    with_hole(tmp_path / "drive" / "driving_log.csv")
+    for record in (import_udacity, watch_udacity):
+        with pytest.raises(RecordingError, match=r"driving_log\.csv: larger than 1 GB"):
+            record(tmp_path / "drive", tmp_path / "log.mcap")
+
+
+def test_a_csv_without_line_ends_takes_little_memory(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", CSV, [0, 1])
+    with (tmp_path / "drive" / "driving_log.csv").open("ab") as csv:
+        csv.write(b"x" * 5_000_000)
+    for record in (import_udacity, lambda folder, log: watch_udacity(folder, log, idle_s=0)):
+        done = record(tmp_path / "drive", tmp_path / f"{len(os.listdir(tmp_path))}.mcap")  # noqa: PTH208
+        assert list(done.skipped) == [("rows with more than 65,536 bytes", "line 3")]
+
+
+def test_huge_files_of_a_tub(tmp_path: Path) -> None:
+    one = write_tub_1(tmp_path / "one", {number: record_1(number) for number in range(4)})
+    with_hole(one / "record_1.json")
+    with_hole(one / "2_cam-image_array_.jpg")
+    done = import_tub(one, tmp_path / "one.mcap")
+    assert done.rows == 2
+    assert [name for _, name in done.skipped] == ["record_1.json", "record_2.json", "1_cam-image_array_.jpg"]
+    two = write_tub_2(tmp_path / "two", map(record_2, range(4)))
+    with_hole(two / "manifest.json")
+    with pytest.raises(RecordingError, match=r"manifest\.json: cannot be read \(larger than 17 MB\)"):
+        import_tub(two, tmp_path / "two.mcap")
+
+
+def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
+    with_hole(bag / "metadata.yaml")
+    with pytest.raises(RecordingError, match=r"metadata\.yaml cannot be read"):
+        import_foreign(bag, tmp_path / "log.mcap", ROS_TOPICS)
+
+
+# ROS bags that are programs
+
+ENDLESS = "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) SELECT n AS id, 1 AS topic_id,"
+ENDLESS += (
+    " n AS timestamp, x'00' AS data, '/cmd_vel' AS name, 'a/msg/B' AS type, 'cdr' AS serialization_format FROM c"
+)
+
+
+@pytest.mark.parametrize("table", ["messages", "topics"])
+@pytest.mark.parametrize("doctored", [False, True], ids=["a view", "a view entered as a table"])
+def test_a_view_in_the_place_of_a_bags_table_is_not_run(tmp_path: Path, table: str, doctored: bool) -> None:
+    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
+    database = sqlite3.connect(bag / "bag.db3")
+    database.executescript(f"DROP TABLE {table}; CREATE VIEW {table.upper()} AS {ENDLESS};")
+    if doctored:
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("UPDATE sqlite_master SET type = 'table' WHERE name = ?", (table.upper(),))
+    database.commit()
+    database.close()
+    told = "malformed" if doctored else f"{table} is not a table"  # the former by SQLite itself
+    with pytest.raises(RecordingError, match=told):
+        import_foreign(bag, tmp_path / "log.mcap", ROS_TOPICS)
+
+
+def test_a_bag_that_keeps_sqlite_busy_can_be_stopped(tmp_path: Path) -> None:
+    """A column that is computed, slowly: nothing tells it from a large bag."""
+    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
+    database = sqlite3.connect(bag / "bag.db3")
+    database.execute("DROP TABLE messages")
+    database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, data BLOB)")
+    database.executemany("INSERT INTO messages(topic_id, data) VALUES (1, x'00')", [()] * 100_000)
+    slow = "length(hex(zeroblob(1000000 + id)))"
+    database.execute(f"ALTER TABLE messages ADD COLUMN timestamp INTEGER GENERATED ALWAYS AS ({slow}) VIRTUAL")
+    database.commit()
+    database.close()
+    flags = ["--from", bag, "--image", CAMERA, "--steering", "/cmd_vel.angular.z"]
+    with Process(command("bc-record", "car", *flags), cwd=tmp_path) as process:
+        wait_until_busy(process.popen.pid, bag / "bag.db3")
+        assert process.end(signal.SIGINT) == 130
+        assert process.stderr == ["bc-record: stopped"]
+
+
+def wait_until_busy(pid: int, file: Path) -> None:
+    """Until the process has computed for a second with the file open."""
+    process = Path(f"/proc/{pid}")
+    if not process.exists():
+        pytest.skip("stopping was not tried: this system does not tell how long a process has computed")
+
+    def has_opened() -> bool:
+        with contextlib.suppress(FileNotFoundError):  # closed meanwhile
+            return any(link.readlink() == file for link in (process / "fd").iterdir())
+        return False
+
+    def computed() -> int:
+        return int((process / "stat").read_text().split()[13])
+
+    wait_until(has_opened)
+    enough = computed() + os.sysconf("SC_CLK_TCK")
+    wait_until(lambda: computed() >= enough)
+
+
+# Logs that unpack to more than they are
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(value: bytes) -> bytes:
+    return struct.pack("<I", len(value)) + value
+
+
+def write_packed(path: Path, messages: int) -> Path:
+    """An unfinished log of one chunk with so many empty messages, a few kilobytes in all."""
+    channel = record(4, struct.pack("<HH", 1, 0) + text(b"/x") + text(b"json") + text(b""))
+    records = channel + record(5, struct.pack("<HIQQ", 1, 0, 5, 5)) * messages
+    packed = zstandard.ZstdCompressor(9).compress(records)
+    about = struct.pack("<QQQI", 5, 5, len(records), zlib.crc32(records)) + text(b"zstd")
+    chunk = record(6, about + struct.pack("<Q", len(packed)) + packed)
+    path.write_bytes(b"\x89MCAP0\r\n" + record(1, text(b"") + text(b"")) + chunk)
+    return path
+
+
+def run_with_memory(most_bytes: int, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """`bc-log` in a process that may take so much memory."""
+    return subprocess.run(
+        command("bc-log", *arguments),
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes)),
+    )
+
+
+def test_a_log_of_more_messages_than_bytes_is_not_unpacked_into_memory(tmp_path: Path) -> None:
+    path = write_packed(tmp_path / "packed.mcap", 2_000_000)
+    assert path.stat().st_size < 10_000
+    for name in ("info", "check"):
+        done = run_with_memory(MEMORY_BYTES // 2, name, path)
+        assert done.returncode == 3, done.stderr
+        assert "Traceback" not in done.stderr
+    with Log(path) as log:
+        assert (log.counts, log.lost) == ({}, [(25, path.stat().st_size)])
+
+
+def test_many_small_messages_are_all_read(tmp_path: Path) -> None:
+    with Log(write_packed(tmp_path / "packed.mcap", 60_000)) as log:
+        assert log.counts == {"/x": 60_000}
+
+
+def png(side: int) -> bytes:
+    """A black picture of `side` x `side`; few bytes, however large."""
+    packer = zlib.compressobj(9)
+    lines = b"".join(packer.compress(bytes(side // 8 + 2)) for _ in range(side)) + packer.flush()
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)), (b"IDAT", lines), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
+
+
+def test_a_picture_of_too_many_pixels_is_not_decoded() -> None:
+    small = jpeg(100)
+    at = small.index(b"\xff\xc0") + 5
+    assert decodes(small)
+    assert not decodes(small[:at] + b"\xff\xf0\xff\xf0" + small[at + 4 :])
+    assert decodes(png(64))
+    assert not decodes(png(8300))
+    assert not decodes(png(64)[:20])
+
+
+# What is skipped without end
+
+
+def test_every_skipped_thing_is_in_the_log_but_not_in_memory(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", CSV + "junk\n" * 3000, [0, 1])
+    done = import_udacity(tmp_path / "drive", tmp_path / "log.mcap")
+    (reason,) = done.skipped.counts
+    assert len(done.skipped) == 3000
+    assert [name for _, name in done.skipped] == [f"line {number}" for number in range(3, 1003)]
+    assert done.skipped.lines(2) == [f"{reason}: 3,000 (line 3, line 4, and 2,998 more)"]
+    events = [(message.log_time, event.message) for message, event in read_messages(done.path)["/events"]]
+    (_, (last, _)) = read_messages(done.path)["/vehicle"]
+    assert events == [(last.log_time, f"skipped {reason}: line {number}") for number in range(3, 3003)]
+
+
+def test_what_is_skipped_before_the_first_row_is_counted_in_the_log(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", "junk\n" * 1500 + CSV, [0, 1])
+    done = import_udacity(tmp_path / "drive", tmp_path / "log.mcap")
+    events = [event.message for _, event in read_messages(done.path)["/events"]]
+    (reason,) = done.skipped.counts
+    assert events == [*(f"skipped {reason}: line {n}" for n in range(1, 1001)), f"skipped {reason}: and 500 more"]
+
+
+def test_importing_takes_no_memory_to_speak_of(tmp_path: Path) -> None:
+    """Rows of a drive of five hours: what a row costs beyond what any import takes, and the log's own states."""
+    most = []
+    for count in (1000, 61_000):
+        lines = (
+            ",".join(
+                f"/home/somebody/recording/IMG/{c}_2024_{1 + n // 20000:02d}_13_{n // 1000 % 20:02d}_"
+                f"{n // 60 % 16:02d}_{n % 60:02d}_{n // 960 % 1000:03d}.jpg"
+                for c in ("center", "left", "right")
+            )
+            + ",0.5,0.5,0,9.5\n"
+            for n in range(count)
+        )
+        folder = tmp_path / str(count)
+        make_recording(folder, CSV + "".join(lines), [0])
+        code = (
+            "import resource, sys; from pathlib import Path;"
+            "from recorder.sources.udacity_recording import UdacityFolder;"
+            "from common import Skipped\n"
+            "rows = sum(1 for _ in UdacityFolder(Path(sys.argv[1]), Skipped()).rows())\n"
+            "print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(folder)],
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            check=True,
+        )
+        rows, kilobytes = map(int, done.stdout.split())
+        assert rows == count + 2
+        most.append(kilobytes)
+    assert (most[1] - most[0]) * 1024 / 60_000 < 150
+
+
+# Names that are not UTF-8
+
+
+def test_a_folder_and_pictures_whose_names_are_not_utf_8(tmp_path: Path) -> None:
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    try:
+        make_recording(folder, CSV, [0, 1])
+        (folder / "IMG" / os.fsdecode(b"\xe9.jpg")).write_bytes(b"")
+    except OSError:
+        pytest.skip("names that are not UTF-8 were not tried: the file system has none")
+    for flags in ([], ["--watch", "--idle", "0"]):
+        name = f"a{len(flags)}"
+        done = subprocess.run(
+            command("bc-record", name, "--from", folder, *flags),
+            cwd=tmp_path,
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+        assert done.returncode == 3, done.stderr
+        assert done.stderr.splitlines() == [r"skipped pictures without a row: 1 (\udce9.jpg)"]
+        found = read_messages(tmp_path / "sessions" / f"{name}.mcap")
+        assert (len(found["/vehicle"]), len(found["/camera/left"]), len(found["/events"])) == (2, 2, 1)

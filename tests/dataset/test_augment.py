@@ -1,0 +1,249 @@
+"""What an alteration does to the pixels, known from pictures whose result can be worked out by hand."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dataset import DatasetError
+from dataset.augment import ALTERATIONS, Blur, Brightness, Shadow, alter
+from dataset.preprocess import Image
+
+Change = type[Blur | Brightness | Shadow]
+
+SEEDS = range(200)
+# Rounding to 8 bits: what a factor gives may be off by one half; HSV keeps hue in steps of 2 degrees.
+ROUNDING, HSV_ROUNDING = 0.5, 3.0
+
+
+def drawn(change: Change, picture: Image, seed: int) -> Image:
+    return change.draw(np.random.default_rng(seed), *picture.shape[:2]).apply(picture)
+
+
+def grey(level: int, height: int = 64, width: int = 64) -> Image:
+    return np.full((height, width, 3), level, np.uint8)
+
+
+def ramp() -> Image:
+    """Every grey level once, from left to right, 40 rows of it."""
+    return np.tile(np.arange(256, dtype=np.uint8)[None, :, None], (40, 1, 3))
+
+
+# Blur
+
+
+def bright_column() -> Image:
+    picture = grey(0, 41, 41)
+    picture[:, 20] = 255
+    return picture
+
+
+def blur_width(seed: int) -> int:
+    """In how many columns one bright column ends up: the size of the kernel."""
+    return int(np.count_nonzero(drawn(Blur, bright_column(), seed)[20, :, 0]))
+
+
+def test_blur_draws_each_odd_kernel_from_3_to_9_about_as_often() -> None:
+    widths = Counter(blur_width(seed) for seed in SEEDS)
+    assert widths.keys() == {3, 5, 7, 9}
+    assert min(widths.values()) > len(SEEDS) / 8
+
+
+@pytest.mark.parametrize("kernel", [3, 5, 7, 9])
+def test_blur_is_gaussian_and_the_same_in_both_directions(kernel: int) -> None:
+    seed = next(seed for seed in SEEDS if blur_width(seed) == kernel)
+    profile = drawn(Blur, bright_column(), seed)[20, :, 0].astype(float)
+    # the sigma that OpenCV documents for a kernel of this size
+    sigma = 0.3 * ((kernel - 1) * 0.5 - 1) + 0.8
+    distance = np.abs(np.arange(41) - 20)
+    gaussian = np.where(distance <= kernel // 2, np.exp(-(distance**2) / (2 * sigma**2)), 0)
+    np.testing.assert_allclose(profile, 255 * gaussian / gaussian.sum(), atol=0.04 * 255)
+    point = grey(0, 41, 41)
+    point[20, 20] = 255
+    spot = drawn(Blur, point, seed)[:, :, 1].astype(float)
+    np.testing.assert_allclose(spot, np.outer(profile, profile) / 255, atol=1)
+
+
+def test_blur_leaves_a_ramp_a_ramp_and_a_flat_picture_flat() -> None:
+    for seed in range(20):
+        assert (drawn(Blur, grey(77), seed) == 77).all()
+        assert (drawn(Blur, ramp(), seed)[:, 4:-4] == ramp()[:, 4:-4]).all()
+
+
+# Brightness
+
+
+def brightness_factor(seed: int) -> float:
+    """From a grey of 150, which no factor up to 1.7 takes beyond 255."""
+    return float(drawn(Brightness, grey(150, 1, 1), seed)[0, 0, 0]) / 150
+
+
+def test_brightness_draws_factors_from_all_of_0_4_to_1_6_darker_as_often_as_brighter() -> None:
+    factors = np.array([brightness_factor(seed) for seed in SEEDS])
+    assert factors.min() >= 0.4 - ROUNDING / 150
+    assert factors.max() <= 1.6 + ROUNDING / 150
+    assert 0.4 * len(SEEDS) < np.count_nonzero(factors < 1) < 0.6 * len(SEEDS)
+    counts, _ = np.histogram(factors, bins=6, range=(0.395, 1.605))
+    assert counts.min() > len(SEEDS) / 12
+
+
+def test_brightness_multiplies_every_grey_level_and_ends_at_white() -> None:
+    for seed in range(40):
+        factor = brightness_factor(seed)
+        expected = np.minimum(ramp() * factor, 255)
+        # the factor itself is known to half a level in 150
+        np.testing.assert_allclose(drawn(Brightness, ramp(), seed), expected, atol=2 * ROUNDING + 255 / 300)
+
+
+def test_brightness_keeps_hue_and_saturation_also_where_a_channel_would_overflow() -> None:
+    """HSV's value is the largest channel: with it, the two others are scaled by the same factor."""
+    for colour in ((200, 120, 60), (10, 90, 160), (30, 160, 30), (240, 240, 20), (255, 128, 0)):
+        picture = np.full((4, 4, 3), colour, np.uint8)
+        for seed in range(40):
+            factor = min(brightness_factor(seed), 255 / max(colour))
+            expected = np.array(colour) * factor
+            changed = drawn(Brightness, picture, seed)
+            np.testing.assert_allclose(changed, np.broadcast_to(expected, changed.shape), atol=HSV_ROUNDING)
+
+
+# Shadow
+
+
+@pytest.fixture
+def polygons(monkeypatch: pytest.MonkeyPatch) -> list[NDArray[np.int32]]:
+    """The corners (N, 2) of every polygon that is filled from now on; OpenCV fills them as ever."""
+    seen: list[NDArray[np.int32]] = []
+    fill = cv2.fillPoly
+
+    def watched(mask: Image, corners: list[NDArray[np.int32]], level: int) -> None:
+        seen.extend(corners)
+        fill(mask, corners, level)
+
+    monkeypatch.setattr(cv2, "fillPoly", watched)
+    return seen
+
+
+def test_a_shadow_is_one_to_five_polygons_of_three_to_six_corners(polygons: list[NDArray[np.int32]]) -> None:
+    counts, corners = Counter[int](), Counter[int]()
+    for seed in SEEDS:
+        polygons.clear()
+        drawn(Shadow, grey(200, 40, 90), seed)
+        counts[len(polygons)] += 1
+        corners.update(len(polygon) for polygon in polygons)
+        for polygon in polygons:
+            assert (polygon >= 0).all()
+            assert (polygon < (90, 40)).all()  # x, y
+    assert counts.keys() == {1, 2, 3, 4, 5}
+    assert min(counts.values()) > len(SEEDS) / 10
+    assert corners.keys() == {3, 4, 5, 6}
+
+
+def test_every_polygon_is_dark_also_an_edge_without_area(polygons: list[NDArray[np.int32]]) -> None:
+    for seed in range(100):
+        polygons.clear()
+        dark = drawn(Shadow, grey(200, 6, 6), seed)[:, :, 0] != 200  # so small that many corners coincide
+        for polygon in polygons:
+            assert dark[polygon[:, 1], polygon[:, 0]].all()
+        left, top = np.concatenate(polygons).min(axis=0)
+        right, bottom = np.concatenate(polygons).max(axis=0)
+        dark[top : bottom + 1, left : right + 1] = False
+        assert not dark.any()
+
+
+def test_shadows_that_overlap_are_not_darkened_twice() -> None:
+    for seed in SEEDS:
+        assert len(np.unique(drawn(Shadow, grey(200), seed))) == 2  # 200, and one darker level
+
+
+def test_a_shadow_keeps_0_45_to_0_74_of_the_light() -> None:
+    factors = np.array([drawn(Shadow, grey(200), seed).min() / 200 for seed in SEEDS])
+    assert factors.min() >= 0.45 - ROUNDING / 200
+    assert factors.max() <= 0.74 + ROUNDING / 200
+    counts, _ = np.histogram(factors, bins=5, range=(0.4475, 0.7425))
+    assert counts.min() > len(SEEDS) / 10
+
+
+def test_within_a_shadow_every_level_and_colour_has_the_same_factor() -> None:
+    picture = np.concatenate([ramp(), ramp() // np.array([1, 2, 4], np.uint8)])
+    for seed in range(40):
+        changed = drawn(Shadow, picture, seed)
+        dark = (changed != picture).any(axis=2)
+        at = np.argmax(np.where(dark, picture[:, :, 0], 0))
+        factor = float(changed[:, :, 0].flat[at]) / float(picture[:, :, 0].flat[at])
+        expected = picture[dark] * factor
+        np.testing.assert_allclose(changed[dark], expected, atol=2 * ROUNDING + 0.01)
+        assert (changed[~dark] == picture[~dark]).all()
+
+
+# All of them
+
+
+def altered_as_ever(picture: Image, names: str, seed: int) -> Image:
+    """What the alterations were when the first index was built with them, all in one piece."""
+    random = np.random.default_rng(seed)
+    for name in names.split("+"):
+        if name == "blur":
+            kernel = 2 * int(random.integers(1, 5)) + 1
+            picture = cv2.GaussianBlur(picture, (kernel, kernel), 0).astype(np.uint8)
+        elif name == "brightness":
+            hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
+            hsv[:, :, 2] = cv2.convertScaleAbs(hsv[:, :, 2], alpha=random.uniform(0.4, 1.6))
+            picture = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR).astype(np.uint8)
+        else:
+            height, width = picture.shape[:2]
+            mask = np.zeros((height, width), dtype=np.uint8)
+            for _ in range(int(random.integers(1, 6))):
+                corners = random.integers((0, 0), (width, height), size=(int(random.integers(3, 7)), 2))
+                cv2.fillPoly(mask, [corners.astype(np.int32)], 255)
+            darker = cv2.convertScaleAbs(picture, alpha=random.uniform(0.45, 0.74))
+            picture = np.where(mask[:, :, None] > 0, darker, picture).astype(np.uint8)
+    return picture
+
+
+def test_an_index_means_the_same_pictures_as_ever() -> None:
+    for seed in range(40):
+        picture = np.random.default_rng(seed).integers(0, 256, (60, 90, 3), dtype=np.uint8)
+        for count in (1, 2, 3):
+            for names in map("+".join, itertools.permutations(ALTERATIONS, count)):
+                assert (alter(picture, names, seed) == altered_as_ever(picture, names, seed)).all()
+
+
+@pytest.mark.parametrize("change", ALTERATIONS.values(), ids=ALTERATIONS.keys())
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (3, 500)])
+def test_the_smallest_pictures_are_altered_too(change: Change, shape: tuple[int, int]) -> None:
+    picture = grey(100, *shape)
+    for seed in range(20):
+        changed = drawn(change, picture, seed)
+        assert changed.shape == picture.shape
+        assert changed.dtype == np.uint8
+        assert changed.min() >= 40
+        assert changed.max() <= 160
+
+
+def test_the_only_pixel_of_a_picture_is_in_the_shadow() -> None:
+    levels = [int(drawn(Shadow, grey(100, 1, 1), seed)[0, 0, 0]) for seed in range(50)]
+    assert 45 <= min(levels) < max(levels) <= 74
+
+
+@pytest.mark.parametrize("names", ["blur", "brightness", "shadow", "blur+brightness", "blur+brightness+shadow"])
+def test_the_same_seed_gives_the_same_picture_another_seed_another(names: str) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    picture.flags.writeable = False
+    results = [alter(picture, names, seed).tobytes() for seed in range(20)]
+    assert results == [alter(picture, names, seed).tobytes() for seed in range(20)]
+    assert len(set(results)) >= 4  # there are but four blurs
+    assert picture.tobytes() not in results
+
+
+@pytest.mark.parametrize(
+    ("names", "seed"),
+    [("rain", 1), ("blur+rain", 1), ("blur+", 1), ("blur", -1), ("blur,shadow", 1), ("blur+blur", 1)],
+)
+def test_what_no_index_of_ours_asks_for_is_an_error_that_says_what_to_do(names: str, seed: int) -> None:
+    with pytest.raises(DatasetError, match=r"is no alteration; build the index again with `bc-index`"):
+        alter(grey(100), names, seed)

@@ -1,0 +1,143 @@
+"""Pictures that do not decode are left out of the batches, named and counted; the others come as ever."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from torch import Tensor
+
+from dataset import Batch, DatasetError, IndexConfig, SamplesDataset, build_index, load
+from logs import write_log
+from model.evaluation.predict import predict
+from model.network.layers import SteeringNetwork
+from model.training.batches import DeviceBatches
+from recorder import LogError
+from recorder.log.topics import Camera
+
+STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
+BROKEN: dict[tuple[Camera, int], bytes] = {
+    ("left", 2): b"this is no picture",
+    ("center", 5): b"",
+    ("center", 11): b"\xff\xd8\xff\xe0 cut off",
+}
+NAMES = {f"lake row {row} {camera}" for camera, row in BROKEN}
+
+
+def shade(camera: Camera, row: int) -> int:
+    """Which grey the picture of a camera and row has: far enough apart to survive JPEG."""
+    return 20 + 3 * (3 * row + ["left", "center", "right"].index(camera))
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    if (camera, row) in BROKEN:
+        return BROKEN[camera, row]
+    ok, encoded = cv2.imencode(".jpg", np.full((160, 320, 3), shade(camera, row), np.uint8))
+    assert ok
+    return encoded.tobytes()
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drives")
+    log = write_log(folder / "lake.mcap", STEERING, picture)
+    config = IndexConfig(validation_share=0.0, balance=False)
+    return build_index([log], folder / "index", config).path
+
+
+def expected(index: Path) -> list[tuple[int, float]]:
+    """Shade and label of every sample whose picture is whole, in the order of the index."""
+    rows = pq.read_table(index / "samples.parquet").to_pylist()
+    assert {(row["camera"], row["row"]) for row in rows} > BROKEN.keys()
+    return [
+        (shade(row["camera"], row["row"]), float(np.float32(row["label"])))
+        for row in rows
+        if (row["camera"], row["row"]) not in BROKEN
+    ]
+
+
+def seen(pictures: np.ndarray | Tensor, steering: np.ndarray | Tensor) -> list[tuple[int, float]]:
+    levels = np.asarray(pictures).reshape(len(pictures), -1).mean(axis=1).round().astype(int).tolist()
+    return list(zip(levels, np.asarray(steering).tolist(), strict=True))
+
+
+def seen_in(batches: Sequence[Batch]) -> list[tuple[int, float]]:
+    return [sample for batch in batches for sample in seen(batch.pictures, batch.steering)]
+
+
+@pytest.mark.parametrize("budget_bytes", [0, 1 << 30])
+def test_a_picture_that_does_not_decode_is_left_out_of_its_batches_and_named_once(
+    index: Path, budget_bytes: int
+) -> None:
+    with load(index, batch=16, budget_bytes=budget_bytes) as loader:
+        assert len(loader.skipped) == 0
+        for epoch in (1, 2):
+            batches = list(loader.epoch(epoch))
+            assert len(batches) == loader.batches
+            assert min(len(batch.steering) for batch in batches[:-1]) < 16
+            assert sorted(seen_in(batches)) == sorted(expected(index))
+        assert sum(len(batch.steering) for batch in batches) < len(loader)
+        assert [reason for reason, _ in loader.skipped] == ["pictures that do not decode"] * len(BROKEN)
+        assert {name for _, name in loader.skipped} == NAMES
+
+
+def test_predictions_stay_beside_what_was_recorded(index: Path) -> None:
+    with load(index, batch=16) as loader:
+        assert seen_in(list(loader.in_order())) == expected(index)
+        assert len(loader.skipped) == len(BROKEN)
+    with load(index, batch=16, driving_view=True) as loader:
+        predicted, recorded = predict(SteeringNetwork(), loader)
+        assert {name for _, name in loader.skipped} == {"lake row 5 center", "lake row 11 center"}
+    assert len(predicted) == len(recorded) == len(STEERING) - 2
+    assert recorded.tolist() == [np.float32(value) for row, value in enumerate(STEERING) if row not in (5, 11)]
+
+
+def test_where_nothing_decodes_batches_are_empty(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "lake.mcap", STEERING[:3], lambda camera, row: b"no picture", cameras=["center"])
+    build_index([log], tmp_path / "index", IndexConfig(flip=False))
+    with load(tmp_path / "index", batch=2) as loader:
+        assert [(batch.pictures.shape, len(batch.steering)) for batch in loader.epoch(1)] == [
+            ((0, 128, 128, 3), 0)
+        ] * 2
+        assert len(loader.skipped) == 3
+        predicted, recorded = predict(SteeringNetwork(), loader)
+        assert (len(predicted), len(recorded)) == (0, 0)
+
+
+def test_crops_on_the_device_are_without_them_too(index: Path) -> None:
+    with load(index, batch=16) as host, load(index, batch=16) as other:
+        device = DeviceBatches(other, torch.device("cpu"))
+        assert {name for _, name in device.skipped} == NAMES  # all are read before the first epoch
+        for epoch in (1, 2):
+            for batch, (pictures, steering) in zip(host.epoch(epoch), device.epoch(epoch), strict=True):
+                assert seen(pictures, steering) == seen_in([batch])
+        assert len(device.skipped) == len(BROKEN)
+
+
+def test_a_damaged_log_is_no_picture_that_does_not_decode(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "lake.mcap", STEERING, picture)
+    build_index([log], tmp_path / "index")
+    place = log.read_bytes().index(b"this is no picture")
+    with log.open("rb+") as stream:
+        stream.seek(place)
+        stream.write(b"THIS")
+    with load(tmp_path / "index", batch=16) as loader:
+        with pytest.raises(LogError, match=r"lake\.mcap: damaged.*CRC"):
+            list(loader.epoch(1))
+        with pytest.raises(LogError, match=r"lake\.mcap: damaged.*CRC"):
+            list(loader.crops())
+
+
+def test_a_data_set_of_pytorch_has_as_many_items_as_it_says_so_a_bad_one_is_an_error(index: Path) -> None:
+    rows = pq.read_table(index / "samples.parquet").to_pylist()
+    at = next(number for number, row in enumerate(rows) if (row["camera"], row["row"]) == ("left", 2))
+    place = (index.parent / "lake.mcap").read_bytes().index(b"this is no picture")
+    dataset = SamplesDataset(index)
+    with pytest.raises(DatasetError, match=rf"lake\.mcap: the picture at byte {place}: .*not a picture"):
+        dataset[at]
+    dataset.close()

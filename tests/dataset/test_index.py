@@ -1,0 +1,402 @@
+"""The index: where each picture lies, which split it is in, and how the steering is balanced."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dataset import DatasetError, IndexConfig, Indexed, Samples, build_index, find_logs
+from dataset.cli import main
+from dataset.index.balance import balance, bin_of
+from dataset.index.split import block_numbers, validation_blocks
+from logs import STEP_NS, plain_read, write_log
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.row_quality import drive_numbers
+from recorder.log.topics import CAMERAS, Camera
+from udacity import call
+
+STEERING = [0.0] * 150 + [round(0.9 * np.sin(i / 7), 3) for i in range(150)]  # straight on, then bends: 30 s
+BLOCKS = IndexConfig(block_s=2.0)
+
+distributions = st.lists(st.floats(-1, 1), min_size=1, max_size=300)
+bins_from_1 = st.integers(1, 40)
+
+
+def write_session(path: Path, steering: list[float]) -> Path:
+    """A log whose pictures are no other session's."""
+    return write_log(path, steering, lambda camera, row: f"{path.stem} {camera} {row}".encode(), overwrite=True)
+
+
+def index_of(folder: Path, config: IndexConfig = BLOCKS, **sessions: list[float]) -> Indexed:
+    logs = [write_session(folder / f"{name}.mcap", steering) for name, steering in sessions.items()]
+    return build_index(logs, folder / "index", config)
+
+
+def rows_of(path: Path) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = pq.read_table(path).to_pylist()
+    return rows
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# Bins and balance
+
+
+@given(distributions, bins_from_1)
+def test_a_mirrored_steering_falls_into_the_mirrored_bin(values: list[float], bins: int) -> None:
+    steering = np.array(values)
+    left, right = bin_of(-steering, bins), bin_of(steering, bins)
+    turning = steering != 0
+    assert left[turning].tolist() == (bins - 1 - right[turning]).tolist()
+    assert ((right >= 0) & (right < bins)).all()
+
+
+@pytest.mark.parametrize(
+    ("steering", "expected"),
+    [(-1.0, 0), (-0.93, 0), (-0.91, 1), (-0.05, 11), (-0.03, 12), (0.0, 12), (0.03, 12), (0.05, 13), (1.0, 24)],
+)
+def test_twenty_five_bins_are_each_eight_hundredths_wide(steering: float, expected: int) -> None:
+    assert bin_of(np.array([steering]), 25).tolist() == [expected]
+
+
+@given(distributions, bins_from_1, st.integers(1, 12), st.integers(0, 5))
+def test_every_filled_bin_holds_the_mean_or_what_the_cap_allows(
+    values: list[float], bins: int, max_uses: int, seed: int
+) -> None:
+    of = bin_of(np.array(values), bins)
+    before = Counter(of.tolist())
+    done = balance(of, bins, max_uses, np.random.default_rng(seed))
+    mean = round(len(values) / len(before))
+    assert done.per_bin == mean
+    after = Counter(of[done.chosen].tolist())
+    assert after == {i: min(mean, max_uses * originals) for i, originals in before.items()}
+    assert done.short == {i: mean - after[i] for i in before if after[i] < mean}
+    uses = Counter(done.chosen.tolist())
+    assert max(uses.values()) <= max_uses
+    # an original is itself once, and its further uses are copies
+    assert Counter(done.chosen[~done.is_copy].tolist()) == dict.fromkeys(uses, 1)
+    for i in before:  # copies are spread evenly
+        shared = [count for position, count in uses.items() if of[position] == i]
+        assert max(shared) - min(shared) <= 1
+
+
+def test_nothing_to_balance_is_nothing() -> None:
+    done = balance(np.zeros(0, np.int64), 25, 10, np.random.default_rng(0))
+    assert (len(done.chosen), done.per_bin, done.short) == (0, 0, {})
+
+
+# Samples
+
+
+def test_only_the_training_split_is_balanced(tmp_path: Path) -> None:
+    indexed = index_of(tmp_path, a=STEERING)
+    samples = rows_of(indexed.path / "samples.parquet")
+    counts = Counter(row["bin"] for row in samples if row["split"] == "train")
+    originals = Counter(
+        (flip, camera, frame["row"])
+        for frame in rows_of(indexed.path / "frames" / "a.parquet")
+        if frame["split"] == "validation"
+        for camera in [frame["camera"]]
+        for flip in (False, True)
+    )
+    held_out = [row for row in samples if row["split"] == "validation"]
+    assert Counter((row["flip"], row["camera"], row["row"]) for row in held_out) == originals
+    assert not any(row["copy"] or row["alteration"] for row in held_out)
+    per_bin = indexed.balance.per_bin
+    assert {i: per_bin - count for i, count in counts.items() if count != per_bin} == indexed.balance.short
+    assert sum(counts.values()) == indexed.balance.after.sum()
+
+
+def test_a_bin_that_the_cap_leaves_short_is_reported(tmp_path: Path) -> None:
+    config = IndexConfig(max_uses=3, cameras=("center",), flip=False, validation_share=0.0)
+    indexed = index_of(tmp_path, config, a=[0.0] * 98 + [0.5] * 2)
+    assert indexed.balance.per_bin == 50
+    assert indexed.balance.short == {18: 50 - 3 * 2}  # (0.5 + 1) / 0.08 = 18.75
+    uses = Counter(row["row"] for row in indexed.samples.to_pylist() if row["bin"] == 18)
+    assert uses == {98: 3, 99: 3}
+
+
+def test_labels_of_cameras_and_mirror_images(tmp_path: Path) -> None:
+    indexed = index_of(tmp_path, a=[*STEERING, 0.95, -0.95, 1.0, -1.0])
+    steering = [*STEERING, 0.95, -0.95, 1.0, -1.0]
+    shift = {"center": 0.0, "left": 0.2, "right": -0.2}
+    seen = set()
+    for row in indexed.samples.to_pylist():
+        label = max(-1.0, min(1.0, steering[row["row"]] + shift[row["camera"]]))
+        assert row["label"] == pytest.approx(-label if row["flip"] else label, abs=1e-12)
+        assert row["bin"] == bin_of(np.array([row["label"]]), 25)[0]
+        seen.add((row["camera"], row["flip"]))
+    assert len(seen) == 6
+
+
+def test_the_correction_the_cameras_and_the_flip_are_options(tmp_path: Path) -> None:
+    config = IndexConfig(cameras=("left",), side_correction=0.3, flip=False, validation_share=0.0)
+    samples = index_of(tmp_path, config, a=[0.1, 0.4]).samples.to_pylist()
+    assert [(row["camera"], row["flip"], row["label"]) for row in samples] == [
+        ("left", False, pytest.approx(0.4)),
+        ("left", False, pytest.approx(0.7)),
+    ]
+
+
+def test_only_copies_are_altered_each_alteration_in_half_of_them(tmp_path: Path) -> None:
+    samples = index_of(tmp_path, IndexConfig(validation_share=0.0), a=STEERING).samples.to_pylist()
+    copies = [row for row in samples if row["copy"]]
+    assert {row["alteration"] for row in samples if not row["copy"]} == {""}
+    assert len(copies) > 500
+    for name in ("blur", "brightness", "shadow"):
+        share = sum(name in row["alteration"].split("+") for row in copies) / len(copies)
+        assert share == pytest.approx(0.5, abs=4 * 0.5 / len(copies) ** 0.5)  # four standard deviations
+    unaltered = index_of(tmp_path, IndexConfig(validation_share=0.0, alter=()), a=STEERING).samples.to_pylist()
+    assert {row["alteration"] for row in unaltered} == {""}
+    assert sum(row["copy"] for row in unaltered) == len(copies)
+
+
+def test_steering_out_of_range_is_flagged_and_left_out(tmp_path: Path) -> None:
+    indexed = index_of(tmp_path, a=[0.1, 1.5, float("nan"), -1.0001, 0.2])
+    frames = indexed.frames.to_pylist()
+    assert {row["row"] for row in frames if row["flags"]} == {1, 2, 3}
+    assert {tuple(row["flags"]) for row in frames} == {(), ("out_of_range",)}
+    assert {row["bin"] for row in frames if row["flags"]} == {-1}
+    assert {row["row"] for row in indexed.samples.to_pylist()} == {0, 4}
+
+
+# Splits
+
+
+def test_no_picture_sibling_mirror_image_or_copy_is_on_both_sides(tmp_path: Path) -> None:
+    samples = index_of(tmp_path, a=STEERING, b=STEERING[::-1]).samples.to_pylist()
+    sides = {
+        split: {(row["session"], row["row"]) for row in samples if row["split"] == split}
+        for split in ("train", "validation")
+    }
+    assert len(sides["validation"]) > 60
+    assert sides["train"].isdisjoint(sides["validation"])
+    assert len({(row["session"], row["offset"], row["split"]) for row in samples}) == len(
+        {(row["session"], row["offset"]) for row in samples}
+    )
+
+
+def test_the_split_is_by_blocks_of_time(tmp_path: Path) -> None:
+    frames = [row for row in index_of(tmp_path, a=STEERING).frames.to_pylist() if row["camera"] == "center"]
+    assert [row["block"] for row in frames] == [row["row"] // 20 for row in frames]  # 2 s of 0.1 s each
+    assert sum(row["split"] == "validation" for row in frames) == 60  # a fifth of 300
+    held_out = {row["row"] for row in frames if row["split"] == "validation"}
+    assert {row["block"] for row in frames if row["row"] in held_out} == {row // 20 for row in held_out}
+    for row in frames:  # a second is left out on either side of a block that is held out
+        near = min(abs(row["row"] - other) for other in held_out) <= 10
+        assert row["split"] == ("validation" if row["row"] in held_out else "gap" if near else "train")
+
+
+def test_whole_sessions_are_held_out_if_they_are_named(tmp_path: Path) -> None:
+    indexed = index_of(tmp_path, IndexConfig(validation=("b",)), a=STEERING, b=STEERING[::-1], c=STEERING[1:])
+    split = {(row["session"], row["split"]) for row in indexed.samples.to_pylist()}
+    assert split == {("a", "train"), ("b", "validation"), ("c", "train")}
+    with pytest.raises(DatasetError, match=r"--validation d: no such session among a, b, c"):
+        index_of(tmp_path, IndexConfig(validation=("b", "d")), a=STEERING, b=STEERING[::-1], c=STEERING[1:])
+
+
+@given(st.lists(st.integers(-3_000, 3_000), min_size=1, max_size=200), st.integers(1, 20))
+def test_a_drive_ends_at_a_gap_and_where_time_goes_back_and_a_block_with_it(
+    steps_ms: list[int], block_s: int
+) -> None:
+    time_ns = np.cumsum(np.array(steps_ms, np.int64)) * 1_000_000
+    drive = drive_numbers(time_ns)
+    block = block_numbers(time_ns, drive, block_s)
+    for i in range(1, len(time_ns)):
+        assert (drive[i] > drive[i - 1]) == (steps_ms[i] < 0 or steps_ms[i] > 1000)
+        assert block[i] > block[i - 1] or drive[i] == drive[i - 1]
+    for number in range(block[-1] + 1):
+        within = time_ns[block == number]
+        assert len(within)
+        assert within.max() - within.min() < block_s * 1_000_000_000
+
+
+@given(st.lists(st.integers(1, 50), min_size=2, max_size=30), st.floats(0.05, 0.5), st.integers(0, 9))
+def test_validation_is_as_near_to_its_share_as_whole_blocks_allow(
+    lengths: list[int], share: float, seed: int
+) -> None:
+    block = np.repeat(np.arange(len(lengths)), lengths)
+    taken = validation_blocks(block, share, seed, "session")
+    assert 1 <= len(taken) < len(lengths)
+    assert abs(sum(lengths[i] for i in taken) - share * len(block)) <= max(lengths)
+
+
+def test_another_session_moves_no_ones_split(tmp_path: Path) -> None:
+    alone = rows_of(index_of(tmp_path, a=STEERING).path / "frames" / "a.parquet")
+    together = rows_of(index_of(tmp_path, a=STEERING, b=STEERING[::-1]).path / "frames" / "a.parquet")
+    assert [row["split"] for row in alone] == [row["split"] for row in together]
+
+
+# Frames
+
+
+def test_ranges_lead_to_the_pictures_bytes_and_values_to_their_rows(tmp_path: Path) -> None:
+    indexed = index_of(tmp_path, a=STEERING)
+    frames = rows_of(indexed.path / "frames" / "a.parquet")
+    assert len(frames) == 3 * len(STEERING)
+    for row in frames:
+        expected = f"{row['session']} {row['camera']} {row['row']}".encode()
+        assert plain_read(tmp_path / "a.mcap", row["offset"], row["length"]) == expected
+        values = [row[name] for name in ("steering", "throttle", "brake", "speed_mph")]
+        assert values == [STEERING[row["row"]], 0.5, 0.0, 9.0]
+
+
+def test_a_picture_without_a_vehicle_state_is_no_frame(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        for row in range(3):
+            writer.picture("center", row * STEP_NS, row, b"picture")
+        for row in (0, 2):
+            writer.vehicle(row * STEP_NS, row, VehicleState(steering=row / 10))
+    frames = build_index([path], tmp_path / "index").frames.to_pylist()
+    assert [(row["row"], row["steering"]) for row in frames] == [(0, 0.0), (2, 0.2)]
+
+
+# The same bytes, and nothing read twice
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+    def samples(seed: int) -> str:
+        config = IndexConfig(block_s=2.0, seed=seed)
+        return digest(index_of(tmp_path, config, a=STEERING, b=[0.3] * 50).path / "samples.parquet")
+
+    first = samples(1)
+    assert samples(2) != first
+    assert samples(1) == first
+
+
+def test_only_what_changed_is_read_again(tmp_path: Path) -> None:
+    logs = [write_session(tmp_path / "a.mcap", STEERING), write_session(tmp_path / "b.mcap", STEERING[::-1])]
+    index = tmp_path / "index"
+
+    def read_again(config: IndexConfig = BLOCKS) -> list[str]:
+        return build_index(logs, index, config).read
+
+    assert read_again() == ["a", "b"]
+    before = [digest(path) for path in sorted(index.rglob("*.parquet"))]
+    assert read_again() == []
+    assert [digest(path) for path in sorted(index.rglob("*.parquet"))] == before
+    write_session(logs[1], STEERING[1:])
+    assert read_again() == ["b"]
+    (index / "frames" / "a.parquet").unlink()
+    assert read_again() == ["a"]
+    (index / "frames" / "a.parquet").write_bytes(b"garbage")
+    assert read_again() == ["a"]
+    with (index / "frames" / "b.parquet").open("rb+") as stream:  # its data damaged, its metadata whole
+        stream.seek(10)
+        stream.write(bytes(300))
+    assert read_again() == ["b"]
+    assert digest(index / "frames" / "a.parquet") == before[0]
+    assert read_again(IndexConfig(block_s=3.0)) == ["a", "b"]
+    assert read_again(IndexConfig(block_s=3.0, max_uses=2)) == []
+
+
+def test_a_session_that_is_gone_vanishes_and_strangers_files_stay(tmp_path: Path) -> None:
+    indexed = index_of(tmp_path, a=STEERING, b=STEERING[::-1])
+    note = indexed.path / "frames" / "mine.parquet"
+    note.write_bytes(b"not ours")
+    (tmp_path / "b.mcap").unlink()
+    again = build_index(find_logs((), tmp_path), indexed.path)
+    assert again.sessions == ["a"]
+    assert {row["session"] for row in rows_of(indexed.path / "samples.parquet")} == {"a"}
+    assert sorted(path.name for path in note.parent.iterdir()) == ["a.parquet", "mine.parquet"]
+
+
+# Errors and the command
+
+
+def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
+    """Each name has a split of its own: a picture could be on both sides."""
+    logs = [write_log(tmp_path / f"{name}.mcap", STEERING) for name in "ab"]
+    with pytest.raises(DatasetError, match=r"a\.mcap and .*b\.mcap: the same picture in both"):
+        build_index(logs, tmp_path / "index", BLOCKS)
+
+
+def test_no_sessions_is_an_error_with_the_next_command(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="bc-record"):
+        find_logs((), tmp_path)
+
+
+def test_a_session_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    write_log(tmp_path / "lake.mcap", [0.0])
+    with pytest.raises(DatasetError, match=r"loch\.mcap: no such log"):
+        find_logs(("lake", "loch"), tmp_path)
+
+
+def test_two_sessions_of_one_name_are_refused(tmp_path: Path) -> None:
+    for place in ("here", "there"):
+        write_log(tmp_path / place / "lake.mcap", [0.0])
+    given_twice = str(tmp_path / "here" / "lake.mcap")
+    with pytest.raises(DatasetError, match="two sessions of one name"):
+        find_logs((given_twice, str(tmp_path / "there" / "lake.mcap")), tmp_path)
+    assert find_logs((given_twice, "lake"), tmp_path / "here") == [Path(given_twice)]
+
+
+@pytest.mark.parametrize("steering", [[], [2.0, float("nan")]])
+def test_logs_without_a_usable_frame_are_an_error(tmp_path: Path, steering: list[float]) -> None:
+    with pytest.raises(DatasetError, match="no frame"):
+        index_of(tmp_path, a=steering)
+    assert not (tmp_path / "index" / "samples.parquet").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage", b"PAR1 garbage PAR1"])
+def test_a_damaged_index_is_an_error_with_the_next_command(tmp_path: Path, content: bytes) -> None:
+    indexed = index_of(tmp_path, a=[0.1, 0.2])
+    (indexed.path / "samples.parquet").write_bytes(content)
+    with pytest.raises(DatasetError, match=r"samples\.parquet: damaged.*`bc-index`"):
+        Samples(indexed.path)
+
+
+def test_a_missing_index_is_an_error_with_the_next_command(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="`bc-index`"):
+        Samples(tmp_path)
+
+
+def test_bc_index_prints_sessions_balance_and_totals(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    write_log(tmp_path / "lake.mcap", STEERING)
+    line = ["--sessions", tmp_path, "--index", tmp_path / "index", "--block-s", 2]
+    assert call(main, *line) == 0
+    told = capsys.readouterr().out.splitlines()
+    samples = rows_of(tmp_path / "index" / "samples.parquet")
+    split = Counter(row["split"] for row in samples)
+    assert told[-1].startswith(f"{tmp_path / 'index'}: 900 frames, {len(samples):,} samples")
+    assert f"{split['train']:,} train" in told[-1]
+    assert f"{split['validation']:,} validation" in told[-1]
+    [session] = [text.strip("│ ").replace("│", " ").split() for text in told if "lake" in text and "│" in text]
+    frames = Counter(row["split"] for row in rows_of(tmp_path / "index" / "frames" / "lake.parquet"))
+    counted = [frames["train"], frames["validation"], frames["gap"]]
+    assert session == ["lake", "900", *map(str, counted), "0", "read"]
+    assert sum("-0.04 .. +0.04" in text for text in told) == 1
+    assert call(main, *line) == 0
+    assert "unchanged" in capsys.readouterr().out
+
+
+def test_bc_index_without_sessions_says_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "--sessions", tmp_path / "none", "--index", tmp_path / "index") == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
+    assert "bc-record" in told.err
+    assert not (tmp_path / "index").exists()
+
+
+def test_the_index_never_depends_on_what_is_in_a_picture(tmp_path: Path) -> None:
+    def noise(camera: Camera, row: int) -> bytes:
+        return bytes([CAMERAS.index(camera), row, 0xFF])
+
+    path = write_log(tmp_path / "a.mcap", [0.1, 0.2], noise)
+    assert len(build_index([path], tmp_path / "index").frames) == 6

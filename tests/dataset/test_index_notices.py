@@ -1,0 +1,96 @@
+"""What bc-index says beside its tables: once, and where somebody can do something about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dataset import build_index, find_logs, sessions_not_indexed
+from dataset.cli import main
+from logs import write_log
+from recorder.log.topics import Camera
+from udacity import call
+
+STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def log_of(name: str, width: int = 0, height: int = 0) -> Path:
+    """A log whose pictures are no other session's: of this size, or else none at all."""
+
+    def picture(camera: Camera, row: int) -> bytes:
+        if not width:
+            return f"{name} {camera} {row}".encode()
+        encoded = cv2.imencode(".jpg", np.full((height, width, 3), 3 * row + 60, np.uint8))[1]
+        return encoded.tobytes() + f"{name} {camera} {row}".encode()
+
+    return write_log(Path("sessions") / f"{name}.mcap", STEERING[:60] if width else STEERING, picture)
+
+
+def test_sessions_that_were_not_chosen_are_told_once(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("lake", "mountain", "jungle"):
+        log_of(name)
+    assert call(main, "lake") == 0
+    told = "index: does not hold jungle, mountain; `bc-index` without names takes in all of sessions"
+    assert told in capsys.readouterr().err
+    assert sessions_not_indexed("index", "sessions") == []  # which is what a training asks
+    log_of("newer")
+    assert sessions_not_indexed("index", "sessions") == ["newer"]
+    assert call(main, "lake") == 0  # the same index, and by now another choice
+    assert sessions_not_indexed("index", "sessions") == []
+    capsys.readouterr()
+    assert call(main) == 0
+    assert "does not hold" not in capsys.readouterr().err
+    assert sessions_not_indexed("index", "sessions") == []
+
+
+def test_a_log_that_was_left_out_is_told_again_when_it_has_changed(capsys: pytest.CaptureFixture[str]) -> None:
+    log_of("lake")
+    bad = Path("sessions/bad.mcap")
+    bad.write_bytes(b"no log")
+    assert call(main) == 3
+    assert sessions_not_indexed("index", "sessions") == []
+    bad.unlink()
+    log_of("bad")
+    assert sessions_not_indexed("index", "sessions") == ["bad"]
+
+
+def test_a_session_that_is_mistyped_is_asked_back(capsys: pytest.CaptureFixture[str]) -> None:
+    log_of("lake")
+    assert call(main, "laek") == 1
+    assert "laek.mcap: no such log; did you mean lake?" in capsys.readouterr().err
+    assert call(main, "beach") == 1
+    assert "no such log; the sessions are named by the files in sessions" in capsys.readouterr().err
+
+
+def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFixture[str]) -> None:
+    log_of("lake", 320, 160)
+    assert call(main, "--validation-share", 0) == 0
+    assert "different sizes" not in capsys.readouterr().err
+    log_of("tub", 160, 120)
+    log_of("mountain", 320, 160)
+    for _ in range(2):
+        assert call(main, "--validation-share", 0) == 0
+        said = capsys.readouterr().err
+        assert "pictures of different sizes: 320 x 160 px in lake, mountain; 160 x 120 px in tub." in said
+
+
+def test_a_flag_that_cannot_be_is_named_as_it_was_typed(capsys: pytest.CaptureFixture[str]) -> None:
+    log_of("lake")
+    assert call(main, "--max-uses", 0) == 2
+    assert "--max-uses 0: expected at least 1" in " ".join(capsys.readouterr().err.split())
+
+
+def test_paths_may_be_text() -> None:
+    log_of("lake")
+    indexed = build_index(["sessions/lake.mcap"], "index")
+    assert (indexed.path, indexed.sessions) == (Path("index"), ["lake"])
+    assert find_logs((), "sessions") == find_logs([Path("sessions/lake.mcap")], "sessions")

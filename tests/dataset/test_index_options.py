@@ -1,0 +1,272 @@
+"""How an index is made: the count of the bins, conditions in SQL, the leak check, and what is not done twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dataset import DatasetError, IndexConfig, build_index
+from dataset.cli import main
+from dataset.index.balance import balance
+from dataset.index.leaks import find_leaks
+from dataset.index.split import near_validation
+from logs import write_log
+from recorder import Log
+from recorder.log.tags import Tag, add_tag
+from recorder.log.topics import Camera
+from udacity import call
+
+STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
+
+
+def log_of(path: Path, steering: list[float] = STEERING) -> Path:
+    def picture(camera: Camera, row: int) -> bytes:
+        return f"{path.stem} {camera} {row}".encode()
+
+    return write_log(path, steering, picture, overwrite=True)
+
+
+# Balance
+
+
+@given(
+    st.lists(st.integers(0, 6), min_size=1, max_size=200),
+    st.sampled_from(["mean", "median", 1, 7, 50]),
+    st.integers(1, 9),
+)
+def test_bins_are_brought_to_the_mean_the_median_or_a_number(bins: list[int], per_bin: object, cap: int) -> None:
+    counts = Counter(bins)
+    balanced = balance(np.array(bins), 7, cap, np.random.default_rng(0), per_bin)  # type: ignore[arg-type]
+    told = {"mean": round(np.mean(list(counts.values()))), "median": round(np.median(list(counts.values())))}
+    target = told.get(per_bin, per_bin)  # type: ignore[call-overload]
+    after = Counter(np.array(bins)[balanced.chosen].tolist())
+    assert after == {number: min(target, count * cap) for number, count in counts.items()}
+    assert balanced.per_bin == target
+    assert max(Counter(balanced.chosen.tolist()).values()) <= cap
+
+
+def test_without_balance_every_frame_is_a_sample_once(tmp_path: Path) -> None:
+    indexed = build_index(
+        [log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(balance=False, flip=False)
+    )
+    used = Counter((row["row"], row["camera"]) for row in indexed.samples.to_pylist())
+    split = {row["row"]: row["split"] for row in indexed.frames.to_pylist()}
+    assert used == {
+        (row, camera): 1 for row in range(300) for camera in ("center", "left", "right") if split[row] != "gap"
+    }
+    assert not any(indexed.samples["copy"].to_pylist())
+    assert indexed.balance.before.tolist() == indexed.balance.after.tolist()
+
+
+# Questions
+
+
+@pytest.mark.parametrize(
+    ("where", "rows"),
+    [
+        ("steering > 0.2", {row for row in range(300) if STEERING[row] > 0.2}),
+        ("abs(steering) < 0.1 and row % 2 = 0", {row for row in range(0, 300, 2) if abs(STEERING[row]) < 0.1}),
+        ("'recovery' in tags", set(range(50, 80))),
+        ("camera = 'left' and row < 10", set(range(10))),
+        ("row < 20 -- the first two seconds", set(range(20))),
+    ],
+)
+def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    with Log(path) as log:
+        add_tag(path, log.fingerprint, Tag(50, 79, "recovery"))
+    config = IndexConfig(where=where, balance=False, gap_s=0)
+    indexed = build_index([path], tmp_path / "index", config)
+    assert set(indexed.samples["row"].to_pylist()) == rows
+    stored = json.loads(pq.read_schema(tmp_path / "index" / "samples.parquet").metadata[b"bc.index"])
+    assert stored["settings"]["where"] == where
+    assert indexed.counts["a"].not_asked_for == 900 - len(indexed.samples) // 2
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        "speed >",
+        "nonsense = 1",
+        "1) or (1",
+        "'x'",
+        "row in (select 1",
+        "1=1) union all select 1 from (select 1",
+        "row = 1; drop table frames",
+        "row = 1 limit 3",
+    ],
+)
+def test_what_is_no_condition_is_an_error_that_names_the_columns(tmp_path: Path, where: str) -> None:
+    with pytest.raises(DatasetError, match=r"--where .*columns are session, row, camera"):
+        build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where=where))
+
+
+def test_a_condition_reads_no_file(tmp_path: Path) -> None:
+    secret = tmp_path / "secret.csv"
+    secret.write_text("a\n1\n")
+    where = f"exists(select * from read_csv('{secret}'))"
+    with pytest.raises(DatasetError, match="disabled"):
+        build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where=where))
+
+
+def test_a_condition_that_nothing_meets_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"no frame can be used.*--where"):
+        build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where="speed_mph > 900"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal to oneself is no Ctrl-C there")
+def test_a_condition_that_takes_long_can_be_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log_of(tmp_path / "sessions" / "a.mcap")
+
+    def stop_what_takes_long() -> None:
+        seen = 0
+        while seen < 20:  # it has been in DuckDB's hands for a while
+            stacks = [traceback.walk_stack(frame) for frame in sys._current_frames().values()]
+            seen += any(frame.f_code.co_name == "fetchnumpy" for stack in stacks for frame, _ in stack)
+            threading.Event().wait(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    stopping = threading.Thread(target=stop_what_takes_long)
+    stopping.start()
+    minutes = "(select count(*) from range(3000000000) many(x) where (x * row) % 7 = 3) > 5"
+    assert call(main, "--where", minutes) == 130
+    stopping.join()
+    assert capsys.readouterr().err.splitlines()[-1] == "bc-index: stopped"
+    assert not (tmp_path / "index" / "samples.parquet").exists()
+
+
+# The split
+
+
+@given(st.lists(st.tuples(st.floats(-0.4, 0.4), st.booleans()), max_size=60), st.sampled_from([0, 0.5, 2]))
+def test_the_gap_is_what_lies_near_a_held_out_row_along_the_recording(
+    rows: list[tuple[float, bool]], gap_s: float
+) -> None:
+    steps_ns = [int(step * 1e9) for step, _ in rows]
+    held_out = np.array([flag for _, flag in rows], np.bool_)
+
+    def apart_ns(one: int, other: int) -> int:
+        """Also where the clock was set back between the two."""
+        low, high = sorted((one, other))
+        return sum(map(abs, steps_ns[low + 1 : high + 1]))
+
+    expected = [
+        not held_out[i] and any(held_out[j] and apart_ns(i, j) <= gap_s * 1e9 for j in range(len(rows)))
+        for i in range(len(rows))
+    ]
+    time_ns = np.cumsum(steps_ns).astype(np.int64)
+    assert near_validation(time_ns, held_out, gap_s).tolist() == expected
+
+
+def test_an_index_has_no_leak(tmp_path: Path) -> None:
+    logs = [log_of(tmp_path / "a.mcap"), log_of(tmp_path / "b.mcap", STEERING[::-1])]
+    assert find_leaks(build_index(logs, tmp_path / "index", IndexConfig(block_s=3)).path) == []
+    assert find_leaks(build_index(logs, tmp_path / "index", IndexConfig(validation=("b",))).path) == []
+
+
+def leak_of(tmp_path: Path, **changed: object) -> list[str]:
+    """The leaks of an index in whose samples some columns were changed by hand for one row of the log."""
+    path = log_of(tmp_path / "a.mcap")
+    index = build_index([path], tmp_path / "index", IndexConfig(block_s=3, flip=False)).path
+    samples = pq.read_table(index / "samples.parquet")
+    rows = samples.to_pylist()
+    victim = next(row for row in rows if row["split"] == "validation")
+    extra = {**victim, **changed}
+    pq.write_table(pa.Table.from_pylist([*rows, extra], samples.schema), index / "samples.parquet")
+    return find_leaks(index)
+
+
+def test_a_row_on_both_sides_is_a_leak(tmp_path: Path) -> None:
+    leaks = leak_of(tmp_path, split="train")
+    assert any("in training and in validation" in leak for leak in leaks)
+
+
+def test_an_altered_picture_in_validation_is_a_leak(tmp_path: Path) -> None:
+    [leak] = leak_of(tmp_path, alteration="blur", seed=3)
+    assert "1 sample of validation is altered, or a copy" in leak
+
+
+def test_training_within_the_gap_is_a_leak(tmp_path: Path) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    index = build_index([path], tmp_path / "index", IndexConfig(block_s=3, flip=False)).path
+    gap = next(row for row in pq.read_table(index / "frames" / "a.parquet").to_pylist() if row["split"] == "gap")
+    samples = pq.read_table(index / "samples.parquet")
+    rows = samples.to_pylist()
+    extra = {**rows[0], "row": gap["row"], "split": "train"}
+    pq.write_table(pa.Table.from_pylist([*rows, extra], samples.schema), index / "samples.parquet")
+    [leak] = find_leaks(index)
+    assert "s from validation, less than the gap of 1 s" in leak
+
+
+def test_an_excluded_row_in_use_is_a_leak(tmp_path: Path) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    index = build_index([path], tmp_path / "index", IndexConfig(block_s=3)).path
+    before = (index / "samples.parquet").read_bytes()
+    with Log(path) as log:
+        add_tag(path, log.fingerprint, Tag(0, 9, "exclude"))
+    build_index([path], index, IndexConfig(block_s=3))
+    (index / "samples.parquet").write_bytes(before)
+    assert any("tagged `exclude` and used" in leak for leak in find_leaks(index))
+
+
+def test_bc_index_check_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log_of(tmp_path / "sessions" / "a.mcap")
+    assert call(main, "--check", "--block-s", 3) == 0
+    assert "no leak" in capsys.readouterr().out
+
+
+# Nothing is done twice
+
+
+def test_an_unchanged_index_is_not_even_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    logs = [log_of(tmp_path / "a.mcap"), log_of(tmp_path / "b.mcap", STEERING[::-1])]
+    first = build_index(logs, tmp_path / "index")
+
+    def opened(path: Path) -> Log:
+        raise AssertionError(f"{path} was opened")
+
+    monkeypatch.setattr("dataset.index.build.Log", opened)
+    again = build_index(logs, tmp_path / "index")
+    assert again.read == []
+    assert (again.counts, again.balance.as_dict()) == (first.counts, first.balance.as_dict())
+    assert again.samples.equals(first.samples)
+
+
+@pytest.mark.parametrize("what", ["state.json", "samples.parquet", "frames/a.parquet"])
+@pytest.mark.parametrize("content", [None, b"", b"garbage", b"[]", b'{"logs": 1}'])
+def test_what_is_damaged_or_gone_is_made_anew(tmp_path: Path, what: str, content: bytes | None) -> None:
+    log = log_of(tmp_path / "a.mcap")
+    samples = build_index([log], tmp_path / "index").samples
+    path = tmp_path / "index" / what
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    assert build_index([log], tmp_path / "index").samples.equals(samples)
+
+
+def test_a_log_that_was_touched_is_looked_at_and_left(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "a.mcap")
+    build_index([log], tmp_path / "index")
+    before = (tmp_path / "index" / "samples.parquet").read_bytes()
+    os.utime(log, ns=(0, 0))
+    assert build_index([log], tmp_path / "index").read == []
+    assert (tmp_path / "index" / "samples.parquet").read_bytes() == before

@@ -1,0 +1,338 @@
+"""An index that was built once stays right: whatever changes, moves, lies, or happens at the same time."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import dataset.index.frames
+from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs, load, sessions_not_indexed
+from dataset.cli import main
+from dataset.config import IndexConfig as Config
+from dataset.index.frames import frames_of
+from dataset.index.leaks import find_leaks
+from driving import environment
+from logs import write_log
+from recorder import Log, LogError, LogWriter, Pictures
+from recorder.bc_pb2 import VehicleState
+from recorder.log.row_quality import States
+from recorder.log.tags import Tag, add_tag
+from recorder.log.topics import CAMERAS, Camera
+from udacity import call, jpeg
+from waiting import PATIENCE_S
+
+STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
+KEY = b"bc.index"
+
+
+def log_of(path: Path, steering: list[float] = STEERING) -> Path:
+    def picture(camera: Camera, row: int) -> bytes:
+        return f"{path.stem} {camera} {row}".encode()
+
+    return write_log(path, steering, picture, overwrite=True)
+
+
+def rewrite(path: Path, table: pa.Table | None = None, **changed: Any) -> None:
+    """Somebody's parquet file: other columns, or other metadata."""
+    old = pq.read_table(path)
+    metadata = {**json.loads(old.schema.metadata[KEY]), **changed}
+    pq.write_table((old if table is None else table).replace_schema_metadata({KEY: json.dumps(metadata)}), path)
+
+
+def forget(index: Path) -> None:
+    (index / "state.json").unlink()
+
+
+# What changes while, or after
+
+
+def test_a_tag_that_comes_while_an_index_is_built_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    original = dataset.index.frames.frames_table
+
+    def tagging(log: Log, *rest: Any) -> pa.Table:
+        add_tag(path, log.fingerprint, Tag(0, 99, "exclude"))
+        return original(log, *rest)
+
+    monkeypatch.setattr("dataset.index.build.frames_table", tagging)
+    build_index([path], tmp_path / "index")
+    monkeypatch.undo()
+    indexed = build_index([path], tmp_path / "index")
+    assert indexed.counts["a"].excluded == 300
+    assert min(indexed.samples["row"].to_pylist()) >= 100
+
+
+def test_a_moved_index_finds_its_logs_again_or_says_so(tmp_path: Path) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    build_index([path], tmp_path / "index")
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "index").rename(tmp_path / "deep" / "index")
+    with pytest.raises(DatasetError, match="bc-index"):
+        Samples(tmp_path / "deep" / "index")
+    build_index([path], tmp_path / "deep" / "index")
+    Samples(tmp_path / "deep" / "index").close()
+
+
+@pytest.mark.parametrize("what", ["dataset.index.build.SAMPLES_FORMAT", "dataset.index.build.FORMAT"])
+def test_an_index_of_an_older_toolkit_is_built_anew(
+    tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    build_index([path], tmp_path / "index")
+    before = (tmp_path / "index" / "samples.parquet").stat().st_ino
+    monkeypatch.setattr(what, 99)
+    monkeypatch.setattr("dataset.index.frames.FORMAT", 99)
+    build_index([path], tmp_path / "index", IndexConfig(seed=1) if what.endswith("x.FORMAT") else None)
+    assert (tmp_path / "index" / "samples.parquet").stat().st_ino != before
+
+
+def test_samples_of_another_format_are_refused(tmp_path: Path) -> None:
+    build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index")
+    rewrite(tmp_path / "index" / "samples.parquet", format=99)
+    with pytest.raises(DatasetError, match=r"of format 99.*bc-index"):
+        Samples(tmp_path / "index")
+
+
+def test_the_order_in_which_sessions_are_given_is_no_matter(tmp_path: Path) -> None:
+    logs = [log_of(tmp_path / f"{name}.mcap", STEERING[i:]) for i, name in enumerate("abc")]
+    build_index(logs, tmp_path / "one")
+    build_index(logs[::-1], tmp_path / "two")
+    one, two = ((tmp_path / name / "samples.parquet").read_bytes() for name in ("one", "two"))
+    assert one == two
+
+
+def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from dataset import build_index;"
+        "build_index([Path(sys.argv[1])], Path(sys.argv[2]))"
+    )
+    logs = [log_of(tmp_path / f"{name}.mcap") for name in "ab"]
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(log), str(tmp_path / "index")],
+            env=environment(),
+            stderr=subprocess.PIPE,
+        )
+        for log in logs * 2
+    ]
+    errors = [process.communicate(timeout=PATIENCE_S)[1] for process in running]
+    assert [process.returncode for process in running] == [0] * 4, errors
+    Samples(tmp_path / "index").close()
+
+
+# What lies
+
+
+def test_a_link_in_the_index_is_not_followed(tmp_path: Path) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    other = build_index([path], tmp_path / "other").path
+    (tmp_path / "index").mkdir()
+    (tmp_path / "index" / "frames").symlink_to(other)
+    before = sorted(file.name for file in other.rglob("*"))
+    with pytest.raises(DatasetError, match="not a plain folder"):
+        build_index([path], tmp_path / "index")
+    assert sorted(file.name for file in other.rglob("*")) == before
+
+
+def renamed(frames: pa.Table) -> pa.Table:
+    return frames.set_column(0, "session", pa.array(["x"] * len(frames)))
+
+
+def without_a_column(frames: pa.Table) -> pa.Table:
+    return frames.drop_columns(["speed_mph"])
+
+
+def with_text_for_steering(frames: pa.Table) -> pa.Table:
+    at = frames.column_names.index("steering")
+    return frames.set_column(at, "steering", frames["steering"].cast(pa.string()))
+
+
+def with_holes(frames: pa.Table) -> pa.Table:
+    return frames.set_column(
+        frames.column_names.index("steering"), "steering", pa.array([None] * len(frames), pa.float64())
+    )
+
+
+@pytest.mark.parametrize("change", [renamed, without_a_column, with_text_for_steering, with_holes])
+def test_frames_that_make_no_sense_are_made_anew(tmp_path: Path, change: Any) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    samples = build_index([path], tmp_path / "index").samples
+    file = tmp_path / "index" / "frames" / "a.parquet"
+    rewrite(file, change(pq.read_table(file)))
+    forget(tmp_path / "index")
+    again = build_index([path], tmp_path / "index")
+    assert again.read == ["a"]
+    assert again.samples.equals(samples)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"logs": 5},
+        {"logs": {"a": 1}},
+        {"balance": []},
+        {"balance": {"before": [[1]], "after": [[1]]}},
+        {"counts": "x"},
+    ],
+    ids=str,
+)
+def test_samples_metadata_that_lies_costs_no_traceback(tmp_path: Path, changed: dict[str, Any]) -> None:
+    path = log_of(tmp_path / "a.mcap")
+    indexed = build_index([path], tmp_path / "index")
+    samples, state = tmp_path / "index" / "samples.parquet", tmp_path / "index" / "state.json"
+    rewrite(samples, **changed)
+    status = samples.stat()
+    state.write_text(
+        json.dumps({**json.loads(state.read_text()), "samples": [status.st_size, status.st_mtime_ns]})
+    )
+    assert isinstance(sessions_not_indexed(tmp_path / "index", tmp_path), list)
+    assert build_index([path], tmp_path / "index").balance.as_dict() == indexed.balance.as_dict()
+
+
+def test_deeply_nested_metadata_costs_no_traceback(tmp_path: Path) -> None:
+    build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index")
+    path = tmp_path / "index" / "samples.parquet"
+    pq.write_table(pq.read_table(path).replace_schema_metadata({KEY: b"[" * 200_000}), path)
+    with pytest.raises(DatasetError, match="damaged"):
+        Samples(tmp_path / "index")
+
+
+# What cannot be
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"side_correction": float("nan")},
+        {"side_correction": float("inf")},
+        {"block_s": float("inf")},
+        {"block_s": 1e-10},
+        {"gap_s": float("nan")},
+        {"alter": ("blur", "blur")},
+        {"alter": ("none", "blur")},
+        {"per_bin": 0},
+        {"bins": 0},
+        {"max_uses": 0},
+        {"cameras": ()},
+        {"seed": -1},
+        {"label_smooth_s": 61},
+        {"validation_share": 1.0},
+    ],
+    ids=str,
+)
+def test_settings_that_make_no_sense_are_refused(bad: dict[str, Any]) -> None:
+    """By the flag, for that is what most people gave."""
+    flag = f"--{next(iter(bad)).replace('_', '-')}".replace("label-smooth-s", "label-smooth")
+    with pytest.raises(ValueError, match=f"^{flag} .*: expected "):
+        Config(**bad)
+
+
+def test_a_name_that_no_index_can_hold_is_refused(tmp_path: Path) -> None:
+    for name in (b"caf\xe9.mcap", b".mcap", b"two\nlines.mcap"):
+        path = tmp_path / os.fsdecode(name)
+        write_log(path, [0.1])
+        with pytest.raises(DatasetError, match="needs a name"):
+            find_logs([str(path)], tmp_path)
+
+
+def test_a_damaged_session_that_should_validate_is_an_error(tmp_path: Path) -> None:
+    logs = [log_of(tmp_path / "a.mcap"), tmp_path / "b.mcap"]
+    logs[1].write_bytes(b"no log")
+    with pytest.raises(LogError, match=r"b\.mcap"):
+        build_index(logs, tmp_path / "index", IndexConfig(validation=("b",)), leave_out_unreadable=True)
+
+
+def test_a_split_without_samples_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log_of(tmp_path / "sessions" / "a.mcap", STEERING[:30])
+    assert call(main) == 3
+    assert "no sample for validation" in capsys.readouterr().err
+    assert call(main, "--block-s", 1, "--gap-s", 100) == 3
+    assert "no sample for training" in capsys.readouterr().err
+    assert call(main, "--validation-share", 0) == 0
+
+
+def test_a_condition_that_depends_on_chance_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="depends on chance"):
+        build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where="random() < 0.5"))
+
+
+# The split and shared pictures
+
+
+def test_a_clock_that_is_set_back_opens_no_gap_in_the_gap(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    time_ns = 10**18
+    with LogWriter(path, {}) as writer:
+        for row in range(400):
+            time_ns += -1_000_000 if row % 50 == 49 else 100_000_000
+            writer.picture("center", time_ns, row, f"{row}".encode())
+            writer.vehicle(time_ns, row, VehicleState(steering=0.1, speed_mph=9))
+    indexed = build_index([path], tmp_path / "index", IndexConfig(block_s=3.0))
+    by_split: dict[str, list[int]] = {"train": [], "validation": []}
+    for sample in indexed.samples.to_pylist():
+        by_split[sample["split"]].append(sample["row"])
+    nearest = min(abs(one - other) for one in by_split["train"] for other in by_split["validation"])
+    assert nearest > 10  # rows, a tenth of a second each
+    assert find_leaks(indexed.path) == []
+
+
+def test_one_shared_picture_among_alike_ones_is_found(tmp_path: Path) -> None:
+    def writing(path: Path, shared: int) -> Path:
+        with LogWriter(path, {}) as writer:
+            for row in range(5):
+                data = b"shared" if row == shared else f"{path.stem}{row:05d}".encode()
+                writer.picture("center", 10**18, row, data)  # equal times, equal lengths
+                writer.vehicle(10**18, row, VehicleState(steering=0.1))
+        return path
+
+    logs = [writing(tmp_path / "a.mcap", 4), writing(tmp_path / "b.mcap", 0)]
+    with pytest.raises(DatasetError, match=r"the same picture in both \(rows 4 and 0\)"):
+        build_index(logs, tmp_path / "index")
+
+
+def test_a_log_whose_rows_are_not_numbered_is_paired_by_time() -> None:
+    """Comparing each row with each, this would take hours."""
+    count = 300_000
+    zero, time_ns = np.zeros(count, np.int64), np.arange(count) * 100_000_000
+    floats = np.zeros(count)
+    states = States(zero, time_ns, floats, floats, floats, floats)
+    pictures = {camera: Pictures(zero, time_ns, np.arange(count) * 9, zero + 9, zero - 1) for camera in CAMERAS}
+    table = frames_of(states, pictures, "a", IndexConfig())
+    assert len(table) == 3 * count
+    assert table["log_time_ns"].to_pylist()[:6] == [0, 0, 0, 100_000_000, 100_000_000, 100_000_000]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit to set there")
+def test_more_sessions_than_files_may_be_open_at_first(tmp_path: Path) -> None:
+    for number in range(40):
+        write_log(tmp_path / f"{number:02d}.mcap", [0.1], lambda camera, row, n=number: jpeg(40 + n))  # type: ignore[misc]
+    build_index(find_logs((), tmp_path), tmp_path / "index")
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_NOFILE, (32, 4096));"
+        "import dataset; loader = dataset.load(sys.argv[1]);"
+        "print(sum(len(batch.steering) for batch in loader.epoch(1)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "index")],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    with load(tmp_path / "index") as loader:
+        assert done.stdout.strip() == str(len(loader)), done.stderr

@@ -1,0 +1,435 @@
+"""An index holds what the readable logs give, whatever came before; and it changes whole, or not at all."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from dataset import DatasetError, IndexConfig, build_index, find_logs
+from dataset.cli import main
+from disk import files_of_at_most
+from logs import write_log
+from recorder import Log, LogError
+from recorder.log.recover import recover
+from udacity import call, jpeg
+
+STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(40)]  # 4 s
+
+
+def log_of(path: Path, content: str = "") -> Path:
+    """A log whose pictures are no other session's; another `content` gives others of the same sizes."""
+    return write_log(
+        path, STEERING, lambda camera, row: f"{path.stem}{content:.<9} {camera} {row}".encode(), overwrite=True
+    )
+
+
+def flip_a_picture(log: Path, row: int = 20) -> None:
+    """One bit of one picture, as a failing disk has it; all else stays."""
+    with Log(log) as opened:
+        frame = next(frame for frame in opened.frames().to_pylist() if frame["row"] == row)
+    with log.open("rb+") as stream:
+        stream.seek(frame["offset"])
+        (byte,) = stream.read(1)
+        stream.seek(frame["offset"])
+        stream.write(bytes([byte ^ 1]))
+
+
+def files_of(index: Path) -> dict[str, bytes]:
+    """All that anybody reads of an index: not its lock, nor what it remembers of sizes and times."""
+    return {
+        file.relative_to(index).as_posix(): file.read_bytes()
+        for file in sorted(index.rglob("*"))
+        if file.is_file() and file.name not in (".lock", "state.json")
+    }
+
+
+def sessions_of(index: Path) -> tuple[set[str], set[str]]:
+    """Those that the frames hold, read as pandas does, and those of the samples."""
+    frames = index / "frames"
+    held = set(pq.read_table(frames)["session"].to_pylist()) if any(frames.iterdir()) else set()
+    return held, set(pq.read_table(index / "samples.parquet")["session"].to_pylist())
+
+
+# Whatever came before
+
+
+def good(log: Path) -> None:
+    """It comes back as it was, or has never changed."""
+    remove(log)
+    log_of(log)
+
+
+def replaced(log: Path) -> None:
+    remove(log)
+    log_of(log, content=f"{next(numbers)}")
+
+
+def damaged(log: Path) -> None:
+    good(log)
+    flip_a_picture(log)
+
+
+def replaced_by_a_damaged_one(log: Path) -> None:
+    replaced(log)
+    flip_a_picture(log)
+
+
+def cut_off(log: Path) -> None:
+    """Such a log is read as far as it goes."""
+    good(log)
+    os.truncate(log, log.stat().st_size - 50)
+
+
+def no_log(log: Path) -> None:
+    damaged(log)
+    log.write_bytes(b"no log")
+
+
+def unreadable(log: Path) -> None:
+    """As a file that may not be read; the tests may run as somebody who may read all."""
+    remove(log)
+    log.mkdir(parents=True)
+
+
+def a_link_to_nowhere(log: Path) -> None:
+    unreadable(log)
+    remove(log)
+    log.symlink_to(log.with_name("nowhere"))
+
+
+def with_damaged_tags(log: Path) -> None:
+    good(log)
+    log.with_name(f"{log.stem}.tags.jsonl").write_text("no tag\n")
+
+
+def remove(log: Path) -> None:
+    """It has vanished."""
+    log.with_name(f"{log.stem}.tags.jsonl").unlink(missing_ok=True)
+    if log.is_dir():
+        log.rmdir()
+    else:
+        log.unlink(missing_ok=True)
+
+
+CHANGES: list[Callable[[Path], None]] = [
+    good,
+    replaced,
+    damaged,
+    replaced_by_a_damaged_one,
+    cut_off,
+    no_log,
+    unreadable,
+    a_link_to_nowhere,
+    with_damaged_tags,
+    remove,
+]
+INDEXED = (good, replaced, cut_off)
+numbers = itertools.count()
+
+
+def change(log: Path, how: Callable[[Path], None]) -> None:
+    before = (log.read_bytes(), log.stat().st_mtime_ns) if log.is_file() else (b"", 0)
+    how(log)
+    if log.is_file():  # every change has a time of its own, however coarse the clock of the file system is
+        time_ns = before[1] if log.read_bytes() == before[0] else next(numbers) * 1_000_000_000
+        os.utime(log, ns=(time_ns, time_ns))
+
+
+@settings(max_examples=15)
+@example([[damaged, good, good]])
+@example([[good, good, good], [replaced_by_a_damaged_one, damaged, good], [good, good, good]])
+@given(st.lists(st.lists(st.sampled_from(CHANGES), min_size=3, max_size=3), min_size=1, max_size=3))
+def test_an_index_is_that_of_the_logs_that_can_be_read(
+    tmp_path_factory: pytest.TempPathFactory, steps: list[list[Callable[[Path], None]]]
+) -> None:
+    """However logs came and went: the same files, byte for byte, as if these logs alone had ever been there."""
+    folder = tmp_path_factory.mktemp("any")
+    logs = [folder / "sessions" / f"{name}.mcap" for name in "abc"]
+    for step in steps:
+        for log, how in zip(logs, step, strict=True):
+            change(log, how)
+        there = [log for log, how in zip(logs, step, strict=True) if how in INDEXED]
+        found = find_logs((), folder / "sessions") if any((folder / "sessions").glob("*.mcap")) else logs
+        if not there:
+            before = files_of(folder / "index") if (folder / "index").exists() else {}
+            with pytest.raises(LogError):
+                build_index(found, folder / "index", leave_out_unreadable=True)
+            assert files_of(folder / "index") == before
+            continue
+        indexed = build_index(found, folder / "index", leave_out_unreadable=True)
+        assert indexed.sessions == [log.stem for log in there]
+        left_out = [notice for notice in indexed.notices if notice.endswith("left out")]
+        assert len(left_out) == len(found) - len(there)
+        fresh = build_index(there, folder / "fresh").path
+        assert files_of(folder / "index") == files_of(fresh)
+        shutil.rmtree(fresh)
+        again = build_index(found, folder / "index", leave_out_unreadable=True)
+        assert (again.read, again.sessions, again.notices) == ([], indexed.sessions, indexed.notices)
+
+
+def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sessions = tmp_path / "sessions"
+    damaged(sessions / "flipped.mcap")
+    unreadable(sessions / "folder.mcap")
+    write_log(sessions / "lake.mcap", STEERING, lambda camera, row: jpeg(60 + row))
+    shutil.copy(sessions / "lake.mcap", sessions / os.fsdecode(b"caf\xe9.mcap"))
+    for flags in ([], ["--look"]):
+        assert call(main, *flags) == 3
+        said = capsys.readouterr().err
+        for what in ("flipped.mcap: damaged", "folder.mcap", "needs a name"):
+            assert what in said
+        assert said.count("left out") == 3
+        assert sessions_of(tmp_path / "index") == ({"lake"}, {"lake"})
+    assert call(main, "flipped", "lake") == 1
+
+
+def test_a_log_whose_damage_its_time_does_not_tell_is_left_out_where_it_is_met(tmp_path: Path) -> None:
+    """Both are read because a session may share a picture with another one."""
+    logs = [log_of(tmp_path / "a.mcap"), tmp_path / "b.mcap"]
+    shutil.copy(logs[0], logs[1])
+    with pytest.raises(DatasetError, match="the same picture in both"):
+        build_index(logs, tmp_path / "index")
+    build_index(logs[:1], tmp_path / "index")
+    status = logs[0].stat()
+    flip_a_picture(logs[0])
+    os.utime(logs[0], ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert build_index(logs, tmp_path / "index", leave_out_unreadable=True).sessions == ["b"]
+
+
+# Whole, or not at all
+
+
+class Moments:
+    """Calls a function whenever a file is about to be opened, renamed, made or removed beneath a folder."""
+
+    def __init__(self) -> None:
+        self._at: tuple[Path, Callable[[], None]] | None = None
+        sys.addaudithook(self._hear)  # there for good: it has to be quiet again
+
+    def each(self, folder: Path, what: Callable[[], None]) -> None:
+        self._at = folder, what
+
+    def over(self) -> None:
+        self._at = None
+
+    def _hear(self, event: str, arguments: tuple[object, ...]) -> None:
+        if self._at is None or event not in ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir"):
+            return
+        folder, what = self._at
+        if str(arguments[0]).startswith(str(folder)):
+            self._at = None
+            what()
+            self._at = folder, what
+
+
+MOMENTS = Moments()
+
+
+@pytest.fixture
+def moments() -> Iterator[Moments]:
+    yield MOMENTS
+    MOMENTS.over()
+
+
+def changed_sessions(tmp_path: Path) -> tuple[list[Path], Path, dict[str, bytes], dict[str, bytes]]:
+    """Logs of which one stays, one was replaced, one has vanished and one is new; the index of before, its files,
+    and those it is to have."""
+    sessions = tmp_path / "sessions"
+    before = build_index([log_of(sessions / f"{name}.mcap") for name in "abc"], tmp_path / "before").path
+    logs = [sessions / "a.mcap", log_of(sessions / "b.mcap", "other"), log_of(sessions / "d.mcap")]
+    after = build_index(logs, tmp_path / "after").path
+    return logs, before, files_of(before), files_of(after)
+
+
+def test_a_build_that_is_killed_leaves_one_index_and_the_next_one_ends_it(
+    tmp_path: Path, moments: Moments
+) -> None:
+    logs, before, old, new = changed_sessions(tmp_path)
+    index = shutil.copytree(before, tmp_path / "index")
+    left: list[Path] = []
+
+    def kill() -> None:
+        """What somebody finds on the disk if the power fails now."""
+        left.append(shutil.copytree(index, tmp_path / f"killed{len(left)}"))
+
+    moments.each(index, kill)
+    build_index(logs, index)
+    moments.over()
+    assert files_of(index) == new
+    assert len(left) > 20
+    shared = shutil.copy(logs[2], tmp_path / "sessions" / "e.mcap")
+    for killed in left:
+        samples = (killed / "samples.parquet").read_bytes()
+        assert samples in (old["samples.parquet"], new["samples.parquet"])
+        whole = old if samples == old["samples.parquet"] else new
+        frames = {f"frames/{file.name}": file.read_bytes() for file in (killed / "frames").iterdir()}
+        assert frames.items() <= whole.items()
+        held, sampled = sessions_of(killed)
+        assert held <= sampled
+        refused = shutil.copytree(killed, tmp_path / "refused")
+        with pytest.raises(DatasetError, match="the same picture in both"):
+            build_index([*logs, shared], refused)
+        assert files_of(refused) in (old, new)
+        shutil.rmtree(refused)
+        build_index(logs, killed)
+        assert files_of(killed) == new
+
+
+def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(tmp_path: Path, moments: Moments) -> None:
+    logs, before, old, new = changed_sessions(tmp_path)
+    found = []
+    for number in itertools.count():
+        index = shutil.copytree(before, tmp_path / f"index{number}")
+        countdown = itertools.count(-number)
+
+        def stop(countdown: Iterator[int] = countdown) -> None:
+            if next(countdown) == 0:
+                signal.raise_signal(signal.SIGINT)
+
+        moments.each(index, stop)
+        try:
+            build_index(logs, index)
+            is_stopped = False
+        except KeyboardInterrupt:
+            is_stopped = True
+        moments.over()
+        found.append(files_of(index))
+        assert found[-1] in (old, new)
+        if not is_stopped:
+            break
+    assert old in found
+    assert len(found) > 20
+
+
+def test_a_full_disk_names_the_file_and_leaves_the_index(tmp_path: Path) -> None:
+    steering = [0.001 * row for row in range(300)]
+    log = write_log(tmp_path / "a.mcap", steering)
+    index = build_index([log], tmp_path / "index").path
+    old = files_of(index)
+    log_of(tmp_path / "b.mcap")
+    sizes = {name: len(content) for name, content in old.items()}
+    for size, name in ((1000, "frames/a.parquet"), (sizes["samples.parquet"] - 1000, "samples.parquet")):
+        assert size < sizes[name]
+        with files_of_at_most(size), pytest.raises(DatasetError) as raised:
+            build_index([log, tmp_path / "b.mcap"], index, IndexConfig(block_s=5, max_uses=9))
+        assert f"{index / name}: cannot be written (File too large)" in str(raised.value)
+        assert files_of(index) == old
+
+
+def test_a_refused_build_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log = log_of(tmp_path / "sessions" / "x.mcap")
+    assert call(main, "--validation-share", 0) == 0
+    old = files_of(tmp_path / "index")
+    recover(log, tmp_path / "sessions" / "x.recovered.mcap")
+    assert call(main, "--validation-share", 0) == 1
+    assert "the same picture in both" in capsys.readouterr().err
+    assert files_of(tmp_path / "index") == old
+    assert call(main, "--validation-share", 0, "--index", "other") == 1
+    assert files_of(tmp_path / "other") == {}
+    assert not (tmp_path / "other" / "frames").exists()
+
+
+def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap")
+    index = build_index([log], tmp_path / "index").path
+    new = files_of(index)
+    shutil.copy(index / "frames" / "x.parquet", index / "frames" / "x.recovered.parquet")
+    for part in ("samples.parquet.0a1b2c.part", "state.json.0a1b2c.part", "frames/x.parquet.0a1b2c.part"):
+        (index / part).write_bytes(b"half")
+    build_index([log], index)
+    assert files_of(index) == new
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--where", "nonsense = 1"], "--where 'nonsense = 1'"),
+        (["--validation", "nobody"], "--validation nobody: no such session"),
+        (["--figures", "figures"], "figures/balance.pdf exists already"),
+        (["--figures", "sessions/a.mcap"], "sessions/a.mcap: not a folder"),
+        (["--force"], "--force: only of figures"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_read(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[str],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log_of(tmp_path / "sessions" / "a.mcap")
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "balance.pdf").write_text("mine")
+    assert call(main, "--look", *flags) == (2 if {"--where", "--force"} & set(flags) else 1)
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "index").exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "module"), [(["--where", "row > 1"], "duckdb"), (["--figures", "f"], "matplotlib")]
+)
+def test_what_is_not_installed_is_said_before_anything_is_read(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[str],
+    module: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    log_of(tmp_path / "sessions" / "a.mcap")
+    assert call(main, "--look", *flags) == 1
+    assert "pip install" in capsys.readouterr().err
+    assert not (tmp_path / "index").exists()
+
+
+def test_nothing_stays_of_an_index_that_was_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log_of(tmp_path / "sessions" / "a.mcap")
+    (tmp_path / "sessions" / "bad.mcap").write_bytes(b"no log")
+    (tmp_path / "mine").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    for index in ("index", "far/away/index", "mine"):
+        assert call(main, "a", "bad", "--index", index) == 1  # named, a log that cannot be read is an error
+        assert call(main, "--where", "row < 0", "--index", index) == 1
+    assert "no frame can be used" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+    assert call(main, "a", "--index", "mine", "--validation-share", 0) == 0
+
+
+def test_builds_that_fail_beside_each_other_leave_nothing_and_disturb_none_that_does_not(tmp_path: Path) -> None:
+    """Who waits for a lock that is removed must not hold what nobody else does."""
+    log = log_of(tmp_path / "a.mcap")
+    (tmp_path / "bad.mcap").write_bytes(b"no log")
+    index = tmp_path / "index"
+
+    def build(number: int) -> bool:
+        try:
+            build_index([log, tmp_path / "bad.mcap"] if number % 2 else [log], index)
+        except LogError:
+            return False
+        return True
+
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(build, range(16))) == [not number % 2 for number in range(16)]
+    assert sorted(path.name for path in index.iterdir()) == [".lock", "frames", "samples.parquet", "state.json"]

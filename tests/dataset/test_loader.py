@@ -1,0 +1,517 @@
+"""Loading an index: the same batches for any number of processes and from any batch on, PyTorch's own DataLoader,
+and what happens when the index or its logs are not what they were."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import itertools
+import json
+import pickle
+import shutil
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from dataset import (
+    Batch,
+    DatasetError,
+    IndexConfig,
+    Samples,
+    SamplesDataset,
+    build_index,
+    decode,
+    load,
+    preprocess,
+)
+from dataset.augment import alter
+from dataset.preprocess import Image
+from driving import environment
+from logs import plain_read, write_log
+from recorder import LogError
+from recorder.log.topics import CAMERAS, Camera
+from udacity import jpeg
+
+STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
+BATCH = 16
+
+
+def grey(camera: Camera, row: int) -> bytes:
+    """A picture of its own for every camera and row."""
+    return jpeg(20 + 3 * (3 * row + CAMERAS.index(camera)), 1 + 3 * row + CAMERAS.index(camera))
+
+
+def white(camera: Camera, row: int) -> bytes:
+    return jpeg(240, 1 + 3 * row + CAMERAS.index(camera))
+
+
+def itself(picture: bytes, _camera: Camera, _row: int) -> bytes:
+    return picture
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drives")
+    logs = [
+        write_log(folder / "lake.mcap", STEERING, grey),
+        write_log(folder / "jungle.mcap", STEERING[:9], white),
+    ]
+    return build_index(logs, folder / "index", IndexConfig(block_s=0.5, gap_s=0)).path
+
+
+@pytest.fixture
+def own(index: Path, tmp_path: Path) -> Path:
+    """An index and its logs that a test may damage."""
+    shutil.copytree(index.parent, tmp_path / "own")
+    return tmp_path / "own" / "index"
+
+
+def rows_of(index: Path, split: str = "train") -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = pq.read_table(index / "samples.parquet").to_pylist()
+    return [row for row in rows if row["split"] == split]
+
+
+def shown(index: Path, row: dict[str, Any]) -> Image:
+    """What a row of the index stands for, from the log's bytes."""
+    log = index.parent / f"{row['session']}.mcap"
+    crop = preprocess(decode(plain_read(log, row["offset"], row["length"])))
+    return alter(np.ascontiguousarray(crop[:, ::-1]) if row["flip"] else crop, row["alteration"], row["seed"])
+
+
+def content(batch: Batch) -> tuple[bytes, bytes]:
+    return batch.pictures.tobytes(), batch.steering.tobytes()
+
+
+# Batches
+
+
+def test_an_epoch_is_every_sample_once_each_as_the_index_says(index: Path) -> None:
+    expected = rows_of(index)
+    assert any(row["alteration"] for row in expected)
+    assert {row["session"] for row in expected} == {"lake", "jungle"}
+    with load(index, batch=BATCH) as loader:
+        order = loader.order(3)
+        assert sorted(order.tolist()) == list(range(len(expected)))
+        assert (len(loader), loader.batches) == (len(expected), -(-len(expected) // BATCH))
+        batches = list(loader.epoch(3))
+    assert [len(batch.steering) for batch in batches[:-1]] == [BATCH] * (len(batches) - 1)
+    pictures = np.concatenate([batch.pictures for batch in batches])
+    steering = np.concatenate([batch.steering for batch in batches])
+    assert (str(pictures.dtype), str(steering.dtype)) == ("uint8", "float32")
+    for at, picture, value in zip(order, pictures, steering, strict=True):
+        assert value == np.float32(expected[at]["label"])
+        assert (picture == shown(index, expected[at])).all()
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3, 7])
+def test_the_ranks_share_every_batch_that_one_process_would_see(index: Path, ranks: int) -> None:
+    with load(index, batch=BATCH, seed=4) as alone:
+        whole = list(alone.epoch(2))
+    parts = []
+    for rank in range(ranks):
+        with load(index, batch=BATCH, seed=4, rank=rank, ranks=ranks) as loader:
+            assert loader.batches == len(whole)
+            parts.append(list(loader.epoch(2)))
+    assert {len(batches) for batches in parts} == {len(whole)}
+    for number, batch in enumerate(whole):
+        of_ranks = [batches[number] for batches in parts]
+        assert (np.concatenate([part.pictures for part in of_ranks]) == batch.pictures).all()
+        assert (np.concatenate([part.steering for part in of_ranks]) == batch.steering).all()
+        sizes = [len(part.steering) for part in of_ranks]
+        assert max(sizes) - min(sizes) <= 1
+
+
+@pytest.mark.parametrize(("rank", "ranks"), [(0, 1), (1, 2)])
+def test_an_epoch_goes_on_from_any_batch(index: Path, rank: int, ranks: int) -> None:
+    with load(index, batch=BATCH, rank=rank, ranks=ranks) as loader:
+        whole = [content(batch) for batch in loader.epoch(1)]
+    assert len(set(whole)) == len(whole) > 3
+    for start in range(len(whole) + 1):
+        with load(index, batch=BATCH, rank=rank, ranks=ranks) as resumed:
+            assert [content(batch) for batch in resumed.epoch(1, start_batch=start)] == whole[start:]
+
+
+def test_threads_and_memory_change_nothing(index: Path) -> None:
+    def epochs(**settings: Any) -> list[tuple[bytes, bytes]]:
+        with load(index, batch=BATCH, **settings) as loader:
+            return [content(batch) for epoch in (1, 2) for batch in loader.epoch(epoch)]
+
+    expected = epochs()
+    assert epochs(threads=1) == expected
+    assert epochs(threads=5, budget_bytes=0) == expected
+    assert epochs(threads=2, budget_bytes=10 * 49_152) == expected
+
+
+def test_a_picture_that_fits_the_memory_is_read_once(own: Path) -> None:
+    """The first epoch has seen every picture: what then happens to the log is not noticed."""
+    with load(own, batch=BATCH) as loader:
+        first = Counter(picture.tobytes() for batch in loader.epoch(1) for picture in batch.pictures)
+        for log in own.parent.glob("*.mcap"):
+            with log.open("rb+") as stream:
+                stream.truncate(100)
+        assert Counter(picture.tobytes() for batch in loader.epoch(2) for picture in batch.pictures) == first
+    with pytest.raises(DatasetError):
+        load(own)
+
+
+def test_an_epoch_may_be_left_in_its_middle(index: Path) -> None:
+    threads = threading.active_count()
+    with load(index, batch=BATCH) as loader:
+        for batch in loader.epoch(1):
+            first = content(batch)
+            break
+        assert threading.active_count() == threads
+        assert content(next(iter(loader.epoch(1)))) == first
+
+
+def test_batches_belong_to_whoever_got_them(index: Path) -> None:
+    with load(index, batch=BATCH) as loader:
+        first, *_ = kept = list(loader.epoch(1))
+        before = [content(batch) for batch in kept]
+        first.pictures[:] = 0
+        assert [content(batch) for batch in loader.epoch(1)] == before
+        assert [content(batch) for batch in kept[1:]] == before[1:]
+
+
+def test_a_part_of_a_batch_outlives_it(index: Path) -> None:
+    """Memory is used again, but not while an array or a tensor shows a part of it."""
+    with load(index, batch=BATCH) as loader:
+        parts: list[Any] = []
+        copies = []
+        for number, batch in enumerate(loader.epoch(1)):
+            part = batch.pictures[3:9, ::2]
+            copies.append(part.copy())
+            parts.append(torch.from_numpy(batch.pictures)[3:9, ::2] if number % 2 else part[:])
+        del batch, part
+        for epoch in (2, 3):
+            for _ in loader.epoch(epoch):
+                pass
+        for part, copy in zip(parts, copies, strict=True):
+            assert (np.asarray(part) == copy).all()
+
+
+def test_pictures_at_the_same_place_of_two_logs_are_not_mixed_up(tmp_path: Path) -> None:
+    one, other = next(
+        pair for pair in itertools.combinations(map(jpeg, range(256)), 2) if len(pair[0]) == len(pair[1])
+    )
+    for name, picture in (("lake", one), ("jungle", other)):
+        write_log(tmp_path / f"{name}.mcap", [0.0], functools.partial(itself, picture))
+    build_index([tmp_path / "lake.mcap", tmp_path / "jungle.mcap"], tmp_path / "index", IndexConfig(flip=False))
+    rows = rows_of(tmp_path / "index")
+    assert len({row["offset"] for row in rows}) == len(rows) // 2
+    with load(tmp_path / "index") as loader:
+        [batch] = loader.in_order()
+    for picture, row in zip(batch.pictures, rows, strict=True):
+        assert (picture == shown(tmp_path / "index", row)).all()
+
+
+def test_the_driving_view_is_what_the_car_sees(index: Path) -> None:
+    expected = [
+        row
+        for row in rows_of(index, "validation")
+        if row["camera"] == "center" and not row["flip"] and not row["copy"]
+    ]
+    with load(index, "validation", driving_view=True) as loader:
+        [batch] = loader.in_order()
+    assert batch.steering.tolist() == np.array([row["recorded"] for row in expected], np.float32).tolist()
+    for picture, row in zip(batch.pictures, expected, strict=True):
+        assert (picture == shown(index, row)).all()
+
+
+def test_the_driving_view_tells_what_was_driven_whatever_is_learnt(own: Path) -> None:
+    def relabelled(table: pa.Table) -> pa.Table:
+        return table.set_column(table.schema.get_field_index("label"), "label", pa.array([0.5] * len(table)))
+
+    edited(own, relabelled)
+    with load(own) as loader:
+        assert {float(value) for batch in loader.in_order() for value in batch.steering} == {0.5}
+    with load(own, driving_view=True) as loader:
+        [batch] = loader.in_order()
+    expected = [
+        np.float32(row["recorded"])
+        for row in rows_of(own)
+        if row["camera"] == "center" and not row["flip"] and not row["copy"]
+    ]
+    assert batch.steering.tolist() == expected
+
+
+@pytest.mark.parametrize("value", [None, 1.5, float("nan")])
+def test_a_driving_view_that_makes_no_sense_is_refused(own: Path, value: float | None) -> None:
+    def spoilt(table: pa.Table) -> pa.Table:
+        column = pa.array([value] * len(table), pa.float64())
+        return table.set_column(table.schema.get_field_index("recorded"), "recorded", column)
+
+    for change in (spoilt, lambda table: table.drop_columns("recorded")):
+        edited(own, change)
+        with pytest.raises(DatasetError, match=r"samples\.parquet: damaged"):
+            load(own, driving_view=True)
+
+
+def test_one_sample_is_one_batch_and_a_split_without_samples_is_none(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "lake.mcap", [0.3], grey, cameras=["center"])
+    build_index([log], tmp_path / "index", IndexConfig(flip=False))
+    with load(tmp_path / "index") as loader:
+        [batch] = loader.epoch(1)
+        assert (batch.pictures.shape, batch.steering.tolist()) == ((1, 128, 128, 3), [np.float32(0.3)])
+    for driving_view in (False, True):
+        with load(tmp_path / "index", "validation", driving_view=driving_view) as none:
+            assert (len(none), none.batches, list(none.epoch(1))) == (0, 0, [])
+    with load(tmp_path / "index", rank=1, ranks=2) as other:
+        [nothing] = other.epoch(1)
+        assert (nothing.pictures.shape, nothing.steering.shape) == ((0, 128, 128, 3), (0,))
+    dataset = SamplesDataset(tmp_path / "index", "validation")
+    assert len(dataset) == 0
+    dataset.close()
+
+
+@pytest.mark.parametrize("encoded", [True, False], ids=["dictionaries", "strings"])
+def test_words_may_be_stored_as_dictionaries_or_not(own: Path, encoded: bool) -> None:
+    with load(own, batch=BATCH) as loader:
+        expected = [content(batch) for batch in loader.epoch(1)]
+    table = pq.read_table(own / "samples.parquet")
+    for name in ("session", "camera", "split", "alteration"):
+        column = table[name].cast(pa.string())
+        at = table.schema.get_field_index(name)
+        table = table.set_column(at, name, column.dictionary_encode() if encoded else column)
+    pq.write_table(table, own / "samples.parquet", row_group_size=50)  # each with its own dictionary
+    with load(own, batch=BATCH) as loader:
+        assert [content(batch) for batch in loader.epoch(1)] == expected
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"batch": 0},
+        {"seed": -1},
+        {"rank": 2, "ranks": 2},
+        {"rank": -1},
+        {"ranks": 0},
+        {"threads": -1},
+        {"budget_bytes": -1},
+        {"split": "test"},
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused(index: Path, bad: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        load(index, **bad)
+
+
+@pytest.mark.parametrize("start", [-1, 1000])
+def test_a_start_beyond_the_epoch_is_refused(index: Path, start: int) -> None:
+    with load(index) as loader, pytest.raises(ValueError, match=str(start)):
+        loader.epoch(1, start_batch=start)
+
+
+# PyTorch's own DataLoader
+
+
+@pytest.mark.parametrize("workers", [None, "fork", "spawn"])
+def test_pytorchs_data_loader_gets_the_same_samples(index: Path, workers: str | None) -> None:
+    expected = rows_of(index)
+    dataset = SamplesDataset(index)
+    assert len(dataset) == len(expected)
+    dataset[0]  # opened here, and again by each worker
+    loader: DataLoader[Any] = DataLoader(
+        dataset,  # type: ignore[arg-type]  # no subclass of torch's Dataset, which would import torch
+        batch_size=50,
+        num_workers={None: 0, "fork": 2, "spawn": 1}[workers],
+        multiprocessing_context=workers,
+    )
+    batches = list(loader)
+    dataset.close()
+    pictures = np.concatenate([pictures.numpy() for pictures, _ in batches])
+    steering = np.concatenate([steering.numpy() for _, steering in batches])
+    assert (str(pictures.dtype), str(steering.dtype)) == ("uint8", "float32")
+    assert steering.tolist() == [np.float32(row["label"]) for row in expected]
+    for picture, row in zip(pictures, expected, strict=True):
+        assert (picture == shown(index, row)).all()
+
+
+def test_a_dataset_is_a_sequence(index: Path) -> None:
+    dataset = SamplesDataset(index, "validation")
+    items = list(dataset)  # type: ignore[call-overload]
+    assert len(items) == len(dataset) == len(rows_of(index, "validation"))
+    assert (dataset[-1][0] == items[-1][0]).all()
+    for at in (len(dataset), -len(dataset) - 1):
+        with pytest.raises(IndexError):
+            dataset[at]
+    dataset.close()
+
+
+def test_the_room_does_not_load_pytorch() -> None:
+    code = "import sys, dataset; dataset.SamplesDataset; print('torch' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
+
+
+# Logs and indexes that are not what they were
+
+
+def gone(log: Path) -> None:
+    log.unlink()
+
+
+def moved(log: Path) -> None:
+    log.rename(log.with_name("elsewhere.mcap"))
+
+
+def replaced(log: Path) -> None:
+    write_log(log, STEERING[::-1], grey, overwrite=True)
+
+
+def cut(log: Path) -> None:
+    log.write_bytes(log.read_bytes()[:-1000])
+
+
+def garbage(log: Path) -> None:
+    log.write_bytes(b"garbage" * 1000)
+
+
+def folder(log: Path) -> None:
+    log.unlink()
+    log.mkdir()
+
+
+def link_to_another(log: Path) -> None:
+    log.unlink()
+    log.symlink_to("jungle.mcap")
+
+
+CHANGES = [gone, moved, replaced, cut, garbage, folder, link_to_another]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("opened", [load, SamplesDataset])
+def test_a_log_that_is_not_what_was_indexed_is_refused(
+    own: Path, change: Callable[[Path], None], opened: Callable[[Path], object]
+) -> None:
+    change(own.parent / "lake.mcap")
+    with pytest.raises(DatasetError, match=r"lake.*session lake.*`bc-index`") as caught:
+        opened(own)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_worker_refuses_a_log_that_has_changed(own: Path) -> None:
+    dataset = SamplesDataset(own)
+    sent = pickle.dumps(dataset)
+    dataset.close()
+    replaced(own.parent / "lake.mcap")
+    build_index([own.parent / "lake.mcap"], own)  # that the index is up to date again does not help
+    with pytest.raises(DatasetError, match=r"lake\.mcap: has changed"):
+        pickle.loads(sent)[0]
+
+
+def test_bytes_that_changed_behind_a_log_that_looks_the_same_are_never_trained_on(own: Path) -> None:
+    """Same size, same chunk headers, so the same fingerprint; the chunk's CRC tells."""
+    log = own.parent / "lake.mcap"
+    with log.open("rb+") as stream:
+        stream.seek(rows_of(own)[0]["offset"] + 100)
+        stream.write(b"\0\0\0\0")
+    with load(own, batch=BATCH) as loader, pytest.raises(LogError, match=r"lake\.mcap: damaged.*CRC"):
+        list(loader.epoch(1))
+
+
+def test_a_log_may_be_named_by_a_link_and_the_folder_may_move(own: Path, tmp_path: Path) -> None:
+    expected = rows_of(own)
+    log = own.parent / "lake.mcap"
+    log.symlink_to(log.rename(tmp_path / "far.mcap"))
+    own.parent.rename(tmp_path / "renamed")
+    with load(tmp_path / "renamed" / "index") as loader:
+        assert len(loader) == len(expected)
+
+
+def edited(index: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+    pq.write_table(change(pq.read_table(index / "samples.parquet")), index / "samples.parquet")
+
+
+def with_column(name: str, value: object, kind: pa.DataType) -> Callable[[pa.Table], pa.Table]:
+    """The first value of a column is another one."""
+
+    def change(table: pa.Table) -> pa.Table:
+        at = table.schema.get_field_index(name)
+        values = pa.array([value, *table[name].to_pylist()[1:]], kind)
+        return table.set_column(at, name, values)
+
+    return change
+
+
+def with_metadata(**values: object) -> Callable[[pa.Table], pa.Table]:
+    def change(table: pa.Table) -> pa.Table:
+        stored = json.loads(table.schema.metadata[b"bc.index"])
+        return table.replace_schema_metadata({b"bc.index": json.dumps({**stored, **values}).encode()})
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda table: table.drop_columns("offset"),
+        lambda table: table.drop_columns("split"),
+        lambda table: table.replace_schema_metadata(None),
+        lambda table: table.replace_schema_metadata({b"bc.index": b"{"}),
+        lambda table: table.replace_schema_metadata({b"bc.index": b"[]"}),
+        with_metadata(logs={}),
+        with_metadata(logs=[]),
+        with_metadata(logs={"lake": 3}),
+        with_column("session", "desert", pa.string()),
+        with_column("session", None, pa.string()),
+        with_column("alteration", "blur+fog", pa.string()),
+        with_column("offset", None, pa.int64()),
+        with_column("length", -1, pa.int64()),
+        with_column("length", 2**32 + 5, pa.int64()),
+        with_column("seed", -1, pa.int64()),
+        with_column("label", float("nan"), pa.float64()),
+        with_column("label", 1.5, pa.float64()),
+        with_column("flip", None, pa.bool_()),
+        with_column("label", None, pa.float64()),
+        lambda table: table.set_column(4, "offset", table["session"]),
+    ],
+)
+def test_an_index_that_makes_no_sense_is_refused(own: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+    edited(own, change)
+    with pytest.raises(DatasetError, match=r"samples\.parquet: damaged.*remove it and give `bc-index`") as caught:
+        load(own)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cut_or_garbled_index_is_refused_or_read_as_it_was(own: Path) -> None:
+    def read() -> pa.Table:
+        with contextlib.closing(Samples(own)) as samples:
+            return samples.of_split("train")
+
+    path = own / "samples.parquet"
+    data, expected = path.read_bytes(), read()
+    random = np.random.default_rng(5)
+    damaged = [data[:size] for size in random.integers(0, len(data), 20)]
+    end = len(data) - 8 - int.from_bytes(data[-8:-4], "little")  # of the rows, which checksums protect
+    for at in random.integers(0, end, 80).tolist():
+        damaged.append(data[:at] + bytes([data[at] ^ int(random.integers(1, 256))]) + data[at + 1 :])
+    said = []
+    for content in damaged:
+        path.write_bytes(content)
+        try:
+            assert read() == expected
+        except DatasetError as error:
+            said.append(str(error))
+    assert len(said) > 60
+    assert not any("\n" in line for line in said)
+
+
+def test_no_index_says_how_to_build_one(tmp_path: Path) -> None:
+    for opened in (load, SamplesDataset):
+        with pytest.raises(DatasetError, match=r"samples\.parquet: no index; build it with `bc-index`"):
+            opened(tmp_path)

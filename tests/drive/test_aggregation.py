@@ -1,0 +1,252 @@
+"""`bc-drive --aggregate`: the expert takes over where the network fails, and the network learns from that."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shutil
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from dataset import IndexConfig, build_index
+from drive.config import DriveConfig
+from drive.errors import DriveError
+from drive.evaluation.aggregation import Aggregation, Places
+from drive.evaluation.closed_loop import Course
+from driving import Process, command, one_line_of, run
+from model import TrainConfig, train
+from model.runs.checkpoint import checkpoint_path, read_position
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand
+from recorder.log.topics import DRIVE_METADATA
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from serving import ModernClient, fields
+from waiting import wait_until
+
+TRACK, LAPS, SPEED = "random:3", 0.04, 20
+SETTINGS = IndexConfig(cameras=("center",), balance=False, flip=False, block_s=1.0, gap_s=0.0)
+
+
+@dataclass(frozen=True)
+class Aggregated:
+    folder: Path
+    exit_code: int
+    table: list[str]
+
+
+@pytest.fixture(scope="module")
+def aggregated(tmp_path_factory: pytest.TempPathFactory) -> Aggregated:
+    """A network that has learnt next to nothing, and drives another track."""
+    folder = tmp_path_factory.mktemp("aggregated")
+    session = record_simulated(SimulatedDrive(track="lake", laps=0.01), folder / "sessions" / "lake.mcap").path
+    build_index([session], folder / "index", SETTINGS)
+    train(folder / "index", folder / "runs" / "first", TrainConfig(epochs=1, batch=32), show_progress=False)
+    done = run(
+        *("bc-drive", "first", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED),
+        *("--aggregate", 1, "--epochs", 1),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    return Aggregated(folder, done.returncode, done.stdout.splitlines())
+
+
+def commands(log: Path) -> list[PilotCommand]:
+    with Log(log) as opened:
+        return [content for _, content in opened.commands()]
+
+
+def test_every_round_is_driven_logged_and_shown(aggregated: Aggregated) -> None:
+    heading, *rows = aggregated.table
+    assert heading.split() == ["run", "laps", "interventions", "autonomy", "log"]
+    runs = ["first", "first-random-3-1"]
+    assert [row.split()[0] for row in rows] == runs
+    for row, number in zip(rows, (0, 1), strict=True):
+        log = aggregated.folder / "drives" / f"first-random-3-{number}.mcap"
+        assert row.split()[-1] == f"drives/{log.name}"
+        with Log(log) as opened:
+            assert opened.metadata["run"] == runs[number]
+            assert not opened.problem
+
+
+def test_the_expert_took_over_and_steered(aggregated: Aggregated) -> None:
+    driven = commands(aggregated.folder / "drives" / "first-random-3-0.mcap")
+    expert = [command for command in driven if command.driver == PilotCommand.EXPERT]
+    assert expert
+    assert any(command.driver == PilotCommand.PILOT for command in driven)
+    assert all(command.steering == command.expert_steering for command in expert)
+    starts = sum(now.driver == PilotCommand.EXPERT != before.driver for before, now in itertools.pairwise(driven))
+    assert int(aggregated.table[1].split()[2]) >= starts > 0
+
+
+def test_the_new_run_has_learnt_from_the_session_and_from_the_takeovers_alone(aggregated: Aggregated) -> None:
+    folder = aggregated.folder
+    config = json.loads((folder / "runs" / "first-random-3-1" / "config.json").read_text())
+    assert set(config["data"]["logs"]) == {"lake", "first-random-3-0"}
+    assert config["data"]["settings"]["drives"] == "takeovers"
+    assert config["init"]["run"] == "first"
+    samples = pq.read_table(folder / "index-first-random-3" / "samples.parquet").to_pylist()
+    driven = commands(folder / "drives" / "first-random-3-0.mcap")
+    of_drive = [sample for sample in samples if sample["session"] == "first-random-3-0"]
+    assert of_drive
+    assert all(driven[sample["row"]].driver == PilotCommand.EXPERT for sample in of_drive)
+    assert {sample["session"] for sample in samples} == {"lake", "first-random-3-0"}
+
+
+def aggregation(aggregated: Aggregated, run_name: str, sessions: Path) -> Aggregation:
+    places = Places(sessions, aggregated.folder / "drives", aggregated.folder / "runs")
+    run_folder = aggregated.folder / "runs" / run_name
+    return Aggregation(run_folder, Course("random:4"), DriveConfig(), 1, places, TrainConfig(epochs=1))
+
+
+def test_the_new_run_can_go_on_from_there(aggregated: Aggregated) -> None:
+    assert aggregation(aggregated, "first-random-3-1", aggregated.folder / "sessions")
+
+
+def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
+    aggregated: Aggregated, tmp_path: Path
+) -> None:
+    record_simulated(SimulatedDrive(track="mountain", laps=0.01), tmp_path / "lake.mcap")
+    with pytest.raises(DriveError, match=r"lake\.mcap: changed since .*first was trained on it"):
+        aggregation(aggregated, "first", tmp_path)
+
+
+def test_a_second_aggregation_of_the_same_names_is_refused_at_once(aggregated: Aggregated) -> None:
+    again = run("bc-drive", "first", "--simulator", TRACK, "--aggregate", 1, cwd=aggregated.folder)
+    assert again.returncode == 1
+    in_the_way = (
+        "drives/first-random-3-0.mcap drives/first-random-3-1.mcap index-first-random-3 runs/first-random-3-1"
+    )
+    assert one_line_of(again).endswith(f"move them away: {in_the_way}")
+
+
+def start_aggregation(aggregated: Aggregated, track: str, *flags: object) -> Process:
+    arguments = ("first", "--simulator", track, "--speed", SPEED, "--aggregate", 2, *flags)
+    return Process(command("bc-drive", *arguments), aggregated.folder)
+
+
+def test_a_training_that_is_stopped_says_how_to_finish_it(aggregated: Aggregated) -> None:
+    with start_aggregation(aggregated, "random:5", "--laps", 0.01, "--epochs", 10_000) as process:
+        process.wait_for("training runs/first-random-5-1")
+        trained = aggregated.folder / "runs" / "first-random-5-1"
+        # one that has learnt nothing yet leaves nothing
+        wait_until(lambda: checkpoint_path(trained).exists() and read_position(trained).epoch > 1)
+        assert process.end() == 130
+    told = process.wait_for(r"^bc-drive: finish (\S+) with `bc-train (.+)`; then go on with `bc-drive (.+)` and ")
+    assert told[1] == "runs/first-random-5-1"
+    assert told[3] == "runs/first-random-5-1 --simulator random:5 --aggregate 1"
+    epoch = read_position(aggregated.folder / told[1]).epoch
+    resumed = run("bc-train", *told[2].split(), "--epochs", epoch, cwd=aggregated.folder)
+    assert resumed.returncode == 0, resumed.stderr
+
+
+def test_a_drive_that_is_stopped_says_what_is_left(aggregated: Aggregated) -> None:
+    with start_aggregation(aggregated, "random:6") as process:
+        while not any(part.stat().st_size > 100_000 for part in (aggregated.folder / "drives").glob("*.part")):
+            assert process.popen.poll() is None, process.stderr
+            time.sleep(0.05)
+        assert process.end() == 130
+    log = "drives/first-random-6-0.mcap"
+    process.wait_for(f"^bc-drive: {log} holds the drive so far; to begin again, move away {log}$")
+    with Log(aggregated.folder / log) as opened:
+        assert not opened.problem
+
+
+def simulate(port: str, *flags: object) -> Process:
+    """A simulator that connects by itself, and tells where its car is and what its expert would do."""
+    arguments = ("--port", port, "--track", TRACK, "--tell-world", "--leave-off-road", "--expert-speed", SPEED)
+    return Process(command("bc-sim", *arguments, *flags))
+
+
+def test_a_simulator_that_connects_by_itself_is_waited_for_in_every_round(aggregated: Aggregated) -> None:
+    """It disconnects after the first one, and is stopped by the laps that it tells in the second."""
+    aggregate = ("first", "--port", 0, "--speed", SPEED, "--aggregate", 1, "--epochs", 1, "--laps", LAPS)
+    with Process(command("bc-drive", *aggregate), aggregated.folder) as process:
+        port = process.wait_for(r"first is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        with simulate(port, "--laps", 0.9 * LAPS) as short:
+            process.wait_for("training runs/first-connected-1")
+            assert short.join() == 0
+        port = process.wait_for(r"first-connected-1 is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        with simulate(port, "--laps", 50):
+            assert process.join() == 0, process.stderr
+    assert any(line.endswith("the car is braked to a stand") for line in process.stderr)
+    assert not any("Ctrl-C" in line for line in process.stderr)  # nobody pressed it
+    _, first, second = process.stdout.splitlines()
+    assert (first.split()[0], second.split()[0]) == ("first", "first-connected-1")
+    assert second.split()[-1] == "drives/first-connected-1.mcap"
+    laps, drivers = [], []
+    for log in sorted((aggregated.folder / "drives").glob("first-connected-*.mcap")):
+        drivers.append({each.driver for each in commands(log)})
+        with Log(log) as opened:
+            laps.append(float(opened.read_metadata(DRIVE_METADATA)["laps"]))
+    assert laps[0] < LAPS <= laps[1] < 2 * LAPS
+    assert PilotCommand.EXPERT in drivers[0]
+    learnt = json.loads((aggregated.folder / "runs" / "first-connected-1" / "config.json").read_text())
+    assert set(learnt["data"]["logs"]) == {"lake", "first-connected-0"}
+
+
+def test_a_second_ctrl_c_brakes_no_longer_and_finishes_the_log(aggregated: Aggregated) -> None:
+    shutil.copytree(aggregated.folder / "runs" / "first", aggregated.folder / "runs" / "twice")
+    with Process(command("bc-drive", "twice", "--port", 0, "--aggregate", 1), aggregated.folder) as process:
+        port = process.wait_for(r"twice is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        client = ModernClient(int(port))  # it tells once, and is silent then
+        client.tell(fields(0, speed="30.0000"))
+        process.popen.send_signal(signal.SIGINT)
+        process.wait_for("the car is braked to a stand; Ctrl-C again ends at once")
+        process.popen.send_signal(signal.SIGINT)
+        assert process.join() == 130
+        client.close()
+    assert not any(".part" in line for line in process.stderr), process.stderr
+    with Log(aggregated.folder / "drives" / "twice-connected-0.mcap") as opened:
+        assert not opened.problem
+
+
+def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregated: Aggregated) -> None:
+    runs = aggregated.folder / "runs"
+    shutil.copytree(runs / "first", runs / "alone")
+    with Process(command("bc-drive", "alone", "--port", 0, "--aggregate", 1), aggregated.folder) as process:
+        port = process.wait_for(r"alone is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        with Process(command("bc-sim", "--port", port, "--laps", 50)):
+            assert process.join() == 1
+    log = "drives/alone-connected-0.mcap"
+    process.wait_for(f"{log}: nobody could take over, .* never tells offset, expert_steering, expert_throttle ")
+    with Log(aggregated.folder / log) as opened:
+        assert not opened.problem
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [
+        (("--aggregate", "1", "--real-time"), "--simulator TRACK"),
+        (("--aggregate", "1", "--laps", "0"), "--laps 0: how far"),
+        (("--aggregate", "-1", "--simulator", "lake"), "--aggregate -1"),
+        (("--aggregate", "1", "--simulator", "lake", "--log", "x.mcap"), "--log: not with --aggregate"),
+        (("--aggregate", "1", "--simulator", "lake", "--force"), "--force: not with --aggregate, which"),
+        (("--aggregate", "1", "--simulator", "lake", "--epochs", "0"), "epochs"),
+    ],
+)
+def test_what_cannot_be_aggregated_is_one_line(aggregated: Aggregated, flags: tuple[str, ...], told: str) -> None:
+    done = run("bc-drive", "first", *flags, cwd=aggregated.folder)
+    assert done.returncode in (1, 2)
+    assert told in one_line_of(done)
+
+
+def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggregated) -> None:
+    folder = aggregated.folder
+    hurt = record_simulated(SimulatedDrive(track="mountain", laps=0.005), folder / "sessions" / "hurt.mcap").path
+    build_index([folder / "sessions" / "lake.mcap", hurt], folder / "index-two", SETTINGS)
+    train(folder / "index-two", folder / "runs" / "two", TrainConfig(epochs=1, batch=32), show_progress=False)
+    data = bytearray(hurt.read_bytes())
+    data[len(data) // 2] ^= 1
+    hurt.write_bytes(data)
+    drive = ("bc-drive", "two", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
+    done = run(*drive, "--aggregate", 2, "--epochs", 1, cwd=folder)
+    assert done.returncode == 3, done.stderr
+    (told,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
+    assert told.startswith("sessions/hurt.mcap: ")
+    learnt = json.loads((folder / "runs" / "two-random-3-2" / "config.json").read_text())
+    assert set(learnt["data"]["logs"]) == {"lake", "two-random-3-0", "two-random-3-1"}

@@ -1,0 +1,297 @@
+"""The built-in simulator: what it records is a log like any other, and what it drives can be repeated."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.reader import make_reader
+
+from common import UserError
+from drive.config import DriveConfig
+from drive.evaluation.closed_loop import Course, evaluate
+from driving import Process as Child
+from driving import command, one_line_of, run, untrained_run
+from model import load_pilot
+from recorder import Imported, Log, RecordingError, import_udacity
+from recorder.bc_pb2 import VehicleState
+from recorder.cli import main as record_main
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from simulator.cli import main as sim_main
+from simulator.roads.track_names import load_track
+from udacity import call
+
+DRIVE = SimulatedDrive(track="lake", laps=0.02, seed=5)
+CAMERAS = ("/camera/center", "/camera/left", "/camera/right")
+
+
+def messages(path: Path, topic: str) -> list[tuple[int, int, bytes]]:
+    """Sequence, log time and data of a topic's messages, by mcap's own reader."""
+    with path.open("rb") as stream:
+        found = make_reader(stream, validate_crcs=True).iter_messages(topics=[topic], log_time_order=False)
+        return [(message.sequence, message.log_time, message.data) for _, _, message in found]
+
+
+def pictures(path: Path, camera: str) -> list[bytes]:
+    with Log(path) as log:
+        where = log.pictures(camera)
+        return [log.read(int(o), int(n)) for o, n in zip(where.offset, where.length, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recorded")
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path) -> Imported:
+    return record_simulated(DRIVE, folder / "lake.mcap", udacity=folder / "beta_simulator")
+
+
+def test_a_recording_has_three_cameras_the_vehicle_and_the_pose_at_equal_times(recorded: Imported) -> None:
+    stamps = [
+        [(sequence, time_ns) for sequence, time_ns, _ in messages(recorded.path, topic)]
+        for topic in (*CAMERAS, "/vehicle", "/pose")
+    ]
+    assert len(stamps[0]) == recorded.rows == recorded.pictures // 3 > 20
+    assert all(stamp == stamps[0] for stamp in stamps)
+    assert [sequence for sequence, _ in stamps[0]] == list(range(recorded.rows))
+    gaps_ns = {after - before for (_, before), (_, after) in zip(stamps[0], stamps[0][1:], strict=False)}
+    assert min(gaps_ns) == 100_000_000  # 10 rows a second
+    assert all(gap_ns == 100_000_000 or gap_ns >= 1_000_000_000 for gap_ns in gaps_ns)  # pushes are gaps
+
+
+def test_the_three_cameras_see_different_pictures_and_all_are_jpegs(recorded: Imported) -> None:
+    center, left, right = (pictures(recorded.path, camera) for camera in CAMERAS)
+    assert all(jpeg.startswith(b"\xff\xd8\xff") and jpeg.endswith(b"\xff\xd9") for jpeg in center + left + right)
+    assert len({*center, *left, *right}) > 2 * recorded.rows
+
+
+def test_nothing_is_recorded_past_the_share_of_the_lap(recorded: Imported) -> None:
+    """The nearest point of the centre line to every pose lies within the first 0.02 of its length."""
+    line = load_track("lake").line
+    points_m = line.points_m[:, :2]
+    end_m = DRIVE.laps * line.length_m
+    arcs_m = []
+    for _, _, data in messages(recorded.path, "/pose"):
+        position = PoseInFrame.FromString(data).pose.position
+        distance_m = ((points_m - (position.x, position.y)) ** 2).sum(axis=1) ** 0.5
+        assert distance_m.min() < 6.0
+        arcs_m.append(int(distance_m.argmin()) * line.length_m / len(points_m))
+    # the pose is that of the rear axle: at the start it stands behind the line
+    arcs_m = [arc_m - line.length_m if arc_m > line.length_m / 2 else arc_m for arc_m in arcs_m]
+    assert min(arcs_m) > -3.0
+    assert 0.5 * end_m < max(arcs_m) <= end_m + 0.5
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(recorded: Imported, tmp_path: Path) -> None:
+    again = record_simulated(DRIVE, tmp_path / "again.mcap")
+    assert again.path.read_bytes() == recorded.path.read_bytes()
+    other = record_simulated(SimulatedDrive(track="lake", laps=0.005, seed=6), tmp_path / "other.mcap")
+    assert messages(other.path, "/vehicle") != messages(recorded.path, "/vehicle")[: other.rows]
+
+
+def test_the_folder_it_writes_imports_to_the_same_session(
+    folder: Path, recorded: Imported, tmp_path: Path
+) -> None:
+    imported = import_udacity(folder / "beta_simulator", tmp_path / "imported.mcap")
+    assert (imported.rows, imported.pictures, len(imported.skipped)) == (recorded.rows, recorded.pictures, 0)
+    for camera in CAMERAS:
+        assert pictures(imported.path, camera) == pictures(recorded.path, camera)
+    ours, theirs = messages(recorded.path, "/vehicle"), messages(imported.path, "/vehicle")
+    assert [time_ns for _, time_ns, _ in ours] == [time_ns for _, time_ns, _ in theirs]
+    for (_, _, a), (_, _, b) in zip(ours, theirs, strict=True):
+        mine, read = VehicleState.FromString(a), VehicleState.FromString(b)
+        for name in ("steering", "throttle", "brake", "speed_mph"):
+            assert getattr(read, name) == pytest.approx(getattr(mine, name), rel=5e-7, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        SimulatedDrive(track="nowhere"),
+        SimulatedDrive(laps=0),
+        SimulatedDrive(laps=float("nan")),
+        SimulatedDrive(laps=float("inf")),
+        SimulatedDrive(rate=7),
+        SimulatedDrive(rate=0),
+        SimulatedDrive(recovery=1),
+        SimulatedDrive(seed=-1),
+        SimulatedDrive(speed=0),
+        SimulatedDrive(speed=float("nan")),
+    ],
+    ids=str,
+)
+def test_a_drive_that_cannot_be_is_an_error_and_writes_nothing(drive: SimulatedDrive, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError):
+        record_simulated(drive, tmp_path / "x.mcap", udacity=tmp_path / "x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_log_is_refused_and_no_folder_is_begun(tmp_path: Path) -> None:
+    log = tmp_path / "x.mcap"
+    log.write_bytes(b"precious")
+    with pytest.raises(UserError, match="--force"):
+        record_simulated(DRIVE, log, udacity=tmp_path / "x")
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_an_unknown_track_names_the_choices(tmp_path: Path) -> None:
+    done = run("bc-record", "x", "--track", "nowhere", cwd=tmp_path)
+    assert done.returncode == 1
+    assert all(choice in one_line_of(done) for choice in ("nowhere", "lake", "mountain", "random:SEED"))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("bc-sim", ("--port", "1", "--wait", "0", "--track")),
+        ("bc-record", ("x", "--track")),
+        ("bc-drive", ("--simulator",)),
+        ("bc-eval", ("--simulator",)),
+    ],
+)
+def test_an_unknown_track_ends_every_command_with_the_same_code_and_a_guess(
+    name: str, arguments: tuple[str, ...], tmp_path: Path
+) -> None:
+    done = run(name, *arguments, "lkae", cwd=tmp_path)
+    assert done.returncode == 1
+    assert f"{arguments[-1]} lkae: no such track; did you mean lake?" in one_line_of(done)
+
+
+@pytest.mark.parametrize("flags", [("--rate", "7"), ("--rate", "0"), ("--laps", "nan")])
+def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(flags: tuple[str, ...]) -> None:
+    done = run("bc-sim", *flags, "--port", 1, "--wait", 0)
+    assert done.returncode == 2
+    assert flags[0] in one_line_of(done)
+
+
+@pytest.mark.parametrize(
+    "flag",
+    [
+        *("--rate 7", "--rate nan", "--laps nan", "--laps 0", "--speed 0", "--speed nan"),
+        *("--recovery 0.95", "--recovery nan", "--noise -1", "--noise nan", "--seed -1"),
+        *("--from x --rate -1", "--from x --steering-scale 0", "--listen --port 65536", "--listen --idle nan"),
+    ],
+)
+def test_a_drive_of_bc_record_that_cannot_be_is_one_line_that_names_the_flag(
+    flag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(record_main, "x", "--sessions", tmp_path, *flag.split()) == 2
+    told = flag.removeprefix("--from x ").removeprefix("--listen ")
+    assert f"bc-record: {told}: " in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_recording_is_called_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csv = tmp_path / "driving_log.csv"
+    csv.touch()
+    (tmp_path / "other").mkdir()
+    for given, told in (
+        (tmp_path / "nope", "nope: no such folder"),
+        (csv, "driving_log.csv: a file; give the folder that holds"),
+        (tmp_path, "driving_log.csv is empty and there is no center_*.jpg"),
+        (tmp_path / "other", "other: there is no center_*.jpg"),
+    ):
+        assert call(sim_main, "--replay", given, "--port", 1, "--wait", 0) == 1
+        assert f"bc-sim: --replay {given.parent}" in (said := capsys.readouterr().err)
+        assert told in said
+
+
+def test_no_server_is_said_and_given_up_on() -> None:
+    done = run("bc-sim", "--replay", Path(__file__).parent, "--port", 1, "--wait", 0)
+    assert done.returncode == 1
+    assert "center_*.jpg" in done.stderr
+    done = run("bc-sim", "--laps", 0.01, "--port", 1, "--wait", 0)
+    assert done.returncode == 1
+    assert "--wait" in done.stderr.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def pilot_run(folder: Path) -> Path:
+    return untrained_run(folder / "runs" / "untrained", seed=1)
+
+
+def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp_path: Path) -> None:
+    """One here, one as a user calls it."""
+    drives = [(Course("lake", 0.005), DriveConfig())]
+    with Child(
+        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.005, "--logs", tmp_path / "b", "--json")
+    ) as child:
+        (here,) = evaluate(load_pilot(pilot_run), drives, tmp_path / "a")
+        assert child.join() == 0, child.stderr
+    (line,) = child.stdout.splitlines()
+    there = json.loads(line)
+    assert here.as_dict() == {**there, "log": str(here.log)}
+    assert len(there["trajectory_sha256"]) == 64
+    assert 0.005 <= there["laps"] < 0.007
+    assert {"track", "set_speed_mph", "interventions", "autonomy_percent", "mean_offset", "max_offset"} <= set(
+        there
+    )
+    assert {"mean_speed_mph", "steering_per_s", "elapsed_s", "whole_laps", "unreadable"} <= set(there)
+    expected = max(0.0, 100 * (1 - 6 * there["interventions"] / there["elapsed_s"]))
+    assert there["autonomy_percent"] == pytest.approx(expected)
+    assert Path(there["log"]).name == here.log.name
+    ours, theirs = (messages(path, "/camera/center") for path in (here.log, Path(there["log"])))
+    # 25 telemetries a second; two are in flight when the drive is over
+    assert len(ours) == pytest.approx(here.book["elapsed_s"] * 25, abs=2)
+    assert [CompressedImage.FromString(data).data for _, _, data in ours] == [
+        CompressedImage.FromString(data).data for _, _, data in theirs
+    ]
+    with Log(here.log) as log:
+        assert log.read_metadata("bc.simulator")["trajectory_sha256"] == there["trajectory_sha256"]
+
+
+def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_run: Path, tmp_path: Path) -> None:
+    done = run("bc-eval", pilot_run, "--simulator", "nowhere", "--logs", tmp_path / "logs")
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert all(choice in done.stderr for choice in ("lake", "mountain", "random:SEED"))
+    assert list(tmp_path.rglob("*.*")) == []
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (("--simulator",), "--simulator"),
+        (("--simulator", "lake", "lake"), "--simulator lake lake: "),
+        (("--simulator", "lake", "--laps", "0"), "--laps 0: "),
+        (("--simulator", "lake", "--speed", "nan"), "--speed nan: "),
+    ],
+)
+def test_an_evaluation_of_nothing_is_one_line(
+    pilot_run: Path, tmp_path: Path, flags: tuple[str, ...], says: str
+) -> None:
+    done = run("bc-eval", pilot_run, *flags, "--logs", tmp_path / "logs")
+    assert done.returncode == 2
+    assert says in one_line_of(done)
+
+
+def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    done = run("bc-drive", pilot_run, "--log", log, "--simulator", "lake", "--laps", 0.005)
+    assert done.returncode == 0, done.stderr
+    logged, driven, *rest = done.stdout.splitlines()
+    assert logged.startswith(f"{log}: ")
+    assert "laps" in driven
+    assert "autonomy" in rest[0]
+    with Log(log) as written:
+        assert written.counts["/camera/center"] == written.counts["/pilot/command"] > 10
+
+
+def test_an_evaluation_that_is_stopped_ends_and_keeps_what_it_drove(pilot_run: Path, tmp_path: Path) -> None:
+    arguments = (pilot_run, "--simulator", "lake", "--laps", 1, "--logs", tmp_path / "drives")
+    with Child(command("bc-eval", *arguments)) as process:
+        process.wait_for(r"untrained on lake at 10 mph, 1 lap$")
+        while not any(part.stat().st_size > 100_000 for part in (tmp_path / "drives").glob("*.part")):
+            assert process.popen.poll() is None, process.stderr
+            time.sleep(0.05)  # until it is in the middle of driving
+        assert process.end(signal.SIGTERM) == 130
+    assert not any(word in "\n".join(process.stderr) for word in ("Traceback", "connecting", "ws://"))
+    assert [path.suffix for path in (tmp_path / "drives").iterdir()] == [".mcap"]

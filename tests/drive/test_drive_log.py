@@ -1,0 +1,555 @@
+"""The log of a drive: it holds what was decided, never keeps the driving waiting, and a kill costs little."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common import UserError
+from disk import files_of_at_most
+from drive.control.driver import Decision
+from drive.log.drive_log import DriveLog
+from driving import PATIENCE_S, DriveProcess, environment, road_jpeg, run, untrained_run
+from logs import read_messages
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import PilotCommand
+from recorder.log.bad_telemetry import MOST_OF_EACH
+from recorder.log.check import check
+from recorder.log.log_time import LogClock
+from recorder.log.recover import recover
+from recorder.server.eventlet_host import GreenHost
+from recorder.server.telemetry import Telemetry
+from recorder.server.world import World
+from repository import HELPERS, ROOT
+from simulator.protocol.client import Answer, SimulatorClient, Told
+from simulator.protocol.client import Telemetry as SimulatorTelemetry
+
+WORLD = World(
+    time_s=0.0,
+    x_m=12.5,
+    y_m=-3.25,
+    z_m=1.5,
+    heading_rad=0.5,
+    pitch_rad=0.0,
+    roll_rad=0.0,
+    offset=0.1,
+    laps=0.25,
+    interventions=0,
+    expert_steering=-0.125,
+    expert_throttle=0.5,
+)
+
+
+def decided(number: int, world: World | None = None, **changed: Any) -> Decision:
+    """What a driver might have decided; every number another picture, crop, and command."""
+    told = Telemetry(number / 1000, 0.25, 9.0 + number / 100, road_jpeg(number), world=world)
+    crop = np.random.default_rng(number).integers(0, 256, (128, 128, 3), np.uint8)
+    decision = Decision(
+        steering=-number / 500,
+        throttle=0.5,
+        driver="pilot",
+        telemetry=told,
+        crop=crop,
+        predicted_steering=-number / 400,
+        parse_ms=0.125,
+        decode_ms=0.25,
+        network_ms=1.5,
+        set_speed_mph=10.5,
+    )
+    return replace(decision, **changed)
+
+
+BAD = Decision(steering=0.0, throttle=0.0, problem="not an object but a list", kind="not an object but a list")
+
+
+@contextmanager
+def drive_log(path: Path) -> Iterator[DriveLog]:
+    with LogWriter(path, {"source": "drive"}, live=True) as writer:
+        with DriveLog(writer) as log:
+            yield log
+        assert log.failure is None
+
+
+def events_of(path: Path) -> list[str]:
+    return [event.message for _, event in read_messages(path).get("/events", [])]
+
+
+# What is in it
+
+
+def test_a_row_holds_what_was_told_seen_and_answered(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    decisions = [decided(number) for number in range(30)]
+    with drive_log(path) as log:
+        for decision in decisions:
+            log.decision(decision, total_ms=2.5)
+    assert (log.frames, log.dropped_pictures, log.dropped_rows) == (30, 0, 0)
+    messages = read_messages(path)
+    assert sorted(messages) == ["/camera/center", "/pilot/command", "/pilot/input", "/vehicle"]
+    stamps = {topic: [(m.sequence, m.log_time) for m, _ in found] for topic, found in messages.items()}
+    assert all(found == stamps["/vehicle"] for found in stamps.values())
+    assert [row for row, _ in stamps["/vehicle"]] == list(range(30))
+    for row, decision in enumerate(decisions):
+        told = decision.telemetry
+        assert told is not None
+        assert decision.crop is not None
+        assert messages["/camera/center"][row][1].data == told.jpeg
+        crop = cv2.imdecode(np.frombuffer(messages["/pilot/input"][row][1].data, np.uint8), cv2.IMREAD_COLOR)
+        assert crop is not None
+        assert np.array_equal(crop, decision.crop)
+        state = messages["/vehicle"][row][1]
+        assert (state.steering, state.throttle, state.brake, state.speed_mph) == (
+            *(told.steering, told.throttle),
+            *(0.0, told.speed_mph),
+        )
+        command = messages["/pilot/command"][row][1]
+        assert {field.name: value for field, value in command.ListFields() if value} == {
+            name: value
+            for name, value in {
+                "predicted_steering": decision.predicted_steering,
+                "steering": decision.steering,
+                "throttle": 0.5,
+                "driver": PilotCommand.PILOT,
+                "set_speed_mph": 10.5,
+                "parse_ms": 0.125,
+                "decode_ms": 0.25,
+                "network_ms": 1.5,
+                "total_ms": 2.5,
+            }.items()
+            if value
+        }
+        assert not command.HasField("expert_steering")
+
+
+def test_a_told_world_gives_the_pose_and_what_the_expert_would_do(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    worlds = [replace(WORLD, time_s=i / 25, x_m=i * 0.5, expert_steering=-i / 10) for i in range(5)]
+    with drive_log(path) as log:
+        for i, world in enumerate(worlds):
+            log.decision(decided(i, world, driver="expert" if i == 3 else "pilot"), total_ms=2.0)
+    messages = read_messages(path)
+    commands = [command for _, command in messages["/pilot/command"]]
+    assert [(c.HasField("expert_steering"), c.expert_steering) for c in commands] == [
+        (True, world.expert_steering) for world in worlds
+    ]
+    pilot, expert = PilotCommand.PILOT, PilotCommand.EXPERT
+    assert [command.driver for command in commands] == [pilot, pilot, pilot, expert, pilot]
+    for (message, pose), world in zip(messages["/pose"], worlds, strict=True):
+        place, turn = pose.pose.position, pose.pose.orientation
+        assert (place.x, place.y, place.z) == (world.x_m, world.y_m, world.z_m)
+        # a turn by the heading about the axis that points up
+        assert (turn.w, turn.z, turn.x, turn.y) == pytest.approx((np.cos(0.25), np.sin(0.25), 0.0, 0.0))
+        assert pose.timestamp.ToNanoseconds() == message.log_time
+    times_ns = [message.log_time for message, _ in messages["/pose"]]
+    assert times_ns == [message.log_time for message, _ in messages["/vehicle"]]
+    assert np.diff(times_ns).tolist() == [40_000_000] * 4  # the simulated clock, not the time that this test takes
+
+
+def test_a_healthy_drive_passes_bc_log_check_and_is_one_drive(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        log.event("connected")
+        for i in range(40):
+            log.decision(decided(i, replace(WORLD, time_s=i / 25)), total_ms=2.0)
+            if i == 20:
+                log.manual(0.1)
+    checked = check(path)
+    assert (checked.findings, checked.pictures) == ([], 80)
+    told = run("bc-log", "info", path)
+    assert "1 drive; no odd rows" in told.stdout
+
+
+def test_bc_log_check_tells_what_could_not_be_used(tmp_path: Path) -> None:
+    """Every one is counted, and not only those that became an event of their own."""
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        for i in range(1_500):
+            log.decision(replace(BAD, problem=f"image is cut off ({i} bytes)", kind="image is cut off"), 0.1)
+        log.decision(BAD, 0.1)
+    told = run("bc-log", "check", path)
+    assert told.returncode == 3
+    assert (
+        "kinds of telemetry that could not be used: 2 (image is cut off (1,500), not an object but a list (1))"
+        in told.stdout
+    )
+
+
+def test_what_was_out_of_range_is_in_the_log_as_it_came(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        for i in range(3):
+            row = decided(i)
+            assert row.telemetry is not None
+            log.decision(replace(row, telemetry=replace(row.telemetry, steering=160.0, throttle=-0.5)), 2.0)
+    states = [state for _, state in read_messages(path)["/vehicle"]]
+    assert [(state.steering, state.throttle) for state in states] == [(160.0, -0.5)] * 3
+    assert [finding.kind for finding in check(path).findings] == ["stretches of values out of range"]
+
+
+def test_a_row_that_was_braked_is_not_the_pilots(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        log.decision(decided(0, driver="brake", throttle=-1.0), 2.0)
+    ((_, command),) = read_messages(path)["/pilot/command"]
+    assert (command.driver, command.throttle) == (PilotCommand.BRAKE, -1.0)
+
+
+def test_events_of_decisions_stand_in_their_order(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        log.event("connected")
+        log.decision(decided(0, events=("lap 1", "the expert takes over: too far")), 2.0)
+        log.decision(replace(BAD, events=("nonsense for a second: braking",)), 0.1)
+        log.event("disconnected: it went away", is_problem=True)
+    events = read_messages(path)["/events"]
+    assert [(event.message, event.Level.Name(event.level), event.name) for _, event in events] == [
+        ("connected", "INFO", "drive"),
+        ("lap 1", "INFO", "drive"),
+        ("the expert takes over: too far", "INFO", "drive"),
+        ("bad telemetry: not an object but a list", "WARNING", "drive"),
+        ("nonsense for a second: braking", "WARNING", "drive"),
+        ("disconnected: it went away", "WARNING", "drive"),
+    ]
+    times_ns = [message.log_time for found in read_messages(path).values() for message, _ in found]
+    assert len(set(times_ns)) == len(events) + 1
+
+
+def test_who_drives_is_told_at_the_beginning_and_the_end_of_a_humans_stretch(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        for number in range(2):
+            for _ in range(3):
+                log.manual(0.1)
+            log.decision(BAD, 0.1)  # says nothing about who drives
+            log.manual(0.1)
+            log.decision(decided(number), 2.0)
+    messages = read_messages(path)
+    stretch = ["manual: a human drives", f"bad telemetry: {BAD.problem}", "manual: the pilot drives again"]
+    assert events_of(path) == stretch * 2
+    ends = [m.log_time for m, e in messages["/events"] if e.message == stretch[2]]
+    rows = [m.log_time for m, _ in messages["/vehicle"]]
+    assert ends[0] < rows[0] < ends[1] < rows[1]
+
+
+def test_ten_thousand_bad_telemetries_do_not_fill_the_log_but_are_all_counted(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    reasons = ["speed is not finite", "image is not base64", "image: no picture"]
+    with drive_log(path) as log:
+        for number in range(9_000):
+            log.decision(replace(BAD, problem=reasons[number % 3], kind=reasons[number % 3]), 0.1)
+        for number in range(1_000):  # of a kind, each with its own number
+            log.decision(replace(BAD, problem=f"image is cut off ({number} bytes)", kind="image is cut off"), 0.1)
+    events = events_of(path)
+    assert len(events) == 4 * (MOST_OF_EACH + 1)
+    assert f"bad telemetry: image is cut off ({MOST_OF_EACH - 1} bytes)" in events
+    assert f"bad telemetry: image is cut off ({1000 - MOST_OF_EACH:,} more)" in events
+    for reason in reasons:
+        assert events.count(f"bad telemetry: {reason}") == MOST_OF_EACH
+        assert f"bad telemetry: {reason} ({3000 - MOST_OF_EACH:,} more)" in events
+    more = sum(int(event.rpartition("(")[2].split()[0].replace(",", "")) for event in events if "more)" in event)
+    assert more + sum("more)" not in event for event in events) == 10_000
+    assert log.frames == 0
+
+
+# Its times
+
+moments = st.one_of(
+    st.just("event"),
+    st.none(),  # a row of a simulator that tells no clock
+    st.floats(0, 1e9),
+    st.integers(0, 50).map(lambda step: step / 50),
+)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3 * 10**7), moments), max_size=30))  # in under a second, no clock stands
+def test_no_time_is_the_same_or_back_and_simulated_time_is_kept(told: list[tuple[int, Any]]) -> None:
+    clock = LogClock()
+    received_ns, last_ns = 0, 0
+    last_row: tuple[int, float | None] | None = None
+    for passed_ns, what in told:
+        received_ns += passed_ns
+        time_ns = clock.event(received_ns) if what == "event" else clock.row(received_ns, what)
+        assert time_ns > last_ns
+        if what != "event":
+            if last_row is not None:
+                before_ns, before = last_row
+                if (
+                    what is not None
+                    and before is not None
+                    and 0 <= round(what * 1e9) - round(before * 1e9) <= 60e9
+                ):
+                    # to the nanosecond, but for rows and events of the very same moment
+                    late_ns = time_ns - before_ns - (round(what * 1e9) - round(before * 1e9))
+                    assert abs(late_ns) <= len(told)
+                elif what is not None or before is not None:
+                    assert time_ns - before_ns > 1e9  # another clock: a break, as between two drives
+            last_row = time_ns, what
+        last_ns = time_ns
+
+
+def test_a_clock_that_jumps_about_moves_the_log_by_seconds_and_not_by_years() -> None:
+    clock = LogClock()
+    first_ns, *_, last_ns = (clock.row(row, 1e9 * (row % 2)) for row in range(40))
+    assert last_ns - first_ns < 40 * 2e9
+
+
+@pytest.mark.parametrize("step_s", [0.0, -0.1])
+def test_rows_by_a_simulated_clock_that_does_not_advance_have_the_time_at_which_they_came(step_s: float) -> None:
+    clock = LogClock()
+    times_ns = [clock.row(row * 50_000_000, 9 + row * step_s) for row in range(60)]
+    assert clock.stands
+    assert times_ns[-1] - times_ns[-31] == 30 * 50_000_000
+
+
+def test_rows_without_a_simulated_clock_have_the_time_at_which_they_came() -> None:
+    clock = LogClock()
+    first_ns = clock.row(1_000, None)
+    assert [clock.row(1_000 + ms * 1_000_000, None) - first_ns for ms in (16, 33, 5_000)] == [
+        ms * 1_000_000 for ms in (16, 33, 5_000)
+    ]
+
+
+def test_an_event_that_comes_late_by_our_clock_does_not_move_the_rows_of_a_simulated_one() -> None:
+    clock = LogClock()
+    first_ns = clock.row(0, 0.0)
+    event_ns = clock.event(60 * 10**9)  # a minute for one simulated step
+    next_ns = clock.row(61 * 10**9, 0.04)
+    assert (event_ns, next_ns) == (first_ns + 1, first_ns + 40_000_000)
+
+
+def test_a_rows_time_is_when_its_telemetry_came_and_not_when_it_was_answered(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        log.decision(decided(0), total_ms=5000.0)
+        log.decision(decided(1), total_ms=0.0)
+    first, second = (message.log_time for message, _ in read_messages(path)["/vehicle"])
+    assert second - first >= 5 * 10**9
+
+
+# A slow disk
+
+
+@contextmanager
+def standing_disk(writer: LogWriter, monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """Nothing is written until the event is set."""
+    goes_on = threading.Event()
+    write = writer.vehicle
+
+    def vehicle(*arguments: Any) -> None:
+        assert goes_on.wait(PATIENCE_S)
+        write(*arguments)
+
+    monkeypatch.setattr(writer, "vehicle", vehicle)
+    yield goes_on
+    goes_on.set()
+
+
+def test_where_the_disk_stands_still_pictures_are_lost_before_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    decisions = [decided(i, replace(WORLD, time_s=i / 25)) for i in range(100)]
+    sizes = [len(d.telemetry.jpeg) + d.crop.nbytes for d in decisions if d.telemetry and d.crop is not None]
+    kept = 7
+    monkeypatch.setattr("drive.log.log_thread.MOST_PICTURE_BYTES", sum(sizes[:kept]))
+    with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
+        log = DriveLog(writer)
+        for decision in decisions:  # would never end if anything waited
+            log.decision(decision, 2.0)
+        assert (log.frames, log.dropped_pictures, log.dropped_rows) == (100, 2 * (100 - kept), 0)
+        goes_on.set()
+        log.close()
+    messages = read_messages(path)
+    counts = {topic: len(found) for topic, found in messages.items() if topic != "/events"}
+    assert counts == {
+        **dict.fromkeys(("/vehicle", "/pilot/command", "/pose"), 100),
+        **dict.fromkeys(("/camera/center", "/pilot/input"), kept),
+    }
+    commands = [command for _, command in messages["/pilot/command"]]
+    assert [command.steering for command in commands] == [decision.steering for decision in decisions]
+    first, last = events_of(path)
+    assert "pictures are left out" in first
+    assert f"{2 * (100 - kept)} pictures are missing" in last
+    assert {finding.kind for finding in check(path).findings} == {"stretches of rows without a picture"}
+
+
+def test_pictures_come_back_when_the_disk_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.mcap"
+    monkeypatch.setattr("drive.log.log_thread.MOST_PICTURE_BYTES", 100_000)
+    with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
+        log = DriveLog(writer)
+        for number in range(10):
+            log.decision(decided(number), 2.0)
+        dropped = log.dropped_pictures
+        assert dropped > 0
+        goes_on.set()
+        for number in range(10, 2000):
+            log.decision(decided(number), 2.0)
+            if log.dropped_pictures < 2 * (number - 5):
+                break
+        log.close()
+    rows = [message.sequence for message, _ in read_messages(path)["/camera/center"]]
+    assert rows[0] == 0
+    assert rows[-1] >= 10
+
+
+def test_rows_are_lost_only_when_far_more_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.mcap"
+    monkeypatch.setattr("drive.log.log_thread.MOST_WAITING", 20)
+    with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
+        log = DriveLog(writer)
+        for number in range(50):
+            log.decision(decided(number), 2.0)
+            log.event(f"event {number}")
+        assert (log.frames, log.dropped_rows) == (10, 80)
+        goes_on.set()
+        log.close()
+    assert [message.sequence for message, _ in read_messages(path)["/vehicle"]] == list(range(10))
+    told = events_of(path)
+    assert told[:10] == [f"event {number}" for number in range(10)]
+    assert ["rows are left out" in told[10], "80 rows and events are missing" in told[11]] == [True, True]
+
+
+def test_a_full_disk_is_told_and_the_driving_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    writer = LogWriter(path, {"source": "drive"}, live=True)
+    with files_of_at_most(1_000_000), DriveLog(writer) as log:
+        for number in range(2000):  # 20 fit
+            log.decision(decided(number), 2.0)
+            if log.failure is not None:
+                break
+        frames = log.frames
+        for number in range(5):
+            log.decision(decided(number), 2.0)
+            log.manual(0.1)
+            log.event("nobody reads it")
+    assert isinstance(log.failure, UserError)
+    assert str(writer.part) in str(log.failure)
+    assert "bc-log recover" in str(log.failure)
+    assert log.frames == frames
+    writer.__exit__(type(log.failure), log.failure, None)
+    recovered = recover(writer.part, tmp_path / "recovered.mcap").path
+    rows = [message.sequence for message, _ in read_messages(recovered)["/vehicle"]]
+    assert len(rows) > 5
+    assert rows == list(range(len(rows)))
+
+
+def test_a_mistake_of_ours_is_no_silent_loss(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "run.mcap", {"source": "drive"}, live=True) as writer:
+        log = DriveLog(writer)
+        log.decision(decided(0, driver="nobody"), 2.0)
+        with pytest.raises(KeyError, match="nobody"):
+            log.close()
+
+
+# Its thread
+
+
+def test_it_is_written_while_the_driving_loop_waits_in_eventlet(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    host = GreenHost("127.0.0.1", 0, lambda problem: None)
+    host.start(lambda environ, start_response: [])
+    with LogWriter(path, {"source": "drive"}, live=True) as writer, DriveLog(writer) as log:
+        begin = writer.bytes_written
+        for number in range(20):
+            log.decision(decided(number), 2.0)
+        while writer.bytes_written < begin + 256 * 1024:
+            host.wait(0.001)
+    host.end()
+    assert len(read_messages(path)["/vehicle"]) == 20
+
+
+def test_what_was_handed_over_last_reaches_the_file_without_anything_more(tmp_path: Path) -> None:
+    """While the simulator stands still, say."""
+    with LogWriter(tmp_path / "run.mcap", {"source": "drive"}, live=True) as writer, DriveLog(writer) as log:
+        log.decision(decided(0), 2.0)
+        until_s = time.monotonic() + PATIENCE_S
+        while road_jpeg(0) not in writer.part.read_bytes():
+            assert time.monotonic() < until_s
+
+
+DRIVER = """
+import sys, time
+from pathlib import Path
+from test_drive_log import decided
+from drive.log.drive_log import DriveLog
+from recorder import LogWriter
+
+decisions = [decided(number) for number in range(50)]
+writer = LogWriter(Path(sys.argv[1]), {"source": "drive"}, live=True)
+log = DriveLog(writer)
+while True:
+    log.decision(decisions[log.frames % 50], 2.0)
+    time.sleep(0.001)
+"""
+
+
+def test_a_killed_drive_leaves_a_log_that_can_be_recovered(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    here = {**environment(), "PYTHONPATH": f"{ROOT}:{HELPERS}:{Path(__file__).parent}"}
+    with subprocess.Popen([sys.executable, "-c", DRIVER, str(path)], env=here) as process:
+        try:
+            while sum(part.stat().st_size for part in tmp_path.iterdir()) < 2_000_000:
+                assert process.poll() is None
+        finally:
+            process.send_signal(signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL
+    (part,) = tmp_path.iterdir()
+    assert part.suffix == ".part"
+    done = run("bc-log", "recover", part, "--to", path)
+    assert done.returncode in (0, 3), done.stderr
+    messages = read_messages(path)
+    rows = [message.sequence for message, _ in messages["/vehicle"]]
+    assert rows == list(range(len(rows)))
+    assert len(rows) >= 30
+    for message, picture in messages["/camera/center"]:
+        assert picture.data == road_jpeg(message.sequence % 50)
+    with Log(path) as log:
+        assert log.counts["/pilot/command"] >= len(rows) - 1
+
+
+# Its viewer
+
+
+def test_a_viewer_that_is_stopped_keeps_neither_the_drive_nor_its_log(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    viewer = "127.0.0.1:9"  # nobody is there; it is stopped before it could find that out
+    with DriveProcess(untrained_run(tmp_path / "run"), path, "--viewer", viewer) as process:
+        port = process.wait_until_it_listens()
+        children = Path(f"/proc/{process.popen.pid}/task/{process.popen.pid}/children")
+        if not children.exists():
+            pytest.skip("a stopped viewer was not tried: this system does not list a process's children")
+        (child,) = map(int, children.read_text().split())
+        os.kill(child, signal.SIGSTOP)
+        left = iter(range(300))
+        answers: list[object] = []
+
+        def next_telemetry(answer: Answer) -> Told:
+            if answer is not None:
+                answers.append(answer)
+            number = next(left, None)
+            if number is not None:
+                return SimulatorTelemetry(0.0, 0.25, 9.0, road_jpeg(number % 50))
+            return None if len(answers) == 300 else "nothing"
+
+        SimulatorClient(port=port).run(next_telemetry)
+        state = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0]
+        assert state == "T"  # as it was all the while
+        assert process.end() == 0
+    assert not Path(f"/proc/{child}").exists()
+    assert len(read_messages(path)["/camera/center"]) == 300

@@ -1,0 +1,475 @@
+"""What is said of a drive at its end: distances, autonomy, and percentiles that numpy gives too."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drive.control.driver import Decision
+from drive.log.latency import LARGEST_MS, RESOLUTION, SMALLEST_MS, Latency
+from drive.log.summary import DriveSummary
+from recorder.server.telemetry import Telemetry
+from recorder.server.world import World
+from simulator.driving.course import Course
+from simulator.driving.expert import Expert
+from simulator.roads.track_names import load_track
+
+WORLD = World(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
+MPH = 0.44704  # m/s, by definition of the mile
+BAD = Decision(steering=0.0, throttle=0.0, problem="not an object but a list", kind="not an object")
+
+
+def decided(speed_mph: float = 10.0, world: World | None = None, **changed: Any) -> Decision:
+    told = Telemetry(0.0, 0.5, speed_mph, b"jpeg", world=world)
+    decision = Decision(
+        steering=0.03,
+        throttle=0.5,
+        driver="pilot",
+        telemetry=told,
+        speed_mph=speed_mph,
+        parse_ms=0.1,
+        decode_ms=0.2,
+        network_ms=1.0,
+        set_speed_mph=10.0,
+    )
+    return replace(decision, **changed)
+
+
+def test_nothing_is_rolled_while_no_speed_is_told() -> None:
+    summary = DriveSummary()
+    for i in range(3):
+        summary.decision(decided(), 2.0, now_s=i / 10)
+    driven_m = summary.distance_m
+    for i in range(60):
+        summary.manual(0.1, now_s=0.3 + i / 10)
+    assert summary.distance_m == driven_m == pytest.approx(10 * 0.44704 * 0.2)
+    assert summary.mean_speed_mph == pytest.approx(10)
+    assert summary.elapsed_s == pytest.approx(6.2)
+
+
+def test_what_another_simulator_drove_before_is_not_counted() -> None:
+    summary = DriveSummary()
+    for laps, interventions in ((0.5, 0), (3.5, 7)):  # the second has driven already
+        summary.connected()
+        for i in range(10):
+            world = replace(WORLD, time_s=laps * 100 + i / 25, laps=laps + i / 1000, interventions=interventions)
+            summary.decision(decided(world=world), 2.0, now_s=i / 25)
+    assert summary.laps == pytest.approx(0.018)
+    assert summary.interventions == 0
+
+
+def test_laps_are_told_only_if_every_frame_told_them() -> None:
+    summary = DriveSummary()
+    for i in range(3):
+        summary.decision(decided(), 2.0, now_s=i / 25)
+    summary.connected()  # another simulator takes its place, and tells
+    for i in range(25):
+        summary.decision(decided(world=replace(WORLD, time_s=i / 25, laps=i / 100)), 2.0, now_s=1 + i / 25)
+    assert summary.laps is None
+    assert "laps" not in summary.as_metadata()
+    distance, autonomy, *_ = summary.lines()
+    assert "laps" not in distance
+    assert autonomy == "autonomy 100.0 %, 0 interventions (for 3 frames nobody told when the car left the road)"
+    assert "laps" not in summary.status(2.0)
+
+
+# Percentiles
+
+times_ms = st.floats(SMALLEST_MS, LARGEST_MS)
+
+
+@given(st.lists(times_ms, min_size=1, max_size=200), st.floats(0, 100))
+def test_percentiles_are_numpys_within_the_stated_resolution(values: list[float], percent: float) -> None:
+    latency = Latency()
+    for ms in values:
+        latency.add(ms)
+    exact = np.percentile(values, percent, method="inverted_cdf")
+    assert latency.percentile_ms(percent) == pytest.approx(exact, rel=RESOLUTION)
+    assert latency.max_ms == max(values)
+
+
+def test_percentiles_of_a_drives_latencies() -> None:
+    random = np.random.default_rng(1)
+    values = np.exp(random.normal(0.5, 0.4, 100_000))
+    values[:500] += 20
+    latency = Latency()
+    for ms in values:
+        latency.add(ms)
+    for percent in (50, 90, 99, 99.9):
+        exact = np.percentile(values, percent, method="inverted_cdf")
+        assert latency.percentile_ms(percent) == pytest.approx(exact, rel=RESOLUTION)
+
+
+def test_times_that_no_clock_shows_do_no_harm() -> None:
+    latency = Latency()
+    assert (latency.percentile_ms(99), latency.max_ms) == (0.0, 0.0)
+    for ms in (0.0, -1.0, 1e-9, 1e9, float("inf")):
+        latency.add(ms)
+    assert latency.percentile_ms(50) <= SMALLEST_MS * 1.02
+    assert latency.percentile_ms(99) >= LARGEST_MS * 0.98
+
+
+# How far, how long
+
+
+def test_distance_is_speed_times_time() -> None:
+    summary = DriveSummary()
+    for i in range(601):  # a minute at ten a second
+        summary.decision(decided(speed_mph=20.0), 2.0, now_s=1000 + i / 10)
+    assert summary.elapsed_s == pytest.approx(60.0)
+    assert summary.distance_m == pytest.approx(20 * MPH * 60)
+    assert summary.mean_speed_mph == pytest.approx(20.0)
+    assert summary.laps is None
+    assert "laps" not in summary.as_metadata()
+
+
+def test_backwards_is_a_distance_too() -> None:
+    summary = DriveSummary()
+    for i in range(11):
+        summary.decision(decided(speed_mph=-5.0), 2.0, now_s=i / 10)
+    assert summary.distance_m == pytest.approx(5 * MPH)
+
+
+def test_a_pause_is_no_driving() -> None:
+    summary = DriveSummary()
+    for now_s in (0.0, 0.5, 1.0, 301.0, 301.5):  # five minutes in the simulator's menu
+        summary.decision(decided(), 2.0, now_s)
+    assert summary.elapsed_s == pytest.approx(1.5)
+    assert summary.distance_m == pytest.approx(10 * MPH * 1.5)
+
+
+def test_a_simulated_clock_that_jumps_adds_no_years_and_no_distance() -> None:
+    summary = DriveSummary()
+    for i in range(40):
+        summary.decision(decided(world=replace(WORLD, time_s=1e9 * (i % 2))), 2.0, now_s=i / 25)
+    assert summary.elapsed_s < 2
+    assert summary.distance_m < 10
+
+
+def test_a_simulated_clock_counts_and_not_ours() -> None:
+    summary = DriveSummary()
+    for i in range(51):  # two seconds at 25 a second, however long they took
+        summary.decision(decided(world=replace(WORLD, time_s=i / 25, laps=i / 1000)), 2.0, now_s=1000 + i * 0.7)
+    assert summary.elapsed_s == pytest.approx(2.0)
+    assert summary.distance_m == pytest.approx(10 * MPH * 2)
+    assert summary.laps == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("step_s", [0.0, -1.0])
+def test_a_simulated_clock_that_does_not_advance_is_not_used(step_s: float) -> None:
+    summary = DriveSummary()
+    for i in range(41):
+        summary.decision(decided(world=World(time_s=7 + i * step_s)), 2.0, now_s=1000 + i / 20)
+    assert summary.elapsed_s == summary.driven_s == pytest.approx(2.0)
+    assert summary.clock == "computer"
+    assert summary.distance_m == pytest.approx(10 * MPH * 2)
+
+
+@pytest.mark.parametrize("clocks_s", [0.004, 0.4])
+def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float) -> None:
+    """Faster or slower than the clock: 20 mph for 60 of its seconds are a third of a mile."""
+    summary = DriveSummary()
+    for i in range(1501):
+        summary.decision(decided(20.0, World(time_s=i / 25)), 2.0, now_s=i * clocks_s)
+    assert summary.distance_m == pytest.approx(1609.344 / 3, rel=1e-3)
+    assert summary.mean_speed_mph == pytest.approx(20.0)
+    summary.manual(2.0, now_s=1500 * clocks_s + 0.5)  # 0.5 s of ours, at 20 mph nobody knows
+    assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 60.5))
+    assert summary.laps is None
+    assert "this simulator does not tell when the car leaves the road" in " ".join(summary.lines())
+
+
+def test_it_is_said_whose_seconds_they_are() -> None:
+    def first_line(*worlds: World | None) -> str:
+        summary = DriveSummary()
+        for i, world in enumerate(worlds):
+            summary.decision(decided(0.0, world), 2.0, now_s=i * 0.5)
+        return summary.lines()[0].partition(":")[0]
+
+    times = [World(time_s=i * 2.0) for i in range(3)]
+    assert first_line(None, None, None) == "3 frames in 1.0 s"
+    assert first_line(None) == "1 frame in 0.0 s"
+    assert first_line(*times) == "3 frames in 4.0 s by the simulator's clock"
+    assert first_line(*times, None) == "4 frames in 4.5 s (4.0 s by the simulator's clock)"
+
+
+def test_a_pause_counts_by_no_clock_but_the_simulators() -> None:
+    """In its menu for a minute: the first telemetry after it tells a time, but the last one before it did not."""
+    summary = DriveSummary()
+    for now_s, world in ((0.0, None), (0.5, None), (60.0, World(time_s=1.0)), (60.1, World(time_s=1.5))):
+        summary.decision(decided(world=world), 2.0, now_s)
+    assert summary.elapsed_s == pytest.approx(1.0)
+
+
+def test_laps_and_interventions_may_be_told_without_each_other() -> None:
+    laps, put_back = DriveSummary(), DriveSummary()
+    for i in range(3):
+        laps.decision(decided(world=World(laps=i / 2)), 2.0, now_s=i / 10)
+        put_back.decision(decided(world=World(interventions=i)), 2.0, now_s=i / 10)
+    assert (laps.laps, laps.put_back) == (1.0, 0)
+    assert (put_back.laps, put_back.put_back) == (None, 2)
+    assert "nobody told" not in " ".join(put_back.lines())
+
+
+def test_a_lap_of_the_expert_is_what_the_simulators_own_book_says() -> None:
+    track = load_track("lake")
+    course, expert = Course(track), Expert(track.line, 10.0, 0.0, 0)
+    summary = DriveSummary()
+    while course.laps < 0.2:
+        world = replace(WORLD, time_s=course.time_s, laps=course.laps, interventions=course.interventions)
+        summary.decision(decided(course.vehicle.speed_mph, world), 2.0, now_s=0.0)
+        course.advance(*expert.control(course), 0.04)
+    measures = course.measures
+    assert summary.elapsed_s == pytest.approx(measures.elapsed_s, abs=0.05)
+    assert summary.distance_m == pytest.approx(measures.distance_m, rel=0.005)
+    assert summary.mean_speed_mph == pytest.approx(measures.mean_speed_mph, rel=0.005)
+    assert summary.laps == pytest.approx(0.2, abs=0.002)
+    assert summary.autonomy_percent == measures.autonomy_percent == 100.0
+
+
+# Who drove
+
+
+def test_autonomy_counts_humans_experts_and_the_simulator() -> None:
+    summary = DriveSummary()
+    now_s = 0.0
+
+    def tell(decision: Decision | None, times: int = 1) -> None:
+        nonlocal now_s
+        for _ in range(times):
+            if decision is None:
+                summary.manual(0.1, now_s)
+            else:
+                summary.decision(decision, 2.0, now_s)
+            now_s += 0.1
+
+    pilot, expert = decided(), decided(driver="expert")
+    tell(pilot, 1000)
+    for _ in range(2):
+        tell(None, 5)
+        tell(BAD)  # who drives is not said in it
+        tell(None, 5)
+        tell(pilot)
+    for _ in range(3):
+        tell(expert, 4)
+        tell(BAD)
+        tell(expert, 4)
+        tell(pilot)
+    tell(pilot, 2001 - summary.telemetries)
+    assert (summary.manual_stretches, summary.takeovers, summary.put_back) == (2, 3, 0)
+    assert summary.elapsed_s == pytest.approx(200.0)
+    assert summary.driven_s == pytest.approx(199.5)  # a tenth ends with each that could not be used
+    assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 * 5 / 199.5))
+    assert summary.malformed == 5
+    assert summary.frames == 2001 - 5 - 20
+
+
+def test_autonomy_is_never_below_zero() -> None:
+    summary = DriveSummary()
+    summary.decision(decided(), 2.0, now_s=0.0)
+    summary.decision(decided(), 2.0, now_s=0.5)
+    assert summary.autonomy_percent == 100.0
+    summary.manual(0.1, 0.9)
+    assert summary.autonomy_percent == 0.0
+
+
+def test_autonomy_and_speed_are_unknown_where_nothing_was_driven() -> None:
+    """As told by metadata too: neither is a number there."""
+    no_number = decided(problem="the network gave no number", driver="brake")
+    for told in ([], [BAD] * 30, [no_number] * 30, [decided()], [None] * 30):
+        summary = DriveSummary()
+        for i, decision in enumerate(told):
+            if decision is None:
+                summary.manual(0.1, i / 10)
+            else:
+                summary.decision(decision, 2.0, now_s=i / 10)
+        assert summary.autonomy_percent is None
+        assert "autonomy_percent" not in summary.as_metadata()
+        assert summary.lines()[1].startswith("autonomy unknown, for nothing was driven")
+        assert (summary.mean_speed_mph is None) == (told != [no_number] * 30)
+
+
+def test_the_time_in_which_nothing_could_be_used_is_no_driving() -> None:
+    summary = DriveSummary()
+    for i in range(301):
+        summary.decision(decided() if i <= 100 else BAD, 2.0, now_s=i / 10)
+    summary.manual(0.1, 30.1)
+    assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 10.1))
+    assert summary.lines()[1].startswith("autonomy 40.6 % of the 10.1 s that were driven, 1 intervention")
+    assert summary.lines()[-1] == "200 telemetries could not be used: not an object (200)"
+
+
+def test_a_brake_between_two_stretches_of_the_expert_makes_no_second_takeover() -> None:
+    summary = DriveSummary()
+    for driver in ("pilot", "expert", "brake", "expert", "pilot"):
+        summary.decision(decided(driver=driver), 2.0)
+    assert summary.takeovers == 1
+
+
+def test_what_the_simulator_put_back_counts_since_the_drive_began() -> None:
+    summary = DriveSummary()
+    for i, interventions in enumerate((3, 3, 4, 4, 6)):
+        summary.decision(
+            decided(world=replace(WORLD, time_s=10.0 * i, interventions=interventions, laps=1.5)), 2.0
+        )
+    assert summary.put_back == 3
+    for i, interventions in enumerate((0, 0, 1)):  # the simulator was started again
+        summary.decision(
+            decided(world=replace(WORLD, time_s=10.0 * i, interventions=interventions, laps=i / 4)), 2.0
+        )
+    assert summary.put_back == 4
+    assert summary.laps == pytest.approx(0.5)
+    assert summary.elapsed_s == pytest.approx(60.0)
+
+
+# What is said
+
+
+def test_the_metadata_has_a_unit_in_every_name_that_needs_one() -> None:
+    summary = DriveSummary()
+    for i in range(26):
+        summary.decision(decided(world=replace(WORLD, time_s=i / 25, laps=i / 100, interventions=i // 25)), 2.0, i)
+    summary.dropped_pictures, summary.dropped_rows = 4, 1
+    found = summary.as_metadata()
+    assert all(isinstance(value, str) for value in found.values())
+    assert found.pop("clock") == "simulator"
+    assert {name: float(value) for name, value in found.items()} == pytest.approx(
+        {
+            "frames": 26,
+            "malformed": 0,
+            "without_number": 0,
+            "interventions": 1,
+            "manual_stretches": 0,
+            "takeovers": 0,
+            "put_back": 1,
+            "dropped_pictures": 4,
+            "dropped_rows": 1,
+            "elapsed_s": 1.0,
+            "driven_s": 1.0,
+            "distance_m": 10 * MPH,
+            "mean_speed_mph": 10.0,
+            "autonomy_percent": 0.0,
+            "laps": 0.25,
+            **{f"parse_{which}_ms": 0.1 for which in ("p50", "p99", "max")},
+            **{f"decode_{which}_ms": 0.2 for which in ("p50", "p99", "max")},
+            **{f"network_{which}_ms": 1.0 for which in ("p50", "p99", "max")},
+            **{f"total_{which}_ms": 2.0 for which in ("p50", "p99", "max")},
+        },
+        rel=RESOLUTION,
+        abs=5e-4,
+    )
+
+
+def test_the_lines_for_people() -> None:
+    summary = DriveSummary()
+    for i in range(1201):
+        summary.decision(decided(world=replace(WORLD, time_s=i / 10, laps=i / 1000)), 2.0, now_s=0.0)
+    summary.decision(BAD, 0.1, now_s=0.0)
+    summary.decision(decided(driver="expert", world=replace(WORLD, time_s=120.0, laps=1.2)), 2.0, now_s=0.0)
+    summary.dropped_pictures = 12
+    distance, autonomy, latency, malformed, dropped = summary.lines()
+    assert distance == "1,202 frames in 120.0 s by the simulator's clock: 1.20 laps, 536 m, 10.0 mph on average"
+    assert autonomy == "autonomy 95.0 %, 1 intervention: 1 by the expert"
+    assert latency.startswith("latency p50/p99/max in ms: parse 0.10/0.10/0.10, decode ")
+    assert malformed == "1 telemetry could not be used: not an object (1)"
+    assert dropped == "the disk was too slow: 12 pictures and 0 rows are not in the log"
+
+
+def test_frames_without_a_number_of_the_network_are_told() -> None:
+    summary = DriveSummary()
+    for i in range(3):
+        summary.decision(decided(problem="the network gave no number" if i else ""), 2.0, now_s=i / 10)
+    assert summary.lines()[-1] == "the network gave no number for 2 frames: the car was braked"
+    assert summary.as_metadata()["without_number"] == "2"
+    assert summary.frames == 3
+
+
+def test_a_drive_that_never_was_has_lines_too() -> None:
+    assert DriveSummary().lines() == [
+        "0 frames in 0.0 s: distance and speed unknown",
+        "autonomy unknown, for nothing was driven, 0 interventions",
+    ]
+
+
+def test_the_live_line_tells_the_last_second() -> None:
+    summary = DriveSummary()
+    assert summary.status(0.0) == ""
+    for i in range(1, 401):  # 20 a second for ten seconds, then 50
+        now_s = i / 20 if i <= 200 else 10 + (i - 200) / 50
+        summary.decision(decided(speed_mph=10.1), 9.0 if i <= 200 else 1.9, now_s)
+        line = summary.status(now_s)
+        if i == 200:
+            assert line == "10.1 mph, steer +0.03, 20 Hz, 9.0 ms, 0.0 s ago"
+    assert line == "10.1 mph, steer +0.03, 50 Hz, 1.9 ms, 0.0 s ago"
+    assert summary.status(16.5) == "10.1 mph, steer +0.03, 0 Hz, 1.9 ms, 2.5 s ago"
+    summary.manual(0.1, 17.0)
+    assert summary.status(17.0).startswith("1 intervention, 10.1 mph, a human drives")
+
+
+def test_the_live_line_tells_what_cannot_be_used() -> None:
+    summary = DriveSummary()
+    lines = []
+    for i in range(1, 161):  # two seconds of good ones, two in which every fourth is bad, four of bad ones only
+        bad = i > 80 or (i > 40 and i % 4 == 0)
+        summary.decision(BAD if bad else decided(), 2.0, now_s=i / 20)
+        lines.append(summary.status(i / 20))
+    assert lines[39] == "10.0 mph, steer +0.03, 20 Hz, 2.0 ms, 0.0 s ago"
+    assert lines[78] == "10.0 mph, steer +0.03, 20 Hz, 5 bad, 0.0 s ago"
+    assert lines[159] == "20 Hz, none of it usable, 0.0 s ago"
+
+
+@pytest.mark.parametrize("driver", ["pilot", "expert"])
+def test_the_live_line_fits_a_terminal_of_80_columns(driver: Literal["pilot", "expert"]) -> None:
+    summary = DriveSummary()
+    for i in range(251):
+        world = replace(WORLD, time_s=i / 100, laps=i / 100, interventions=i // 30)
+        summary.decision(decided(world=world, driver=driver), 13.3, now_s=i / 100)
+        line = summary.status(i / 100)
+    who = {"pilot": "8 interventions, 10.0 mph, steer", "expert": "9 interventions, 10.0 mph, expert"}
+    assert line == f"2.50 laps, {who[driver]} +0.03, 100 Hz, 13.3 ms, 0.0 s ago"
+    assert len(f"* {line}") <= 80  # behind what turns to show that it goes on
+
+
+@given(
+    st.lists(st.tuples(st.floats(allow_nan=False), st.floats(0, 1e9), st.floats(0, 1e9), st.integers(0, 10**9)))
+)
+def test_whatever_a_simulator_tells_there_is_a_summary(told: list[tuple[float, float, float, int]]) -> None:
+    summary = DriveSummary()
+    for speed_mph, time_s, laps, interventions in told:
+        world = replace(WORLD, time_s=time_s, laps=laps, interventions=interventions)
+        if abs(speed_mph) < sys.float_info.max:  # a telemetry's numbers are finite
+            summary.decision(decided(speed_mph, world if time_s > 1 else None), 2.0, now_s=time_s)
+        assert summary.autonomy_percent is None or 0.0 <= summary.autonomy_percent <= 100.0
+    assert summary.lines()
+    assert summary.as_metadata()
+    summary.status(0.0)
+
+
+def test_hours_of_driving_take_no_more_memory_than_a_minute() -> None:
+    def size(thing: object, seen: set[int]) -> int:
+        """Bytes of an object and everything that it holds."""
+        if id(thing) in seen or isinstance(thing, type):
+            return 0
+        seen.add(id(thing))
+        held = [*vars(thing).values()] if hasattr(thing, "__dict__") else []
+        if isinstance(thing, dict):
+            held += [*thing.keys(), *thing.values()]
+        elif not isinstance(thing, str) and hasattr(thing, "__iter__"):
+            held += list(thing)
+        return sys.getsizeof(thing) + sum(size(part, seen) for part in held)
+
+    summary = DriveSummary()
+    sizes = []
+    for i in range(60_000):
+        summary.decision(decided(), 1.0 + i % 50, now_s=i / 50)
+        if i % 5 == 0:
+            summary.status(i / 50)
+        if i in (3_000, 59_999):
+            sizes.append(size(summary, set()))
+    assert sizes[1] < sizes[0] * 1.1

@@ -1,0 +1,106 @@
+"""`bc-drive` shows the drive by itself where there is a display, and drives on whatever becomes of that."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from driving import Process, command, environment, road_jpeg, untrained_run
+from logs import read_messages
+from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told
+from waiting import wait_until
+
+FRAMES = 20
+# In the place of the real one, which would open a window: it tells how it was called, and stays.
+STAND_IN = """
+import sys, time
+print("stand-in", *sys.argv[1:], file=sys.stderr, flush=True)
+time.sleep(1000)
+"""
+FAILING = "raise SystemExit('viewer: no graphics')"
+
+
+@pytest.fixture(scope="module")
+def pilot_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return untrained_run(tmp_path_factory.mktemp("runs") / "first")
+
+
+@pytest.fixture
+def found_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the viewer of a drive is found before ours; there is a display."""
+    (tmp_path / "viz").mkdir()
+    (tmp_path / "viz" / "__init__.py").touch()
+    path = os.pathsep.join((str(tmp_path), environment()["PYTHONPATH"]))
+    with_a_display = {**environment(), "PYTHONPATH": path, "DISPLAY": ":77"}
+    monkeypatch.setattr("driving.environment", lambda: with_a_display)
+    return tmp_path / "viz" / "preview.py"
+
+
+def drive(process: Process) -> None:
+    """Be a simulator that has driven `FRAMES` frames when this returns."""
+    pictures = [road_jpeg(i) for i in range(FRAMES)]
+    rows: Iterator[int] = iter(range(FRAMES))
+    waiting = 0
+
+    def next_telemetry(answer: Answer) -> Told:
+        nonlocal waiting
+        waiting -= answer is not None
+        if (row := next(rows, None)) is None:
+            return "nothing" if waiting else None
+        waiting += 1
+        return Telemetry(0.0, 0.25, 9.0, pictures[row])
+
+    port = int(process.wait_for(r"is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1])
+    SimulatorClient(port=port).run(next_telemetry)
+
+
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="there is always a display there")
+def test_without_a_display_the_command_that_shows_the_drive_is_said(pilot_run: Path, tmp_path: Path) -> None:
+    log = tmp_path / "a drive.mcap"
+    with Process(command("bc-drive", pilot_run, "--log", log, "--port", 0)) as process:
+        said = process.wait_for(r"^bc-drive: watch it with `(.*)`$")[1]
+        drive(process)
+        program, *arguments = shlex.split(said)
+        rrd = tmp_path / "a.rrd"
+        with Process(command(program, *arguments, "--save", rrd)) as play:  # that very command
+            wait_until(lambda: list(tmp_path.glob("a.rrd.*.part")))
+            assert process.end() == 0
+            assert play.join() == 0, play.stderr
+    assert not any(line.startswith("viewer") for line in process.stderr)
+    assert len(read_messages(log)["/camera/center"]) == FRAMES
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no log is shown there while it grows")
+@pytest.mark.parametrize("viewer", [(), ("--viewer", "off")])
+def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
+    viewer: tuple[str, ...], pilot_run: Path, tmp_path: Path, found_first: Path
+) -> None:
+    found_first.write_text(STAND_IN)
+    log = tmp_path / "run.mcap"
+    with Process(command("bc-drive", pilot_run, "--log", log, "--port", 0, *viewer)) as process:
+        if not viewer:
+            assert process.wait_for(r"^stand-in (\S+) --follow$")[1].startswith(f"{log}.")
+        drive(process)
+        assert process.end() == 0
+    assert not any("watch it" in line for line in process.stderr)
+    assert any("stand-in" in line for line in process.stderr) is not bool(viewer)
+    assert len(read_messages(log)["/camera/center"]) == FRAMES
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no log is shown there while it grows")
+def test_a_viewer_that_cannot_be_shown_costs_a_line_and_no_answer(
+    pilot_run: Path, tmp_path: Path, found_first: Path
+) -> None:
+    found_first.write_text(FAILING)
+    log = tmp_path / "run.mcap"
+    with Process(command("bc-drive", pilot_run, "--log", log, "--port", 0)) as process:
+        process.wait_for("^viewer: no graphics$")
+        drive(process)
+        assert process.end(signal.SIGINT) == 0
+    assert len(read_messages(log)["/camera/center"]) == FRAMES

@@ -1,0 +1,537 @@
+"""What is answered to each telemetry: steering and throttle within their bounds, whatever the simulator tells."""
+
+from __future__ import annotations
+
+import base64
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dataset import decode
+from drive.config import DriveConfig
+from drive.control.driver import Decision, Driver
+from drive.control.speed_controller import fastest_mph
+from drive.control.telemetry_picture import MOST_PIXELS
+from drive.errors import DriveError
+from driving import road_jpeg
+from model import Pilot
+from model.network.layers import SteeringNetwork
+from recorder.server.world import World
+from simulator.driving.expert import BEND_MPS2
+from simulator.driving.vehicle import STEP_S, VehicleState, step
+
+MIDDLE = World(0.0, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, -0.3, 0.7)
+NONSENSE = {"speed": "fast"}
+
+
+def say(network: SteeringNetwork, steering: float) -> SteeringNetwork:
+    """Every picture gets the same answer from now on."""
+    with torch.no_grad():
+        network.head[-1].weight.zero_()  # type: ignore[operator]
+        network.head[-1].bias.fill_(steering)  # type: ignore[operator]
+    return network
+
+
+def pilot_that_says(steering: float) -> Pilot:
+    return Pilot(say(SteeringNetwork(), steering))
+
+
+def untrained_pilot() -> Pilot:
+    torch.manual_seed(3)
+    return Pilot(SteeringNetwork())
+
+
+@pytest.fixture(scope="module")
+def half_right() -> Pilot:
+    pilot = pilot_that_says(0.5)
+    pilot.get_ready()
+    return pilot
+
+
+@pytest.fixture(scope="module")
+def no_number() -> Pilot:
+    return pilot_that_says(math.nan)
+
+
+def told(number: int = 0, speed_mph: float = 9.0, world: World | None = None, **changed: Any) -> dict[str, Any]:
+    """A telemetry as the simulator tells it."""
+    image = base64.b64encode(road_jpeg(number)).decode()
+    fields: dict[str, Any] = {"steering_angle": "0.0000", "throttle": "0.1000", "speed": f"{speed_mph:.4f}"}
+    if world is not None:
+        fields["world"] = asdict(world)
+    return {**fields, "image": image, **changed}
+
+
+def encoded(width: int, height: int) -> str:
+    ok, jpeg = cv2.imencode(".jpg", np.full((height, width, 3), 90, np.uint8))
+    assert ok
+    return base64.b64encode(jpeg.tobytes()).decode()
+
+
+def drive(driver: Driver, data: object, now_s: float = 0.0) -> Decision:
+    return driver.decide(data, received_s=0.0, now_s=now_s)
+
+
+# A telemetry that is driven on
+
+
+def test_the_answer_is_the_networks_and_what_led_to_it_is_told() -> None:
+    pilot, data = untrained_pilot(), told(7, speed_mph=4.0)
+    decision = drive(Driver(pilot, DriveConfig()), data)
+    crop = pilot.crop(decode(road_jpeg(7)))
+    assert decision.crop is not None
+    assert (decision.crop == crop).all()
+    assert decision.predicted_steering == decision.steering == pilot.predict(crop)
+    assert decision.throttle == pytest.approx(0.1 * 6 + 0.002 * 6)  # the first of the controller, 6 mph too slow
+    assert decision.telemetry is not None
+    assert decision.telemetry.jpeg == road_jpeg(7)
+    assert (decision.driver, decision.set_speed_mph, decision.problem, decision.events) == ("pilot", 10.0, "", ())
+    assert min(decision.parse_ms, decision.decode_ms, decision.network_ms) > 0
+
+
+@pytest.mark.parametrize(("said", "sent"), [(7.0, 1.0), (-1.5, -1.0), (math.inf, 0.0)])
+def test_steering_is_clamped_and_the_prediction_is_not(said: float, sent: float) -> None:
+    decision = drive(Driver(pilot_that_says(said), DriveConfig()), told())
+    assert (decision.predicted_steering, decision.steering) == (said, sent)
+
+
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (160, 120), (1, 1), (1920, 1080), (5, 4000)])
+def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
+    half_right: Pilot, width: int, height: int
+) -> None:
+    driver = Driver(half_right, DriveConfig())
+    events: list[str] = []
+    for _ in range(3):
+        decision = drive(driver, told(image=encoded(width, height)))
+        assert (decision.steering, decision.problem) == (0.5, "")
+        events += decision.events
+    assert events == [f"pictures of {width}x{height} pixels, not 320x160: driven on all the same"]
+
+
+@pytest.mark.parametrize(
+    ("jpeg", "problem"),
+    [
+        (encoded(2049, 1024), f"image has more than {MOST_PIXELS:,} pixels (2,098,176)"),
+        (base64.b64encode(road_jpeg(0)[:-900]).decode(), "image is a JPEG that is cut off or damaged ("),
+        (base64.b64encode(b"\x89PNG" + bytes(99)).decode(), "image is a PNG, not a JPEG"),
+        (base64.b64encode(bytes(99)).decode(), "image is not a JPEG (99 bytes)"),
+        ("", "image is empty"),
+    ],
+)
+def test_a_picture_that_is_too_large_or_none_is_not_driven_on(half_right: Pilot, jpeg: str, problem: str) -> None:
+    decision = drive(Driver(half_right, DriveConfig()), told(image=jpeg))
+    assert problem in decision.problem
+    assert (decision.steering, decision.throttle, decision.telemetry, decision.crop) == (0.0, 0.0, None, None)
+    assert decision.speed_mph == 9.0  # what can be read is used
+
+
+def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    comma: dict[str, Any] = {"steering_angle": "-1,0000", "throttle": "0,1000", "speed": "9,0000"}
+    assert [
+        drive(driver, data).decimal_separator
+        for data in (NONSENSE, told(), told(**comma), NONSENSE, told(**comma, image="AAAA"), told(), NONSENSE)
+    ] == [".", ".", ",", ",", ",", ".", "."]
+
+
+def test_a_separator_once_told_is_kept_and_a_whole_throttle_changes_nothing(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    answers = [
+        drive(driver, told(steering_angle="-1,5", throttle="01"[k % 2] if k % 3 else "0,5", speed=speed))
+        for k, speed in enumerate(["9,25", "9", "9,125", "9,1", "9"])
+    ]
+    assert [answer.speed_mph for answer in answers] == [9.25, 9.0, 9.125, 9.1, 9.0]
+    assert {answer.decimal_separator for answer in answers} == {","}
+    assert drive(driver, told(steering_angle="1", throttle="0", speed="9")).decimal_separator == ","
+
+
+# Nonsense
+
+
+def test_nonsense_keeps_the_steering_and_lets_go_of_the_throttle(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    drive(driver, told(), 0.0)
+    for now_s in (0.1, 0.5, 1.0):
+        decision = drive(driver, NONSENSE, now_s)
+        assert (decision.steering, decision.throttle, decision.telemetry) == (0.5, 0.0, None)
+        assert (decision.kind, decision.events) == ("steering_angle, throttle and image are missing", ())
+
+
+def test_a_simulators_clock_that_stands_puts_off_no_brake_and_no_release(half_right: Pilot) -> None:
+    """Also one that stands from the first nonsense on; the second is this computer's then."""
+    nonsense = told(image="@@", speed_mph=20.0, world=World(0.0))
+    for good in (0, 20):
+        driver = Driver(half_right, DriveConfig())
+        for k in range(good):
+            drive(driver, told(speed_mph=20.0, world=replace(MIDDLE, time_s=0.0)), k / 20)
+        throttles = [drive(driver, nonsense, (good + k) / 20).throttle for k in range(100)]
+        assert throttles[:19] == [0.0] * 19
+        assert throttles[21] == -1.0
+        assert throttles[-1] == 0.0
+        assert 1.0 < throttles.count(-1.0) / 20 < 2.5
+
+
+@pytest.mark.parametrize("step_s", [0.0, -0.1])
+def test_a_clock_that_does_not_advance_is_not_used_and_that_is_said_once(half_right: Pilot, step_s: float) -> None:
+    driver = Driver(half_right, DriveConfig(max_steering_per_s=0.1))
+    decisions = [drive(driver, told(world=replace(MIDDLE, time_s=9 + k * step_s)), 5 + k / 20) for k in range(60)]
+    said = [(k, event) for k, decision in enumerate(decisions) for event in decision.events]
+    text = "time_s does not advance: this computer's clock counts instead"
+    assert [event for _, event in said] == [f"the simulator's world is not used whole: {text}"]
+    assert 1.0 <= said[0][0] / 20 <= 1.1
+    assert decisions[-1].steering - decisions[-21].steering == pytest.approx(0.1)
+
+
+def test_a_pause_and_telemetries_of_the_same_moment_are_no_clock_that_stands(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    times_s, now_s = (
+        [0.0, 0.0, 0.1, 0.1, 0.1, 0.2, 0.2, 0.0, 0.1],
+        [0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 602.0, 602.4, 603],
+    )
+    for time_s, now in zip(times_s, now_s, strict=True):
+        assert drive(driver, told(world=replace(MIDDLE, time_s=time_s)), now).events == ()
+
+
+def test_good_telemetry_in_between_is_driven_and_begins_the_second_again(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    answers = [drive(driver, NONSENSE if k % 2 else told(), 0.6 * k) for k in range(20)]
+    assert [answer.throttle > 0 for answer in answers] == [True, False] * 10
+    assert all(answer.throttle == 0.0 for answer in answers[1::2])
+
+
+@pytest.mark.parametrize("data", [NONSENSE, None, told(image="AAAA", speed_mph=30.0)])
+@pytest.mark.parametrize("speed_mph", [0.5, 5.0, 10.0, 30.0])
+def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
+    half_right: Pilot, speed_mph: float, data: object
+) -> None:
+    """By the built-in simulator's car, which brakes and reverses as the real one's: it acts on every answer until
+    the next."""
+    driver = Driver(half_right, DriveConfig())
+    drive(driver, told(speed_mph=speed_mph), 0.0)
+    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    throttles: list[float] = []
+    events: list[str] = []
+    backwards_mps = 0.0
+    for k in range(1, 400):
+        decision = drive(driver, data, k * 2 * STEP_S)
+        for _ in range(2):
+            car = step(car, decision.steering, decision.throttle)
+            backwards_mps = min(backwards_mps, car.speed_mps)
+        throttles.append(decision.throttle)
+        events += decision.events
+    braked = [k for k, throttle in enumerate(throttles) if throttle < 0]
+    assert throttles[-1] == 0.0
+    assert {throttles[k] for k in braked} <= {-1.0}
+    if data == NONSENSE:
+        assert car.speed_mps < 0.2
+        assert backwards_mps > -0.2
+    assert len(braked) * 2 * STEP_S < 2.0
+    assert min(braked, default=25) * 2 * STEP_S == pytest.approx(1.0, abs=3 * STEP_S)
+    stands = speed_mph < 1 and data in (NONSENSE, None)
+    assert events == [f"nothing usable for 1 s: the car {'stands' if stands else 'is braked'}"]
+
+
+@pytest.mark.parametrize("slope", [0.0, -0.1])
+@pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
+@pytest.mark.parametrize("image", ["%%%", "AAAA", ...])
+def test_a_car_of_which_nothing_but_the_speed_can_be_read_is_braked_to_a_stand(
+    half_right: Pilot, speed_mph: float, image: object, slope: float
+) -> None:
+    """From the first telemetry on, also downhill, and as the real simulator tells it: without a sign."""
+    driver = Driver(half_right, DriveConfig())
+    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    throttles: list[float] = []
+    for k in range(150):
+        data = told(speed_mph=abs(car.speed_mph), image=image)
+        if image is ...:
+            del data["image"]
+        decision = drive(driver, data, k * 2 * STEP_S)
+        throttles.append(decision.throttle)
+        for _ in range(2):
+            car = step(car, decision.steering, decision.throttle, slope if throttles.count(-1.0) else 0.0)
+        if throttles.count(-1.0) and decision.throttle == 0.0:
+            break
+    assert (-1.0 in throttles) == (speed_mph > 1.0)
+    assert abs(car.speed_mph) < 2.0
+
+
+@pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
+def test_a_car_whose_speed_is_never_told_is_braked_once_and_not_reversed_for_ever(
+    half_right: Pilot, speed_mph: float
+) -> None:
+    driver = Driver(half_right, DriveConfig())
+    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    throttles, events = [], list[str]()
+    for k in range(1500):
+        decision = drive(driver, NONSENSE, k * 2 * STEP_S)
+        throttles.append(decision.throttle)
+        events += decision.events
+        for _ in range(2):
+            car = step(car, decision.steering, decision.throttle)
+    assert events == ["nothing usable for 1 s: the car is braked, as from its top speed: its own was never told"]
+    assert 1.5 < throttles.count(-1.0) * 2 * STEP_S < 2.5
+    assert throttles[:25] == [0.0] * 25
+    assert throttles[-1] == 0.0
+    assert abs(car.speed_mph) < 1.0
+
+
+@pytest.mark.parametrize(("speed_mph", "throttle"), [(0.5, 0.0), (5.0, -1.0)])
+def test_a_brake_of_unknown_speed_heeds_the_speed_as_soon_as_it_is_told(
+    half_right: Pilot, speed_mph: float, throttle: float
+) -> None:
+    driver = Driver(half_right, DriveConfig())
+    for k in range(12):
+        drive(driver, NONSENSE, k / 10)
+    assert drive(driver, told(speed_mph=speed_mph, image="%%%"), 1.2).throttle == throttle
+    assert drive(driver, told(speed_mph=0.0, image="%%%"), 1.3).throttle == 0.0
+    assert drive(driver, told(speed_mph=5.0, image="%%%"), 1.4).throttle == 0.0  # backwards, perhaps
+
+
+@pytest.mark.parametrize("data", [told(speed_mph=9.0), told(speed_mph=9.0, image="%%%"), NONSENSE])
+def test_at_the_end_the_car_is_braked_and_the_throttle_is_not_the_pilots(half_right: Pilot, data: object) -> None:
+    driver = Driver(half_right, DriveConfig())
+    drive(driver, told(), 0.0)
+    driver.stop()
+    decision = drive(driver, data, 0.1)
+    assert (decision.steering, decision.throttle, decision.driver) == (0.5, -1.0, "brake")
+    assert drive(driver, data, 10.0).throttle == 0.0
+
+
+def test_a_braked_car_is_driven_again_as_soon_as_there_is_something_to_drive_on(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    drive(driver, told(), 0.0)
+    for k in range(30):
+        drive(driver, NONSENSE, k / 10)
+    decision = drive(driver, told(speed_mph=0.0), 3.1)
+    assert (decision.steering, decision.events) == (0.5, ("the brakes are released",))
+    assert decision.throttle > 0
+
+
+def test_a_network_that_gives_no_number_brakes_at_once_and_that_is_said_once(no_number: Pilot) -> None:
+    driver = Driver(no_number, DriveConfig())
+    answers = [drive(driver, told(speed_mph=max(0.0, 10 - k)), k / 10) for k in range(15)]
+    assert {(answer.steering, answer.problem) for answer in answers} == {(0.0, "the network gave no number")}
+    assert answers[0].throttle == -1.0
+    assert answers[-1].throttle == 0.0
+    assert [event for answer in answers for event in answer.events] == [
+        "the network gave no number",
+        "the car is braked",
+    ]
+    assert all(answer.telemetry is not None and answer.crop is not None for answer in answers)  # to be looked into
+    assert all(math.isnan(answer.predicted_steering) for answer in answers)
+
+
+def test_a_standing_car_is_never_told_to_reverse(no_number: Pilot, half_right: Pilot) -> None:
+    """The real simulator's speed has no sign: a car that rolls backwards tells 5 mph too."""
+    driver = Driver(no_number, DriveConfig())
+    throttles = [drive(driver, told(speed_mph=speed), k / 10).throttle for k, speed in enumerate([0.0, 5.0, 5.0])]
+    assert throttles == [0.0, 0.0, 0.0]
+    driver = Driver(no_number, DriveConfig())  # stopped sooner than was thought, on a hill
+    throttles = [drive(driver, told(speed_mph=speed), k / 10).throttle for k, speed in enumerate([10.0, 0.5, 5.0])]
+    assert throttles == [-1.0, 0.0, 0.0]
+    driver = Driver(half_right, DriveConfig(set_speed_mph=1.0))
+    for k in range(20):  # far too fast for long: all that the controller remembers says "brake"
+        drive(driver, told(speed_mph=30.0), k / 10)
+    assert drive(driver, told(speed_mph=0.5), 2.0).throttle == 0.0
+
+
+json_like = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20) | st.binary(max_size=20),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+GOOD = {
+    "steering_angle": st.sampled_from(["0.0000", "25,0000", "-1,234.5000"]) | st.floats(),
+    "throttle": st.sampled_from(["0.1000", "0,1000", 1]) | st.floats(),
+    "speed": st.sampled_from(["9.0000", "1 234,5", 0, -30.0]) | st.floats(),
+    "image": st.builds(
+        lambda number, cut, splice: base64.b64encode(road_jpeg(number)[:cut] + splice).decode(),
+        st.integers(0, 3),
+        st.sampled_from([None, None, 700, -2]),
+        st.binary(max_size=9),
+    )
+    | st.builds(encoded, st.integers(1, 40), st.integers(1, 40)),
+    "world": st.fixed_dictionaries(
+        {name: st.sampled_from([0, 1, -0.95, 3.5]) | st.floats() | st.integers() for name in asdict(MIDDLE)}
+    ),
+}
+telemetries = json_like | st.fixed_dictionaries(
+    {}, optional={name: good | json_like for name, good in GOOD.items()}
+)
+configs = st.builds(
+    DriveConfig,
+    st.floats(0, 100, exclude_min=True),
+    st.booleans(),
+    st.floats(0, 1e300),
+    st.floats(0, 1e300),
+    st.booleans(),
+)
+
+
+@settings(max_examples=150)
+@given(st.lists(st.tuples(telemetries, st.floats(-1e9, 1e9)), min_size=1, max_size=6), configs)
+def test_whatever_is_told_is_answered_by_numbers_within_their_bounds(
+    half_right: Pilot, data: list[tuple[object, float]], config: DriveConfig
+) -> None:
+    driver = Driver(half_right, config)
+    for telemetry, now_s in data:
+        decision = drive(driver, telemetry, now_s)
+        assert -1 <= decision.steering <= 1
+        assert -1 <= decision.throttle <= 1
+        assert (decision.telemetry is None) == (decision.crop is None)
+        assert bool(decision.problem) == (decision.telemetry is None)
+
+
+# Smoother, slower
+
+
+def sent(pilot: Pilot, config: DriveConfig, rate_hz: float, seconds: float) -> list[float]:
+    driver = Driver(pilot, config)
+    return [drive(driver, told(), 100 + k / rate_hz).steering for k in range(round(seconds * rate_hz) + 1)]
+
+
+def test_by_default_nothing_is_smoothed(half_right: Pilot) -> None:
+    assert sent(half_right, DriveConfig(), 10, 0.3) == [0.5] * 4
+
+
+@pytest.mark.parametrize("rate_hz", [5, 25])
+def test_smoothing_depends_on_time_and_not_on_the_telemetries(half_right: Pilot, rate_hz: float) -> None:
+    steering = sent(half_right, DriveConfig(smooth_s=0.4), rate_hz, 1.2)
+    assert steering[0] == 0.0
+    assert steering == sorted(steering)
+    assert steering[-1] == pytest.approx(0.5 * (1 - math.exp(-3)))  # after three time constants
+
+
+@pytest.mark.parametrize("rate_hz", [5, 25])
+def test_the_rate_of_the_steering_is_bounded(half_right: Pilot, rate_hz: float) -> None:
+    steering = sent(half_right, DriveConfig(max_steering_per_s=1.0), rate_hz, 0.8)
+    assert steering == pytest.approx([min(0.5, k / rate_hz) for k in range(len(steering))])
+    assert steering[-1] == 0.5
+
+
+@pytest.mark.parametrize("telemetries", [8, 30])
+def test_while_nothing_usable_comes_no_change_of_steering_is_saved_up(half_right: Pilot, telemetries: int) -> None:
+    driver = Driver(half_right, DriveConfig(max_steering_per_s=0.1))
+    for k in range(telemetries):
+        drive(driver, NONSENSE, k / 10)
+    assert drive(driver, told(), telemetries / 10).steering == pytest.approx(0.01)
+
+
+def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) -> None:
+    """A tenth of a second passes there, however long our computer takes; and a clock that goes back is no time."""
+    driver = Driver(half_right, DriveConfig(max_steering_per_s=1.0))
+    times_s = [5.0, 5.1, 5.1, 5.2, 1.0, 1.1]
+    steering = [
+        drive(driver, told(world=replace(MIDDLE, time_s=time_s)), 1000.0 * k).steering
+        for k, time_s in enumerate(times_s)
+    ]
+    assert steering == pytest.approx([0.0, 0.1, 0.1, 0.2, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("steering", [0.05, 0.2, -0.4, 0.7, -1.0])
+def test_in_curves_the_car_is_thrown_outwards_no_more_than_the_expert_allows(steering: float) -> None:
+    """By the simulator's own car, held at the speed and the steering until it has settled."""
+    speed_mph = min(fastest_mph(steering), 100.0)
+    car = VehicleState(0.0, 0.0, 0.0)
+    for _ in range(100):
+        car = step(replace(car, speed_mps=speed_mph * 0.44704), steering, 0.0)
+    assert 0.7 * BEND_MPS2 < abs(car.lateral_mps2) <= BEND_MPS2
+
+
+def test_the_set_speed_is_lowered_in_curves_if_asked_for(half_right: Pilot) -> None:
+    fast = DriveConfig(set_speed_mph=25.0)
+    slow = replace(fast, slow_in_curves=True)
+    data = told(speed_mph=15.0)
+    unhindered, slowed = drive(Driver(half_right, fast), data), drive(Driver(half_right, slow), data)
+    straight = drive(Driver(pilot_that_says(0.0), slow), data)
+    assert (unhindered.set_speed_mph, straight.set_speed_mph) == (25.0, 25.0)
+    assert slowed.set_speed_mph == pytest.approx(fastest_mph(0.5))
+    assert slowed.set_speed_mph < 15.0
+    assert slowed.throttle < 0 < unhindered.throttle == straight.throttle
+
+
+def test_what_a_curve_takes_off_is_not_missing_on_the_straight_behind_it() -> None:
+    config = DriveConfig(set_speed_mph=25.0, slow_in_curves=True)
+    network = say(SteeringNetwork(), 0.5)
+    driver, data = Driver(Pilot(network), config), told(speed_mph=20.0)
+    for k in range(20):
+        drive(driver, data, k / 10)
+    say(network, 0.0)
+    assert drive(driver, data, 2.0).throttle == drive(Driver(pilot_that_says(0.0), config), data).throttle
+
+
+@pytest.mark.parametrize(
+    ("flag", "values"),
+    [
+        ("--speed", {"set_speed_mph": 0.0}),
+        ("--speed", {"set_speed_mph": math.nan}),
+        ("--smooth", {"smooth_s": -0.1}),
+        ("--smooth", {"smooth_s": math.inf}),
+        ("--steering-rate", {"max_steering_per_s": -1.0}),
+        ("--steering-rate", {"max_steering_per_s": math.nan}),
+    ],
+)
+def test_settings_that_make_no_sense_are_one_line_that_names_the_flag(flag: str, values: dict[str, float]) -> None:
+    with pytest.raises(DriveError, match=f"^{flag} [^\n]+$"):
+        DriveConfig(**values)  # type: ignore[arg-type]
+
+
+# Who drives
+
+
+def test_while_the_expert_drives_its_commands_are_sent_and_the_networks_steering_is_still_told(
+    half_right: Pilot,
+) -> None:
+    driver = Driver(half_right, DriveConfig(takeover=True, max_steering_per_s=1.0))
+    decisions = [
+        drive(driver, told(world=replace(MIDDLE, time_s=k / 25, offset=0.95 if k == 1 else 0.0))) for k in range(3)
+    ]
+    assert [decision.driver for decision in decisions] == ["pilot", "expert", "expert"]
+    assert [(decision.steering, decision.throttle) for decision in decisions[1:]] == [(-0.3, 0.7)] * 2
+    assert {decision.predicted_steering for decision in decisions} == {0.5}
+    assert decisions[1].events == ("the expert takes over: 0.95 of the half width, and going off to the left",)
+    assert decisions[1].telemetry is not None
+    assert decisions[1].telemetry.world is not None
+    assert decisions[1].telemetry.world.expert_steering == -0.3
+
+
+def test_the_pilot_goes_on_from_where_the_expert_has_steered() -> None:
+    driver = Driver(pilot_that_says(-0.25), DriveConfig(takeover=True, max_steering_per_s=0.1))
+    decisions = [
+        drive(driver, told(world=replace(MIDDLE, time_s=k / 10, offset=0.0 if k else 0.95))) for k in range(13)
+    ]
+    at = next(k for k, decision in enumerate(decisions) if decision.driver == "pilot")
+    assert decisions[at - 1].steering == -0.3
+    assert decisions[at].events == ("the pilot drives again",)
+    assert decisions[at].steering == pytest.approx(-0.29)
+
+
+def test_without_takeover_the_expert_never_drives_and_the_course_is_told_all_the_same(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    worlds = [
+        replace(MIDDLE, offset=0.99, laps=0.9),
+        replace(MIDDLE, offset=0.0, laps=0.9, interventions=1),
+        replace(MIDDLE, offset=0.99, laps=1.1, interventions=1),
+    ]
+    decisions = [drive(driver, told(world=world)) for world in worlds]
+    assert {decision.driver for decision in decisions} == {"pilot"}
+    assert [decision.events for decision in decisions] == [
+        (),
+        ("off the road, or stuck: the simulator put the car back",),
+        ("lap 1",),
+    ]
+
+
+def test_the_course_is_told_also_where_the_picture_is_none(half_right: Pilot) -> None:
+    driver = Driver(half_right, DriveConfig())
+    drive(driver, told(world=MIDDLE))
+    decision = drive(driver, told(world=replace(MIDDLE, laps=1.0), image="AAAA"))
+    assert decision.problem
+    assert decision.events == ("lap 1",)

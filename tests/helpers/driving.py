@@ -1,0 +1,174 @@
+"""What the tests of driving share: road pictures, an untrained network, and `bc-drive` as a real process."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+import torch
+
+from model.network.layers import SteeringNetwork
+from model.runs.run_folder import create_run, save_weights
+from repository import ROOT
+from waiting import PATIENCE_S as PATIENCE_S
+
+COMMANDS = {
+    "bc-record": "recorder.cli",
+    "bc-log": "recorder.log_cli",
+    "bc-index": "dataset.cli",
+    "bc-train": "model.cli",
+    "bc-drive": "drive.cli",
+    "bc-play": "viz.cli",
+    "bc-sim": "simulator.cli",
+    "bc-eval": "drive.evaluation.eval_cli",
+    "bc-demo": "drive.demo",
+}
+
+
+def command(name: str, *arguments: object) -> list[str]:
+    """A `bc-` command line that runs without being installed."""
+    code = f"from behavioural_cloning_toolkit import {name.replace('-', '_')} as main; main()"
+    return [sys.executable, "-c", code, *map(str, arguments)]
+
+
+def environment() -> dict[str, str]:
+    """The sources on the path, one thread a process, and a width at which no message is wrapped."""
+    root = str(ROOT)
+    return {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1", "COLUMNS": "400", "NO_COLOR": "1"}
+
+
+def run(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
+    line = command(name, *arguments)
+    return subprocess.run(
+        line, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+
+
+def run_code(code: str) -> subprocess.CompletedProcess[str]:
+    """Run Python code, with our sources on its path, to its end."""
+    line = [sys.executable, "-c", code]
+    return subprocess.run(line, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
+def one_line_of(done: subprocess.CompletedProcess[str]) -> str:
+    """The only line on stderr: an error that a user sees has no traceback, and nothing is on stdout."""
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert done.stdout == ""
+    return lines[0]
+
+
+def road_jpeg(number: int) -> bytes:
+    """A drawn road, 320x160, that bends with `number`; every number gives another picture."""
+    picture = np.zeros((160, 320, 3), np.uint8)
+    picture[:60] = (200, 160, 120)
+    picture[60:] = (60, 110, 70)
+    far = 160 + 60 * np.sin(number / 5)
+    road = np.array([(40, 159), (280, 159), (far + 12, 60), (far - 12, 60)], np.int32)
+    cv2.fillPoly(picture, [road], (90, 90, 90))
+    cv2.circle(picture, (number * 37 % 320, 70 + number * 11 % 60), 8, (30, 200, 250), -1)
+    ok, encoded = cv2.imencode(".jpg", picture)
+    assert ok
+    return encoded.tobytes()
+
+
+def untrained_run(folder: Path, seed: int = 0) -> Path:
+    """A run whose network was never trained, but steers differently for every picture."""
+    torch.manual_seed(seed)
+    network = SteeringNetwork()
+    for parameter in network.parameters():
+        if parameter.dim() > 1:
+            torch.nn.init.kaiming_uniform_(parameter, nonlinearity="relu")
+    create_run(folder, {"seed": seed})
+    save_weights(folder, network.state_dict(), epoch=0)
+    return folder
+
+
+class Process:
+    """A command that runs on; its stderr is read as it comes. It is killed with the context, if it still runs."""
+
+    def __init__(self, line: Sequence[str], cwd: Path | None = None) -> None:
+        self.popen = subprocess.Popen(
+            line, cwd=cwd, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.stderr: list[str] = []
+        self.stdout = ""
+        self._said = threading.Condition()
+        self._ended = False
+        self._threads = [threading.Thread(target=self._read_stderr), threading.Thread(target=self._read_stdout)]
+        for thread in self._threads:
+            thread.start()
+
+    def wait_for(self, pattern: str) -> re.Match[str]:
+        """The first line of stderr that matches; an AssertionError with all of it, if none does."""
+
+        def found() -> re.Match[str] | None:
+            return next((match for line in self.stderr if (match := re.search(pattern, line))), None)
+
+        with self._said:
+            self._said.wait_for(lambda: found() or self._ended, PATIENCE_S)
+            match = found()
+            assert match is not None, f"no {pattern!r} in {self.stderr}"
+            return match
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        """Send a signal and wait for the end; the exit code."""
+        self.popen.send_signal(number)
+        return self.join()
+
+    def join(self) -> int:
+        code = self.popen.wait(PATIENCE_S)
+        for thread in self._threads:
+            thread.join(PATIENCE_S)
+        return code
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.popen.poll() is None:
+            self.popen.kill()
+        self.join()
+        for stream in (self.popen.stdout, self.popen.stderr):
+            if stream is not None:
+                stream.close()
+
+    def _read_stderr(self) -> None:
+        assert self.popen.stderr is not None
+        for line in self.popen.stderr:
+            with self._said:
+                self.stderr.append(line.rstrip("\n"))
+                self._said.notify_all()
+        with self._said:
+            self._ended = True
+            self._said.notify_all()
+
+    def _read_stdout(self) -> None:
+        assert self.popen.stdout is not None
+        self.stdout = self.popen.stdout.read()
+
+
+class DriveProcess(Process):
+    """`bc-drive` on a free port, with the run and the log given, and no window."""
+
+    def __init__(self, run_folder: Path, log: Path, *flags: object) -> None:
+        self.log = log
+        hidden = () if "--viewer" in flags else ("--viewer", "off")
+        super().__init__(command("bc-drive", run_folder, "--log", log, "--port", 0, *hidden, *flags))
+
+    def wait_until_it_listens(self) -> int:
+        """Its port."""
+        return int(self.wait_for(r"is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1])

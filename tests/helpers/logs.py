@@ -1,0 +1,60 @@
+"""Small logs, and their messages as mcap's own reader sees them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap_protobuf.decoder import DecoderFactory
+
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.topics import CAMERAS, Camera
+
+START_NS = 1_720_880_000_000_000_000
+STEP_NS = 100_000_000
+
+
+def not_a_picture(camera: Camera, row: int) -> bytes:
+    """Bytes of their own for every frame: whoever does not look at pictures does not mind."""
+    return f"{camera} {row}".encode()
+
+
+def write_log(
+    path: Path,
+    steering: Sequence[float],
+    picture: Callable[[Camera, int], bytes] = not_a_picture,
+    *,
+    cameras: Sequence[Camera] = CAMERAS,
+    step_ns: int = STEP_NS,
+    overwrite: bool = False,
+) -> Path:
+    """A log of one frame for each steering, a tenth of a second apart."""
+    with LogWriter(path, {"source": "test"}, overwrite=overwrite) as writer:
+        for row, value in enumerate(steering):
+            time_ns = START_NS + row * step_ns
+            for camera in cameras:
+                writer.picture(camera, time_ns, row, picture(camera, row))
+            writer.vehicle(time_ns, row, VehicleState(steering=value, throttle=0.5, brake=0.0, speed_mph=9.0))
+    return path
+
+
+def read_messages(path: Path) -> dict[str, list[tuple[Message, Any]]]:
+    """Messages and their decoded contents by topic, in the order of the file, every CRC checked."""
+    found: dict[str, list[tuple[Message, Any]]] = defaultdict(list)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+            found[channel.topic].append((message, decoded))
+    return dict(found)
+
+
+def plain_read(path: Path, offset: int, length: int) -> bytes:
+    """Bytes of a file, without any of the toolkit's code."""
+    with path.open("rb") as stream:
+        stream.seek(offset)
+        return stream.read(length)

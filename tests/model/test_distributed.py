@@ -1,0 +1,136 @@
+"""Several processes train one network together, and learn what one process would."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from driving import environment
+from model import train
+from model.config import TrainConfig
+from repository import ROOT
+from toy import toy_index
+from waiting import PATIENCE_S
+
+FLAGS = ["--epochs", "1", "--batch", "10", "--dropout", "0", "--precision", "float32", "--threads", "1"]
+
+
+def torchrun(
+    *arguments: object, processes: int = 2, begin: Sequence[str] = ("-m", "model.train"), cwd: Path = ROOT
+) -> subprocess.CompletedProcess[str]:
+    line = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", processes]
+    found = environment() | {"GLOO_SOCKET_IFNAME": "lo"} if sys.platform == "linux" else environment()
+    return subprocess.run(
+        [str(each) for each in (*line, *begin, *arguments)],
+        env=found,
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+def first_line(run: Path) -> dict[str, Any]:
+    [line] = (run / "metrics.jsonl").read_text().splitlines()
+    return dict(json.loads(line))
+
+
+def losses(run: Path) -> list[float]:
+    return [json.loads(line)["training_loss"] for line in (run / "metrics.jsonl").read_text().splitlines()]
+
+
+def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path) -> None:
+    """26 samples in batches of 10: the last one, of 6, is shared as well."""
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    done = torchrun("--name", "two", *FLAGS, *places)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("epoch  1:") == 1  # one of them speaks, and writes
+    config = TrainConfig(epochs=1, batch=10, dropout=0.0, precision="float32", threads=1)
+    train(index, tmp_path / "one", config, figures=False)
+    one, two = first_line(tmp_path / "one"), first_line(tmp_path / "two")
+    assert two["training_loss"] == pytest.approx(one["training_loss"], rel=1e-5)
+    assert two["validation"]["rmse_deg"] == pytest.approx(one["validation"]["rmse_deg"], rel=1e-4)
+    weights = [load_file(tmp_path / name / "model.safetensors") for name in ("one", "two")]
+    moved = [np.abs(weights[0][name] - weights[1][name]) for name in weights[0]]
+    # few: one step of Adam moves a weight by its rate, also where the gradient is nothing but its last bit
+    assert np.mean(np.concatenate([each.ravel() for each in moved]) > 1e-6) < 0.02
+    assert json.loads((tmp_path / "two" / "config.json").read_text())["machine"]["ranks"] == 2
+
+
+def test_the_command_is_begun_by_torchrun_whatever_lies_in_the_working_folder(index: Path, tmp_path: Path) -> None:
+    """`--no-python bc-train`: a script, and beside the folder that it works in a `model.py` of somebody else."""
+    script = tmp_path / "bin" / "bc-train"
+    script.parent.mkdir()
+    script.write_text(f"#!{sys.executable}\nfrom behavioural_cloning_toolkit import bc_train\nbc_train()\n")
+    script.chmod(0o755)
+    (tmp_path / "model.py").write_text("raise SystemExit('the wrong one')\n")
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    begin = ["--no-python", str(script)]
+    done = torchrun("--name", "two", *FLAGS, *places, begin=begin, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("epoch  1:") == 1
+
+
+def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Path) -> None:
+    """25 + 1: two of three processes have nothing in the second batch, and still take the step together."""
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    done = torchrun("--name", "three", *FLAGS, "--batch", 25, *places, processes=3)
+    assert done.returncode == 0, done.stderr
+    config = TrainConfig(epochs=1, batch=25, dropout=0.0, precision="float32", threads=1)
+    train(index, tmp_path / "one", config, figures=False)
+    expected = first_line(tmp_path / "one")["training_loss"]
+    assert first_line(tmp_path / "three")["training_loss"] == pytest.approx(expected, rel=1e-5)
+
+
+def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path) -> None:
+    """In two epochs, stopped between them, they learn what they do in one go; a part of a batch at a time."""
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    flags = [*FLAGS, "--micro-batch", 3, *places]
+    assert torchrun("--name", "run", *flags).returncode == 0
+    assert torchrun("--resume", "run", "--epochs", 2, *places).returncode == 0
+    config = TrainConfig(epochs=2, batch=10, dropout=0.0, precision="float32", threads=1)
+    train(index, tmp_path / "one", config, figures=False)
+    found, expected = (
+        [
+            json.loads(line)["training_loss"]
+            for line in (tmp_path / name / "metrics.jsonl").read_text().splitlines()
+        ]
+        for name in ("run", "one")
+    )
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_run_that_exists_is_said_and_ends_all(index: Path, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    done = torchrun("--name", "run", *FLAGS, "--index", index, "--sessions", index.parent, "--runs", tmp_path)
+    assert done.returncode != 0
+    assert "run: exists already, and is no run; give another --name" in done.stderr
+    assert "Traceback" not in done.stderr.split("torch/distributed/elastic")[0]
+
+
+def test_without_an_index_nothing_is_built_by_several_at_once(tmp_path: Path) -> None:
+    done = torchrun("--index", tmp_path / "index", "--runs", tmp_path)
+    assert done.returncode != 0
+    assert "build it with `bc-index` before torchrun" in done.stderr
+    assert not (tmp_path / "index").exists()
+
+
+def test_the_module_for_torchrun_does_not_hide_the_function() -> None:
+    with pytest.raises(ImportError, match="gives the function"):
+        importlib.import_module("model.train")
+    assert importlib.import_module("model").train is train

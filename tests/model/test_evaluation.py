@@ -1,0 +1,592 @@
+"""`bc-eval RUN` on recorded frames: its numbers are those that anybody computes from the files, and it says when
+the run has learnt from what it is measured by."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+import shutil
+import statistics
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from dataset import DatasetError, IndexConfig, build_index, decode
+from drive.evaluation.eval_cli import main
+from logs import not_a_picture, plain_read, read_messages, write_log
+from model import load_pilot, train
+from model.evaluation.evaluate import evaluate, evaluate_sessions
+from recorder.log.topics import Camera
+from toy import STEERING, TINY, road
+from udacity import call
+
+STEP_NS = 300_000_000
+SPLIT = IndexConfig(flip=False, max_uses=1, block_s=1.2, gap_s=0.3, validation_share=0.4)
+LEFT = [round(-0.5 - 0.01 * row, 3) for row in range(30)]  # of the second session
+
+Row = dict[str, Any]
+
+
+def left_road(camera: Camera, row: int) -> bytes:
+    """A grey post where the steering of the second session is."""
+    picture = np.zeros((160, 320, 3), np.uint8)
+    middle = round(160 + 140 * LEFT[row])
+    picture[:, middle - 20 : middle + 20] = 150 + row
+    ok, encoded = cv2.imencode(".jpg", picture)
+    assert ok
+    return encoded.tobytes()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sessions (a, b), their index, and runs/toy, which was trained on it; and a third session (new)."""
+    folder = tmp_path_factory.mktemp("evaluated")
+    logs = [
+        write_log(folder / "sessions" / "a.mcap", STEERING, road, cameras=["center"], step_ns=STEP_NS),
+        write_log(folder / "sessions" / "b.mcap", LEFT, left_road, cameras=["center", "left"], step_ns=STEP_NS),
+    ]
+    index = build_index(logs, folder / "index", SPLIT).path
+    train(index, folder / "runs" / "toy", replace(TINY, epochs=2), show_progress=False)
+    write_log(folder / "sessions" / "new.mcap", STEERING[::-1], road, step_ns=STEP_NS + 1)
+    return folder
+
+
+@pytest.fixture
+def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same folder, worked in as a user does, in a terminal of 80 columns."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "80")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def held_out(folder: Path) -> list[Row]:
+    """The frames of validation, from the index's parquet and the logs' bytes: where they are, how they were
+    driven, what the network says."""
+    pilot = load_pilot(folder / "runs" / "toy", "float32")
+    frames = []
+    for session in ("a", "b"):
+        for row in pq.read_table(folder / "index" / "frames" / f"{session}.parquet").to_pylist():
+            if row["camera"] == "center" and row["split"] == "validation":
+                jpeg = plain_read(folder / "sessions" / f"{session}.mcap", row["offset"], row["length"])
+                row["predicted_deg"] = 25 * pilot.predict(pilot.crop(decode(jpeg)))
+                row["recorded_deg"] = 25 * (STEERING if session == "a" else LEFT)[row["row"]]
+                row["off_deg"] = row["predicted_deg"] - row["recorded_deg"]
+                frames.append(row)
+    return frames
+
+
+def rmse(off: list[float]) -> float:
+    return math.sqrt(statistics.fmean(value * value for value in off))
+
+
+def off_deg(rows: list[Row]) -> list[float]:
+    return [row["off_deg"] for row in rows]
+
+
+# The numbers
+
+
+def test_the_measures_are_those_of_the_held_out_pictures(folder: Path, held_out: list[Row]) -> None:
+    found = evaluate(folder / "runs" / "toy", folder / "index")
+    assert {row["session"] for row in held_out} == {"a", "b"}
+    recorded = [row["recorded_deg"] for row in held_out]
+    network = found.measures.network
+    assert found.measures.frames == len(held_out)
+    assert network.mae_deg == pytest.approx(statistics.fmean(map(abs, off_deg(held_out))), rel=1e-4)
+    assert network.rmse_deg == pytest.approx(rmse(off_deg(held_out)), rel=1e-4)
+    turning = [row for row in held_out if abs(row["recorded_deg"]) > 25 * 0.05]
+    assert network.turning_mae_deg == pytest.approx(statistics.fmean(map(abs, off_deg(turning))), rel=1e-4)
+    predicted = [row["predicted_deg"] for row in held_out]
+    assert network.correlation == pytest.approx(statistics.correlation(predicted, recorded), abs=1e-4)
+    assert found.measures.mean.rmse_deg == pytest.approx(statistics.pstdev(recorded), rel=1e-6)
+    assert found.measures.zero.mae_deg == pytest.approx(statistics.fmean(map(abs, recorded)), rel=1e-6)
+
+
+def test_each_bin_has_its_own_errors_and_counts_alike_in_the_balanced_one(
+    folder: Path, held_out: list[Row]
+) -> None:
+    found = evaluate(folder / "runs" / "toy", folder / "index")
+    bins: dict[int, list[Row]] = {}
+    for row in held_out:
+        bins.setdefault(row["bin"], []).append(row)
+    assert [part.bin for part in found.measures.bins] == sorted(bins)
+    for part in found.measures.bins:
+        off = off_deg(bins[part.bin])
+        assert part.frames == len(off)
+        assert (part.low, part.high) == pytest.approx((-1 + 0.08 * part.bin, -1 + 0.08 * (part.bin + 1)))
+        assert part.mae_deg == pytest.approx(statistics.fmean(map(abs, off)), rel=1e-4)
+        assert part.rmse_deg == pytest.approx(rmse(off), rel=1e-4)
+        assert part.bias_deg == pytest.approx(statistics.fmean(off), rel=1e-3, abs=1e-4)
+
+    def balanced(constant: float) -> float:
+        of_bins = [
+            statistics.fmean((constant - row["recorded_deg"]) ** 2 for row in rows) for rows in bins.values()
+        ]
+        return math.sqrt(statistics.fmean(of_bins))
+
+    mean = statistics.fmean(row["recorded_deg"] for row in held_out)
+    expected = math.sqrt(statistics.fmean(rmse(off_deg(rows)) ** 2 for rows in bins.values()))
+    assert found.balanced_rmse_deg == pytest.approx(
+        {"network": expected, "zero": balanced(0.0), "mean": balanced(mean)}, rel=1e-4
+    )
+
+
+def test_each_session_has_its_own_measures(folder: Path, held_out: list[Row]) -> None:
+    found = evaluate(folder / "runs" / "toy", folder / "index")
+    assert list(found.sessions) == ["a", "b"]
+    for session, measures in found.sessions.items():
+        rows = [row for row in held_out if row["session"] == session]
+        assert measures.frames == len(rows)
+        assert measures.network.rmse_deg == pytest.approx(rmse(off_deg(rows)), rel=1e-4)
+        recorded = [row["recorded_deg"] for row in rows]
+        assert measures.mean.rmse_deg == pytest.approx(statistics.pstdev(recorded), rel=1e-6)
+
+
+def test_the_frames_are_a_table_of_what_was_measured(folder: Path, held_out: list[Row]) -> None:
+    frames = evaluate(folder / "runs" / "toy", folder / "index").frames.to_pylist()
+    assert [(row["session"], row["row"], row["log_time_ns"]) for row in frames] == [
+        (row["session"], row["row"], row["log_time_ns"]) for row in held_out
+    ]
+    assert {row["camera"] for row in frames} == {"center"}
+    for row, expected in zip(frames, held_out, strict=True):
+        assert 25 * row["predicted"] == pytest.approx(expected["predicted_deg"], abs=1e-4)
+        assert 25 * row["recorded"] == pytest.approx(expected["recorded_deg"], abs=1e-5)
+
+
+def test_an_evaluation_says_what_training_said_of_its_best_epoch(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, "toy", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    epochs = [json.loads(line) for line in (here / "runs" / "toy" / "metrics.jsonl").read_text().splitlines()]
+    best = min(epochs, key=lambda epoch: epoch["balanced_rmse_deg"])
+    assert found["network"] == pytest.approx(best["validation"], rel=1e-5)
+    assert {name: found["mean"][name] for name in best["mean"]} == pytest.approx(best["mean"])
+    assert found["bins"][0].keys() == best["bins"][0].keys()
+    assert sum(part["frames"] for part in found["bins"]) == sum(part["frames"] for part in best["bins"])
+
+
+def test_the_worst_frames_are_different_moments(
+    here: Path, held_out: list[Row], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Taken one after the other by hand: the largest error that is no less than a second from those before."""
+    expected: list[Row] = []
+    for row in sorted(held_out, key=lambda row: -abs(row["off_deg"])):
+        near = [
+            taken
+            for taken in expected
+            if taken["session"] == row["session"] and abs(taken["log_time_ns"] - row["log_time_ns"]) < 1e9
+        ]
+        expected += [] if near else [row]
+    assert len(held_out) > len(expected) > 2
+    assert call(main, "toy", "--json", "--worst", 1000) == 0
+    worst = json.loads(capsys.readouterr().out)["worst"]
+    for name in ("session", "row", "log_time_ns"):
+        assert [frame[name] for frame in worst] == [row[name] for row in expected]
+    for frame, row in zip(worst, expected, strict=True):
+        assert frame["predicted_deg"] == pytest.approx(row["predicted_deg"], abs=1e-4)
+        assert frame["recorded_deg"] == pytest.approx(row["recorded_deg"], abs=1e-5)
+        assert frame["error_deg"] == pytest.approx(row["off_deg"], abs=1e-4)
+        said = datetime.fromisoformat(frame["log_time_utc"])
+        assert said.timestamp() == pytest.approx(row["log_time_ns"] / 1e9, abs=0.001)
+    assert call(main, "toy", "--json", "--worst", 2) == 0
+    assert json.loads(capsys.readouterr().out)["worst"] == worst[:2]
+
+
+def test_the_tables_show_the_numbers_of_the_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "toy", "--json", "--worst", 2) == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    (line,) = told.out.splitlines()
+    found = json.loads(line)
+    assert (found["run"], found["index"], found["split"], found["learnt"]) == ("toy", "index", "validation", 0)
+
+    assert call(main, "toy", "--worst", 2) == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    lines = told.out.splitlines()
+    assert max(map(len, lines[:-1])) <= 80
+
+    def numbers(start: str) -> list[str]:
+        (line,) = (line for line in lines if line.startswith(start))
+        return line.removeprefix(start).split()
+
+    beside = ("network", "zero", "mean")
+    assert lines[0].startswith(f"toy: {found['frames']} frames")
+    for heading, name in (("RMSE ", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
+        assert numbers(heading) == [f"{found[who][name]:.2f}" for who in beside]
+    balanced = [found["balanced_rmse_deg"], found["zero"]["balanced_rmse_deg"], found["mean"]["balanced_rmse_deg"]]
+    assert numbers("balanced RMSE") == [f"{value:.2f}" for value in balanced]
+    assert numbers("correlation") == [f"{found['network']['correlation']:.2f}", "-", "-"]
+    assert found["zero"]["correlation"] is None
+    for part in found["bins"]:
+        expected = [str(part["frames"]), *(f"{part[name]:.2f}" for name in ("mae_deg", "bias_deg", "rmse_deg"))]
+        row = numbers(f"{part['low']:+.2f} .. {part['high']:+.2f}")
+        assert [value.lstrip("+") for value in row[:4]] == expected
+    for session in ("a", "b"):
+        assert f"{found['sessions'][session]['network']['rmse_deg']:.2f}" in " ".join(lines)
+    assert lines[-1] == "measured on what index holds out"
+
+
+def test_the_worst_frames_come_with_the_commands_that_show_them(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--at is in seconds since the log's first message, and never before the frame."""
+    assert call(main, "toy", "--json", "--worst", 3) == 0
+    worst = json.loads(capsys.readouterr().out)["worst"]
+    assert call(main, "toy", "--worst", 3) == 0
+    lines = capsys.readouterr().out.splitlines()
+    first = lines.index("look at them, the worst one first:") + 1
+    for line, frame in zip(lines[first : first + 3], worst, strict=True):
+        log = f"sessions/{frame['session']}.mcap"
+        command = re.fullmatch(rf"    bc-play {log} --at (\d+\.\d{{3}}) --run toy", line)
+        assert command, line
+        begin_ns = min(
+            message.log_time for messages in read_messages(here / log).values() for message, _ in messages
+        )
+        at_ns = begin_ns + float(command[1]) * 1e9
+        assert 0 <= at_ns - frame["log_time_ns"] < 1_500_000
+
+
+def test_the_command_that_shows_a_frame_is_quoted_for_a_shell(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = Path(shutil.copy(here / "sessions" / "new.mcap", tmp_path / "it's new.mcap"))
+    run = Path(shutil.copytree(here / "runs" / "toy", tmp_path / "my runs" / "toy"))
+    assert call(main, "toy", "--runs", run.parent, "--session", log, "--worst", 1) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "bc-play" in line)
+    assert [*shlex.split(line)[:2], *shlex.split(line)[-2:]] == ["bc-play", str(log), "--run", str(run)]
+
+
+# Which index
+
+
+def test_a_run_is_measured_on_the_index_that_it_was_trained_on(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(here, tmp_path / "moved")
+    monkeypatch.chdir(tmp_path / "moved")
+    Path("index").rename("my index")
+    Path("runs").rename("my runs")
+    config = Path("my runs/toy/config.json")
+    config.write_text(json.dumps(json.loads(config.read_text()) | {"index": "../../my index"}))
+    build_index([Path("sessions/new.mcap")], Path("index"), SPLIT)  # there as well
+    assert call(main, "toy", "--runs", "my runs", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["index"], list(found["sessions"])) == ("my index", ["a", "b"])
+    assert call(main, "my runs/toy") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "measured on what my index holds out"
+    assert call(main, "my runs/toy", "--index", "index", "--json") == 0
+    assert list(json.loads(capsys.readouterr().out)["sessions"]) == ["new"]
+    shutil.rmtree("my index")
+    assert call(main, "my runs/toy") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "my index: the index that my runs/toy was trained on is not there any more; give --index" in line
+
+
+def test_a_run_that_does_not_know_its_index_is_measured_on_that_of_the_folder(
+    here: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As those of earlier versions, and those of somebody else who writes nonsense there."""
+    for told in (None, "", "\0", 7, ["index"]):
+        change(run, index=told)
+        assert call(main, run) == 0
+        assert capsys.readouterr().out.splitlines()[-1] == "measured on what index holds out"
+
+
+def test_without_worst_frames_none_is_shown(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "toy", "--worst", 0) == 0
+    assert "worst" not in capsys.readouterr().out
+
+
+# What the run has learnt from
+
+
+@pytest.fixture
+def run(here: Path, tmp_path: Path) -> Path:
+    """A copy of the run that a test may change."""
+    run = Path(shutil.copytree(here / "runs" / "toy", tmp_path / "changed"))
+    change(run, index=str(here / "index"))
+    return run
+
+
+def change(run: Path, **values: Any) -> None:
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps({**config, **values}))
+
+
+def data_of(run: Path) -> Row:
+    data: Row = json.loads((run / "config.json").read_text())["data"]
+    return data
+
+
+def for_training(folder: Path, session: str) -> set[int]:
+    """The rows of a session that the run's index gives to training."""
+    frames = pq.read_table(folder / "index" / "frames" / f"{session}.parquet").to_pylist()
+    return {row["row"] for row in frames if row["split"] == "train"}
+
+
+def test_frames_for_training_can_be_measured_and_that_is_said(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    count = sum(len(for_training(here, session)) for session in ("a", "b"))
+    assert call(main, "toy", "--split", "train", "--json") == 0
+    told = capsys.readouterr()
+    found = json.loads(told.out)
+    assert 0 < found["frames"] <= count  # balancing leaves some out
+    assert found["learnt"] == found["frames"]
+    (line,) = told.err.splitlines()
+    assert line == f"bc-eval: toy has learnt from {found['frames']} of these {found['frames']} frames"
+
+
+def test_whole_sessions_that_the_run_never_saw_are_measured_frame_by_frame(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, "toy", "--session", "new", "--json") == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    found = json.loads(told.out)
+    assert (found["frames"], found["learnt"], list(found["sessions"])) == (len(STEERING), 0, ["new"])
+    pilot = load_pilot(here / "runs" / "toy", "float32")
+    off = [
+        25 * (pilot.predict(pilot.crop(decode(road("center", row)))) - steering)
+        for row, steering in enumerate(STEERING[::-1])
+    ]
+    assert found["network"]["mae_deg"] == pytest.approx(statistics.fmean(map(abs, off)), rel=1e-4)
+    assert found["worst"][0]["row"] == max(range(len(off)), key=lambda row: abs(off[row]))
+
+
+@pytest.mark.parametrize("name", ["a", "under_another_name"])
+def test_a_session_that_the_run_has_learnt_from_is_known_by_its_bytes(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    shutil.copy(here / "sessions" / "a.mcap", tmp_path / f"{name}.mcap")
+    count = len(for_training(here, "a"))
+    assert 0 < count < len(STEERING)
+    assert call(main, "toy", "--session", name, "--sessions", tmp_path) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"toy has learnt from {count} of these {len(STEERING)} frames")
+
+
+def test_an_index_that_splits_otherwise_is_seen_through(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = [here / "sessions" / f"{session}.mcap" for session in ("a", "b")]
+    index = build_index(logs, tmp_path / "index", replace(SPLIT, seed=1)).path
+    frames = [row for file in (index / "frames").glob("*.parquet") for row in pq.read_table(file).to_pylist()]
+    learnt = {session: for_training(here, session) for session in ("a", "b")}
+    count = sum(
+        row["row"] in learnt[row["session"]]
+        for row in frames
+        if row["split"] == "validation" and row["camera"] == "center"
+    )
+    assert count > 0
+    assert call(main, "toy", "--index", index) == 3
+    assert f"toy has learnt from {count} of these" in capsys.readouterr().err
+
+
+def test_a_log_that_was_renamed_is_split_otherwise_and_that_is_seen_through(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the same settings: which blocks are held out depends on a session's name."""
+    log = Path(shutil.copy(here / "sessions" / "a.mcap", tmp_path / "renamed.mcap"))
+    index = build_index([log], tmp_path / "index", SPLIT).path
+    frames = pq.read_table(index / "frames" / "renamed.parquet").to_pylist()
+    held_out = {row["row"] for row in frames if row["split"] == "validation"}
+    count = len(held_out & for_training(here, "a"))
+    assert count > 0
+    assert call(main, "toy", "--index", index) == 3
+    assert f"toy has learnt from {count} of these {len(held_out)} frames" in capsys.readouterr().err
+
+
+def test_a_session_that_the_run_held_out_as_a_whole_is_measured_without_a_word(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = data_of(run)
+    change(run, data={**data, "settings": {**data["settings"], "validation": ["b"]}})
+    assert call(main, run, "--session", "b") == 0
+    assert capsys.readouterr().err == ""
+    assert call(main, run, "--session", "a") == 3
+    assert f"has learnt from {len(STEERING)} of these {len(STEERING)} frames" in capsys.readouterr().err
+
+
+def test_a_fine_tuned_run_has_learnt_what_the_run_before_it_has(
+    here: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = data_of(run)
+    change(run, data={**data, "logs": {}}, init={"data": [data]})
+    assert call(main, run, "--session", "b") == 3
+    assert f"has learnt from {len(for_training(here, 'b'))} of these {len(LEFT)} frames" in capsys.readouterr().err
+
+
+def edited(data: Row, part: str, **values: Any) -> Row:
+    return {**data, part: {**data[part], **values}}
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        lambda data: {"data": None},
+        lambda data: {"data": [1]},
+        lambda data: {"data": {"logs": data["logs"]}},
+        lambda data: {"data": edited(data, "settings", block_s="long")},
+        lambda data: {"data": edited(data, "settings", gap_s=math.nan)},
+        lambda data: {"data": edited(data, "settings", validation=7)},
+        lambda data: {"data": edited(data, "settings", seed=1e999)},
+        lambda data: {"data": edited(data, "logs", a="log")},
+        lambda data: {"data": {**data, "logs": {"\ud800": data["logs"]["a"]}}},
+        lambda data: {"init": {"run": "older"}},
+    ],
+)
+def test_a_run_that_does_not_say_what_it_has_learnt_from_is_not_trusted(
+    run: Path, capsys: pytest.CaptureFixture[str], told: Any
+) -> None:
+    change(run, **told(data_of(run)))
+    assert call(main, run, "--json") == 3
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["learnt"] is None
+    (line,) = shown.err.splitlines()
+    assert "does not say what it was trained on" in line
+
+
+# What cannot be measured
+
+
+def test_pictures_that_do_not_decode_are_named_and_the_others_keep_their_places(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def picture(camera: Camera, row: int) -> bytes:
+        return not_a_picture(camera, row) if row in (3, 17) else road(camera, row)
+
+    log = write_log(tmp_path / "torn.mcap", STEERING, picture, cameras=["center"])
+    assert call(main, "toy", "--session", log, "--json", "--worst", 1000) == 3
+    shown = capsys.readouterr()
+    found = json.loads(shown.out)
+    (count,) = found["skipped"].values()
+    assert (found["frames"], count) == (len(STEERING) - 2, 2)
+    (line,) = shown.err.splitlines()
+    assert "torn row 3 center" in line
+    assert "torn row 17 center" in line
+    whole = evaluate_sessions(here / "runs" / "toy", [here / "sessions" / "a.mcap"])
+    expected = {row["row"]: row["predicted"] for row in whole.frames.to_pylist() if row["row"] not in (3, 17)}
+    torn = evaluate_sessions(here / "runs" / "toy", [log]).frames.to_pylist()
+    assert {row["row"]: row["predicted"] for row in torn} == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_session_without_a_single_picture_is_one_line(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "torn.mcap", STEERING[:4])
+    assert call(main, "toy", "--session", log) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "none of 4 pictures decodes" in line
+    assert "torn row 0 center" in line
+
+
+def test_a_session_of_which_nothing_is_measured_is_named(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "aside.mcap", LEFT, left_road, cameras=["left"])
+    assert call(main, "toy", "--session", "new", log) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{log}: not measured")
+
+
+def test_an_unfinished_log_is_measured_as_far_as_it_is_whole_and_that_is_said(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "killed.mcap"
+    data = (here / "sessions" / "new.mcap").read_bytes()
+    log.write_bytes(data[: len(data) - 200])
+    assert call(main, "toy", "--session", log) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "bc-log recover" in line
+
+
+def test_what_cannot_be_measured_does_not_exist_in_the_json(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "straight.mcap", [0.0] * 5, road)
+    assert call(main, "toy", "--session", log, "--json") == 0
+    found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert found["network"]["correlation"] is None
+    assert found["network"]["turning_mae_deg"] is None
+    assert found["sessions"]["straight"]["network"]["turning_mae_deg"] is None
+    assert found["zero"]["mae_deg"] == 0
+    assert call(main, "toy", "--session", log) == 0  # and the table shows it
+
+
+def test_an_empty_split_is_one_line(here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = [here / "sessions" / "a.mcap"]
+    index = build_index(logs, tmp_path / "index", IndexConfig(validation_share=0)).path
+    assert call(main, "toy", "--index", index) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no frame of the split validation" in line
+    assert "--session" in line
+
+
+def test_a_network_of_no_numbers_is_one_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    weights = load_file(run / "model.safetensors")
+    name = next(name for name, tensor in weights.items() if tensor.shape == (1,))
+    save_file({**weights, name: np.full(1, np.nan, np.float32)}, run / "model.safetensors")
+    assert call(main, run) == 1
+    unsealed, line = capsys.readouterr().err.splitlines()
+    assert "without checksums" in unsealed
+    assert "no number" in line
+
+
+def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: Path) -> None:
+    index = shutil.copytree(here / "index", tmp_path / "index")
+    shutil.copytree(here / "sessions", tmp_path / "sessions")
+    table = pq.read_table(index / "samples.parquet")
+    for changed in (
+        table.drop_columns(["row"]),
+        table.drop_columns(["recorded"]),
+        table.set_column(0, "session", pa.array(["c"] * len(table))),
+        table.set_column(3, "log_time_ns", pa.nulls(len(table), pa.int64())),
+        table.set_column(3, "log_time_ns", pa.array(["noon"] * len(table))),
+    ):
+        pq.write_table(changed.replace_schema_metadata(table.schema.metadata), index / "samples.parquet")
+        with pytest.raises(DatasetError, match=r"damaged.*bc-index") as caught:
+            evaluate(here / "runs" / "toy", index)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--laps", 1], "--laps: only with --simulator"),
+        (["--speed", 20, "--force"], "--speed, --force: only with --simulator"),
+        (["--logs", "drives"], "--logs: only with --simulator"),
+        (["--simulator", "lake", "--index", "index"], "--index: of recorded frames"),
+        (["--simulator", "lake", "--session", "a", "--worst", 3], "--session, --worst: of recorded frames"),
+        (["--simulator"], "--simulator at least one"),
+        (["--session"], "--session at least one"),
+        (["--session", "a", "--split", "train"], "leave out --index and --split"),
+        (["--sessions", "sessions"], "--session"),
+        (["--worst", -1], "--worst -1"),
+        (["--session", "nobody"], "nobody.mcap: no such log"),
+        (["--index", "nowhere"], "build it with `bc-index`"),
+    ],
+)
+def test_flags_that_do_not_go_together_are_one_line(
+    here: Path, capsys: pytest.CaptureFixture[str], flags: list[object], says: str
+) -> None:
+    missing = {"nobody", "nowhere"}.intersection(map(str, flags))  # what could be there is no bad usage
+    assert call(main, "toy", *flags) == (1 if missing else 2)
+    shown = capsys.readouterr()
+    (line,) = shown.err.splitlines()
+    assert says in line
+    assert shown.out == ""
+    assert not (here / "drives").exists()

@@ -1,0 +1,265 @@
+"""`bc-train export RUN --onnx`: one file that steers as the run does, for programs without this project."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from dataset import decode
+from dataset.preprocess import Image
+from disk import files_of_at_most
+from driving import PATIENCE_S, environment, road_jpeg, run, untrained_run
+from model import RunError, load_pilot
+from model.cli import main
+from model.onnx_export import export_onnx
+from repository import ROOT
+from udacity import call
+
+OURS = ["common", "simulator", "recorder", "dataset", "model", "viz", "drive"]
+HIDDEN = f"import sys; sys.modules.update(dict.fromkeys({['torch', 'onnx', *OURS]}))\n"
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return untrained_run(tmp_path_factory.mktemp("runs") / "first")
+
+
+@pytest.fixture(scope="module")
+def exported(trained: Path) -> Path:
+    path = trained.with_name("first.onnx")
+    assert export_onnx(trained, path) < 1e-4
+    return path
+
+
+def session(path: Path) -> onnxruntime.InferenceSession:
+    return onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+
+
+def metadata(path: Path) -> dict[str, str]:
+    return dict(session(path).get_modelmeta().custom_metadata_map)
+
+
+def pictures(folder: Path) -> list[Path]:
+    """Three pictures of the simulator's size, and one larger, from which more rows are cut."""
+    encoded = [road_jpeg(number) for number in (1, 8, 20)]
+    ok, larger = cv2.imencode(".jpg", cv2.resize(decode(encoded[0]), (640, 480)))
+    assert ok
+    paths = [folder / f"{number}.jpg" for number in range(4)]
+    for path, data in zip(paths, [*encoded, larger.tobytes()], strict=True):
+        path.write_bytes(data)
+    return paths
+
+
+def as_the_pilot_steers(run_folder: Path, jpegs: list[Path]) -> list[float]:
+    pilot = load_pilot(run_folder, "float32")
+    return [pilot.predict(pilot.crop(decode(path.read_bytes()))) for path in jpegs]
+
+
+def as_others_steer(code: str, *arguments: object) -> list[float]:
+    """What a program prints that has ONNX Runtime, but neither PyTorch nor anything of this project."""
+    line = [sys.executable, "-I", "-c", HIDDEN + code, *map(str, arguments)]
+    done = subprocess.run(line, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    return [float(number) for number in done.stdout.split()]
+
+
+# What is in the file
+
+BY_HAND = """
+from fractions import Fraction
+import cv2, numpy, onnxruntime
+network = onnxruntime.InferenceSession(sys.argv[1], providers=["CPUExecutionProvider"])
+said = network.get_modelmeta().custom_metadata_map
+assert (said["preprocessing.channels"], said["preprocessing.resize"]) == ("BGR", "bilinear")
+size = int(said["preprocessing.width_px"]), int(said["preprocessing.height_px"])
+crops = []
+for name in sys.argv[2:]:
+    picture = cv2.imread(name)
+    top, bottom = (round(len(picture) * Fraction(said["preprocessing.crop_" + end])) for end in ("top", "bottom"))
+    crops.append(cv2.resize(picture[top : len(picture) - bottom], size, interpolation=cv2.INTER_LINEAR))
+print(*network.run(["steering"], {"pictures": numpy.stack(crops)})[0])
+"""
+
+
+def test_it_steers_as_the_pilot_does_where_nothing_else_is_installed(
+    trained: Path, exported: Path, tmp_path: Path
+) -> None:
+    jpegs = pictures(tmp_path)
+    expected = as_the_pilot_steers(trained, jpegs)
+    assert np.std(expected) > 1e-2  # the pictures differ, and so must their steering
+    assert as_others_steer(BY_HAND, exported, *jpegs) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_example_in_its_metadata_runs_as_it_is(trained: Path, exported: Path, tmp_path: Path) -> None:
+    larger = pictures(tmp_path)[-1]
+    expected = as_the_pilot_steers(trained, [larger])
+    assert as_others_steer(metadata(exported)["example"], exported, larger) == pytest.approx(expected, abs=1e-5)
+
+
+def test_pictures_go_in_as_opencv_has_them_and_one_steering_each_comes_out(exported: Path) -> None:
+    (taken,) = session(exported).get_inputs()
+    (given,) = session(exported).get_outputs()
+    assert (taken.name, taken.type, taken.shape) == ("pictures", "tensor(uint8)", ["N", 128, 128, 3])
+    assert (given.name, given.type, given.shape) == ("steering", "tensor(float)", ["N"])
+    (operators,) = onnx.load(exported).opset_import
+    assert (operators.domain, operators.version) == ("", 13)
+
+
+def test_steering_is_not_clamped(trained: Path, tmp_path: Path) -> None:
+    turning = with_weights(trained, tmp_path / "turning", lambda weights: weights["head.11.bias"].fill(3))
+    crop: Image = np.zeros((1, 128, 128, 3), np.uint8)
+    export_onnx(turning, tmp_path / "turning.onnx")
+    (steering,) = session(tmp_path / "turning.onnx").run(["steering"], {"pictures": crop})[0]
+    assert steering == pytest.approx(load_pilot(turning, "float32").predict(crop[0]), abs=1e-5)
+    assert steering > 1
+
+
+def test_it_says_which_run_it_is(trained: Path, exported: Path) -> None:
+    said = metadata(exported)
+    assert said["run"] == "first"
+    assert said["weights_sha256"] == hashlib.sha256((trained / "model.safetensors").read_bytes()).hexdigest()
+    assert said["steering.degrees_per_unit"] == "25"
+    assert said["toolkit"].startswith("behavioural-cloning-toolkit ")
+
+
+def test_the_same_run_gives_the_same_bytes_wherever_it_lies(trained: Path, exported: Path, tmp_path: Path) -> None:
+    moved = shutil.copytree(trained, tmp_path / "elsewhere" / "first")
+    export_onnx(moved, tmp_path / "other name.onnx")
+    data = exported.read_bytes()
+    assert (tmp_path / "other name.onnx").read_bytes() == data
+    assert str(trained.parent).encode() not in data
+    assert str(Path(onnx.__file__).parent).encode() not in data
+    assert str(ROOT).encode() not in data
+
+
+# The command
+
+
+def test_without_a_name_the_file_lies_in_the_run_and_nothing_but_one_line_is_said(
+    trained: Path, exported: Path, tmp_path: Path
+) -> None:
+    copy = shutil.copytree(trained, tmp_path / "runs" / "first")
+    done = run("bc-train", "export", "first", "--onnx", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    (line,) = done.stdout.splitlines()
+    assert line.startswith(f"{Path('runs') / 'first' / 'first.onnx'}: written; ")
+    assert float(line.rpartition("largest difference ")[2]) < 1e-4
+    assert (copy / "first.onnx").read_bytes() == exported.read_bytes()
+
+
+def test_a_file_is_replaced_only_if_that_is_asked_for(
+    trained: Path, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine.onnx"
+    mine.write_text("mine")
+    line = ["export", "first", "--runs", trained.parent, "--onnx", mine]
+    assert call(main, *line) == 1
+    assert "mine.onnx exists already: choose another name, or give --force" in capsys.readouterr().err
+    assert mine.read_text() == "mine"
+    assert call(main, *line, "--force") == 0
+    assert mine.read_bytes() == exported.read_bytes()
+
+
+def test_the_flag_may_stand_before_the_run(trained: Path, exported: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(trained, tmp_path / "first")
+    assert call(main, "export", "--onnx", copy) == 0
+    assert call(main, "export", "--onnx", tmp_path / "mine.onnx", copy) == 0
+    for path in (copy / "first.onnx", tmp_path / "mine.onnx"):
+        assert path.read_bytes() == exported.read_bytes()
+
+
+def test_bad_usage(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "export", trained) == 2
+    assert "--onnx" in capsys.readouterr().err
+    assert call(main, "export", trained, "--onnx", "a", "b") == 2
+    assert sorted(path.name for path in trained.iterdir()) == ["config.json", "model.safetensors"]
+
+
+def test_a_run_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "export", "nowhere", "--onnx", "--runs", tmp_path) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"bc-train export: {tmp_path / 'nowhere'}: no trained run there")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Runs that cannot be exported
+
+Weights = dict[str, "np.typing.NDArray[np.float32]"]
+
+
+def with_weights(run_folder: Path, copy: Path, change: Callable[[Weights], object]) -> Path:
+    """A copy of a run whose weights are changed."""
+    shutil.copytree(run_folder, copy)
+    weights = load_file(copy / "model.safetensors")
+    change(weights)
+    save_file(weights, copy / "model.safetensors")
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda weights: weights["features.0.weight"].fill(np.nan), r"ONNX Runtime steers nan off PyTorch"),
+        (lambda weights: weights["head.11.weight"].fill(1e6), r"off PyTorch, less than 0\.0001 was expected"),
+        (lambda weights: weights["head.11.bias"].fill(np.inf), r"ONNX Runtime steers nan off PyTorch"),
+        (lambda weights: weights.pop("head.11.bias"), r"model\.safetensors: weights of another network"),
+    ],
+    ids=["no numbers", "huge", "infinite", "missing"],
+)
+def test_what_does_not_steer_as_the_run_does_gets_no_name(
+    trained: Path, tmp_path: Path, change: Callable[[Weights], object], said: str
+) -> None:
+    broken = with_weights(trained, tmp_path / "broken", change)
+    with pytest.raises(RunError, match=said):
+        export_onnx(broken, tmp_path / "new" / "broken.onnx")
+    assert list(tmp_path.iterdir()) == [broken]
+
+
+def test_damaged_runs_are_named(trained: Path, tmp_path: Path) -> None:
+    cut = shutil.copytree(trained, tmp_path / "cut")
+    (cut / "model.safetensors").write_bytes((trained / "model.safetensors").read_bytes()[:1000])
+    newer = shutil.copytree(trained, tmp_path / "newer")
+    config = json.loads((newer / "config.json").read_text())
+    (newer / "config.json").write_text(json.dumps({**config, "format": 99}))
+    other = shutil.copytree(trained, tmp_path / "other")
+    (other / "config.json").write_text(json.dumps({**config, "preprocessing": {"channels": "RGB"}}))
+    for broken, said in [
+        (cut, r"cut.model\.safetensors: "),
+        (newer, "format 99"),
+        (other, "another preprocessing"),
+    ]:
+        with pytest.raises(RunError, match=said):
+            export_onnx(broken, tmp_path / "broken.onnx")
+    assert not (tmp_path / "broken.onnx").exists()
+
+
+@pytest.mark.parametrize("package", ["onnx", "onnxruntime"])
+def test_without_its_packages_the_error_says_how_to_get_them(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(RunError, match=r'`pip install "behavioural-cloning-toolkit\[onnx\]"`'):
+        export_onnx(trained, tmp_path / "first.onnx")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_what_was_there(trained: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.onnx"
+    mine.write_text("mine")
+    says = r"mine\.onnx: cannot be written \(File too large\); make room"
+    with files_of_at_most(1_000_000), pytest.raises(RunError, match=says):
+        export_onnx(trained, mine, overwrite=True)
+    assert list(tmp_path.iterdir()) == [mine]
+    assert mine.read_text() == "mine"

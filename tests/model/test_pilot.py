@@ -1,0 +1,143 @@
+"""The pilot: what a run's network says of a picture, in float32 and in bfloat16."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from dataset import decode
+from dataset.preprocess import Image
+from driving import road_jpeg, untrained_run
+from model import Pilot, load_pilot
+from model.network.layers import SteeringNetwork
+from model.network.packing import pack_weights
+from model.network.pooling import SlicedMaxPool
+from model.runs.run_folder import load_network
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return untrained_run(tmp_path_factory.mktemp("runs") / "untrained", seed=3)
+
+
+@pytest.fixture(scope="module")
+def crops(run: Path) -> list[Image]:
+    pilot = load_pilot(run)
+    return [pilot.crop(decode(road_jpeg(number))) for number in range(12)]
+
+
+def as_trained(run: Path, crops: list[Image]) -> list[float]:
+    """By the network as it is, all pictures at once and in the plainest layout of the data."""
+    network = load_network(run).eval()
+    with torch.no_grad():
+        return network(torch.from_numpy(np.stack(crops).transpose(0, 3, 1, 2).copy())).tolist()  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("size", [(4, 6), (5, 7), (124, 124)])
+def test_pooling_by_slices_is_that_of_pytorch_to_the_last_bit(size: tuple[int, int], dtype: torch.dtype) -> None:
+    inputs = torch.randn(2, 3, *size, generator=torch.Generator().manual_seed(0)).to(dtype)
+    inputs = inputs.to(memory_format=torch.channels_last)
+    inputs[1, 2, 1, 3], inputs[0, 0, 0, 0] = math.nan, -math.inf
+    pooled = SlicedMaxPool()(inputs)
+    assert pooled.is_contiguous(memory_format=torch.channels_last)
+    torch.testing.assert_close(pooled, torch.nn.functional.max_pool2d(inputs, 2), rtol=0, atol=0, equal_nan=True)
+
+
+def test_float32_says_what_the_trained_network_says(run: Path, crops: list[Image]) -> None:
+    pilot = load_pilot(run, "float32")
+    assert pilot.arithmetic == "float32"
+    assert [pilot.predict(crop) for crop in crops] == pytest.approx(as_trained(run, crops), abs=1e-5)
+
+
+def test_bfloat16_says_nearly_the_same(run: Path, crops: list[Image]) -> None:
+    """To a quarter of a degree."""
+    pilot = load_pilot(run, "bfloat16")
+    assert pilot.arithmetic == "bfloat16"
+    said, exact = [pilot.predict(crop) for crop in crops], as_trained(run, crops)
+    assert said != pytest.approx(exact, abs=1e-6)  # it is really calculated otherwise
+    assert said == pytest.approx(exact, abs=0.01)
+
+
+def test_by_default_it_is_one_of_the_two_and_says_which(run: Path, crops: list[Image]) -> None:
+    pilot = load_pilot(run)
+    asked = load_pilot(run, "bfloat16" if pilot.arithmetic == "bfloat16" else "float32")
+    assert [pilot.predict(crop) for crop in crops] == [asked.predict(crop) for crop in crops]
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_the_same_picture_always_gives_the_same_number(run: Path, crops: list[Image], precision: str) -> None:
+    pilots = [load_pilot(run, precision), load_pilot(run, precision)]  # type: ignore[arg-type]
+    pilots[0].get_ready()
+    said = [[pilot.predict(crop) for crop in crops] for pilot in pilots]
+    backwards = [pilots[0].predict(crop.copy()) for crop in reversed(crops)]
+    assert said[0] == said[1] == backwards[::-1]
+    assert len(set(said[0])) == len(crops)
+
+
+def test_a_crop_may_be_a_view_of_another_picture(run: Path, crops: list[Image]) -> None:
+    pilot = load_pilot(run)
+    mirrored = crops[0][:, ::-1]
+    assert pilot.predict(mirrored) == pilot.predict(mirrored.copy())
+
+
+def test_packed_weights_say_what_the_layers_said(run: Path, crops: list[Image]) -> None:
+    """Measured: to the last bit on an AMD EPYC. Another processor's oneDNN may add in another order."""
+    network = load_network(run).eval().bfloat16()
+    pictures = torch.from_numpy(np.stack(crops)).permute(0, 3, 1, 2).bfloat16() / 255
+    with torch.inference_mode():
+        features = network.features(pictures)
+        steering = network.head(features)
+        for layers, inputs, said in ((network.features, pictures, features), (network.head, features, steering)):
+            before = list(layers)
+            if pack_weights(layers):
+                assert list(layers) != before
+            else:
+                assert list(layers) == before
+            torch.testing.assert_close(layers(inputs), said, rtol=0.02, atol=0.01)
+
+
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "AMD64"), reason="needs a processor that can hide bfloat16"
+)
+def test_without_packed_weights_it_drives_all_the_same(run: Path, crops: list[Image]) -> None:
+    """oneDNN is told to go by an older processor, which has no bfloat16: it refuses to pack the weights."""
+    pilot = load_pilot(run, "bfloat16")
+    np.save(run.parent / "crop.npy", crops[0])
+    program = """
+import pathlib, sys
+import numpy as np
+from model import load_pilot
+from model.network.packing import pack_weights
+from model.runs.run_folder import load_network
+
+run, crop = map(pathlib.Path, sys.argv[1:])
+assert not pack_weights(load_network(run).bfloat16().head)
+print(load_pilot(run, "bfloat16").predict(np.load(crop)))
+"""
+    said = subprocess.run(
+        [sys.executable, "-c", program, str(run), str(run.parent / "crop.npy")],
+        env=os.environ | {"ONEDNN_MAX_CPU_ISA": "AVX2"},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    assert float(said.stdout) == pytest.approx(pilot.predict(crops[0]), abs=0.01)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("broken", [math.nan, math.inf])
+def test_weights_that_are_no_numbers_are_told_and_not_raised(dtype: torch.dtype, broken: float) -> None:
+    network = SteeringNetwork()
+    with torch.no_grad():
+        network.features[0].weight.fill_(broken)  # type: ignore[operator]
+    pilot = Pilot(network, dtype=dtype)
+    assert not math.isfinite(pilot.predict(np.full((128, 128, 3), 200, np.uint8)))

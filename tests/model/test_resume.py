@@ -1,0 +1,411 @@
+"""A training that is stopped, killed or out of disk goes on, and ends with the weights of one that never was."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+
+from dataset import IndexConfig, build_index
+from disk import files_of_at_most
+from driving import Process, command, environment
+from logs import write_log
+from model import Epoch, RunError, TrainConfig, find_run, train
+from model.cli import main
+from model.runs.training_progress import Step
+from repository import HELPERS, ROOT
+from toy import STEERING, TINY, road, toy_index
+from udacity import call
+from waiting import PATIENCE_S
+
+CONFIG = replace(TINY, epochs=3, batch=2, dropout=0.5)  # 13 batches an epoch: dropout must go on as well
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="module")
+def whole(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was never stopped."""
+    run = tmp_path_factory.mktemp("whole") / "whole"
+    train(index, run, CONFIG, figures=False)
+    return run
+
+
+def metrics(run: Path) -> list[dict[str, Any]]:
+    """What a run says of its epochs, but for the time that they took."""
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    return [
+        {name: value for name, value in line.items() if name not in ("seconds", "samples_per_s")} for line in lines
+    ]
+
+
+def steps(run: Path) -> list[tuple[int, int, int, float]]:
+    lines = [json.loads(line) for line in (run / "steps.jsonl").read_text().splitlines()]
+    return [(line["epoch"], line["batch"], line["samples"], line["training_loss"]) for line in lines]
+
+
+def assert_same(run: Path, other: Path) -> None:
+    """To the last bit: the best weights, the last ones, Adam's moments, and all that was measured."""
+    assert (run / "model.safetensors").read_bytes() == (other / "model.safetensors").read_bytes()
+    left, right = (load_file(each / "last" / "checkpoint.safetensors") for each in (run, other))
+    assert left.keys() == right.keys()
+    assert all((left[name] == right[name]).all() for name in left)
+    assert metrics(run) == metrics(other)
+    assert steps(run) == steps(other)
+
+
+class At:
+    """Does something once training has come to a step."""
+
+    def __init__(self, epoch: int, batch: int, action: Callable[[], object]) -> None:
+        self.place = epoch, batch
+        self.action = action
+
+    def step(self, step: Step) -> None:
+        if (step.epoch, step.batch) == self.place:
+            self.action()
+
+    def epoch(self, epoch: Epoch) -> None: ...
+    def close(self) -> None: ...
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import model.training.loop
+import model.training.trainer
+from test_resume import At, CONFIG
+
+model.loop.CHECKPOINT_S = float(sys.argv[5])
+kill = At(int(sys.argv[3]), int(sys.argv[4]), lambda: os.kill(os.getpid(), signal.SIGKILL))
+resume = Path(sys.argv[2]).exists()
+init = Path(sys.argv[6]) if sys.argv[6] else None
+model.training.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, [kill], init=init, resume=resume, figures=False)
+"""
+
+
+def train_until_killed(
+    index: Path, run: Path, epoch: int, batch: int, checkpoint_s: float, init: Path | None = None
+) -> None:
+    done = in_python(KILLED, index, run, epoch, batch, checkpoint_s, init or "")
+    assert done.returncode == -signal.SIGKILL, done.stderr
+
+
+def in_python(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Code that may import the tests, in a process of its own."""
+    here = Path(__file__).parent
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        env=environment() | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, HELPERS, here)))},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+
+
+def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
+    index: Path, whole: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    train_until_killed(index, run, 1, 10, checkpoint_s=math.inf)  # from the beginning
+    train_until_killed(index, run, 1, 13, checkpoint_s=0)  # in the middle of an epoch
+    assert [step[:3] for step in steps(run)] == [(1, 10, 20), (1, 13, 26)]
+    train_until_killed(index, run, 3, 10, checkpoint_s=math.inf)  # what came after that is lost
+    train(index, run, resume=True, figures=False)
+    assert_same(run, whole)
+
+
+def test_ctrl_c_costs_nothing_and_says_how_to_go_on(index: Path, whole: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        train(index, run, CONFIG, [At(1, 10, lambda: signal.raise_signal(signal.SIGINT))], figures=False)
+    with safe_open(run / "last" / "checkpoint.safetensors", framework="np") as file:
+        position = json.loads(file.metadata()["position"])
+    assert (position["epoch"], position["batch"], position["samples"]) == (1, 10, 20)
+    with pytest.raises(RunError, match=rf"`bc-train --resume {run}`"):
+        find_run("run", tmp_path)
+    stop = At(2, 10, lambda: signal.raise_signal(signal.SIGTERM))
+    with pytest.raises(KeyboardInterrupt):
+        train(index, run, None, [stop], resume=True, figures=False)
+    train(index, run, resume=True, figures=False)
+    assert_same(run, whole)
+
+
+def test_the_command_is_stopped_by_ctrl_c_and_goes_on(index: Path, tmp_path: Path) -> None:
+    """By the very command that is printed: the run knows where its index is."""
+    runs = tmp_path / "all of my runs"
+    places = ["--index", index, "--sessions", index.parent, "--runs", runs]
+    flags = ["--epochs", 200, "--batch", 2, "--threads", 1]
+    with Process(command("bc-train", "--name", "first", *flags, *places)) as training:
+        while not (runs / "first" / "steps.jsonl").exists():
+            assert training.popen.poll() is None
+        assert training.end(signal.SIGINT) == 130
+        go_on = training.stderr[-2].partition("go on with `bc-train ")[2].removesuffix("`")
+        assert training.stderr[-1] == "bc-train: stopped"
+    run = runs / "first"
+    done = metrics(run) if (run / "metrics.jsonl").exists() else []
+    assert call(main, *shlex.split(go_on), "--epochs", len(done) + 1) == 0
+    assert [line["epoch"] for line in metrics(run)] == list(range(1, len(done) + 2))
+
+
+def test_more_epochs_make_a_run_longer(index: Path, whole: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    train(index, run, replace(CONFIG, epochs=1), figures=False)
+    train(index, run, CONFIG, resume=True, figures=False)
+    assert_same(run, whole)
+    assert json.loads((run / "config.json").read_text())["training"]["epochs"] == 3
+    assert train(index, run, resume=True, figures=False).epochs == []  # it has them
+
+
+@pytest.fixture
+def stopped(whole: Path, tmp_path: Path) -> Path:
+    """A copy of the whole run, to be gone on with."""
+    return Path(shutil.copytree(whole, tmp_path / "stopped"))
+
+
+def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
+    index: Path, whole: Path, tmp_path: Path
+) -> None:
+    config = replace(CONFIG, epochs=1)
+    train(index, tmp_path / "straight", config, init=whole, figures=False)
+    train_until_killed(index, tmp_path / "killed", 1, 10, checkpoint_s=math.inf, init=whole)
+    train(index, tmp_path / "killed", config, resume=True, figures=False)
+    assert_same(tmp_path / "killed", tmp_path / "straight")
+
+
+KILLED_EARLY = """
+import os, signal, sys
+from pathlib import Path
+import model.training.loop
+import model.training.trainer
+from test_resume import CONFIG
+
+model.loop.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
+init = Path(sys.argv[3]) if sys.argv[3] else None
+model.training.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
+"""
+
+
+def train_until_killed_before_the_first_checkpoint(index: Path, run: Path, init: Path | None = None) -> None:
+    done = in_python(KILLED_EARLY, index, run, init or "")
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert not list(run.rglob("*.safetensors"))
+
+
+def test_a_training_killed_before_its_first_checkpoint_begins_again_from_its_seed(
+    index: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    train_until_killed_before_the_first_checkpoint(index, run)
+    assert call(main, "--resume", "run", "--runs", tmp_path) == 0
+    assert "begun again from its seed: it was stopped before anything was saved" in capsys.readouterr().out
+    assert_same(run, whole)
+
+
+def test_one_that_started_from_a_runs_last_weights_begins_again_from_these(
+    index: Path, whole: Path, tmp_path: Path
+) -> None:
+    """Wherever that run is kept."""
+    base = Path(shutil.copytree(whole, tmp_path / "elsewhere" / "base"))
+    train(index, tmp_path / "straight", CONFIG, init=base / "last", figures=False)
+    train_until_killed_before_the_first_checkpoint(index, tmp_path / "killed", base / "last")
+    train(index, tmp_path / "killed", resume=True, figures=False)
+    assert_same(tmp_path / "killed", tmp_path / "straight")
+
+
+def test_a_run_without_its_checkpoint_is_not_begun_again(index: Path, stopped: Path) -> None:
+    (stopped / "last" / "checkpoint.safetensors").unlink()
+    before = {path: path.read_bytes() for path in stopped.iterdir() if path.is_file()}
+    with pytest.raises(RunError, match=r"checkpoint\.safetensors: gone; .* --init \S*/stopped"):
+        train(index, stopped, resume=True)
+    assert {path: path.read_bytes() for path in stopped.iterdir() if path.is_file()} == before
+
+
+def test_a_run_goes_on_with_its_own_settings_only(index: Path, stopped: Path) -> None:
+    with pytest.raises(RunError, match=r"begun with --rate 0\.0002 .* --init \S*/stopped$"):
+        train(index, stopped, replace(CONFIG, rate=0.1, epochs=9), resume=True)
+
+
+def test_fewer_epochs_than_were_learnt_are_refused_and_change_nothing(index: Path, stopped: Path) -> None:
+    before = (stopped / "config.json").read_bytes()
+    with pytest.raises(RunError, match="has learnt from 3 epochs, not 2"):
+        train(index, stopped, replace(CONFIG, epochs=2), resume=True)
+    train(index, stopped, replace(CONFIG, patience=9), resume=True, figures=False)  # nothing to do
+    assert (stopped / "config.json").read_bytes() == before
+
+
+def test_a_run_goes_on_with_the_samples_it_was_begun_with_only(stopped: Path, tmp_path: Path) -> None:
+    log = write_log(tmp_path / "toy.mcap", STEERING[:30], road, cameras=["center"])
+    other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1)).path
+    with pytest.raises(RunError, match=r"not the samples .*`bc-train --resume .* --index .*` builds those"):
+        train(other, stopped, replace(CONFIG, epochs=9), resume=True)
+
+
+def test_two_processes_do_not_train_one_run(index: Path, stopped: Path) -> None:
+    before = (stopped / "metrics.jsonl").read_bytes()
+    told: list[str] = []
+
+    def second() -> None:
+        with pytest.raises(RunError) as caught:
+            train(index, stopped, resume=True, figures=False)
+        told.append(str(caught.value))
+
+    train(index, stopped, replace(CONFIG, epochs=4), [At(4, 10, second)], resume=True, figures=False)
+    assert "is being trained by another process" in told[0]
+    assert (stopped / "metrics.jsonl").read_bytes().startswith(before)
+
+
+def test_a_disk_full_while_saving_leaves_the_checkpoint_before(index: Path, whole: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    train(index, run, replace(CONFIG, epochs=1), figures=False)
+    before = (run / "last" / "checkpoint.safetensors").read_bytes()
+    says = r"checkpoint\.safetensors: cannot be written \(File too large\); make room"
+    with files_of_at_most(30_000_000), pytest.raises(RunError, match=says):  # weights fit, Adam's moments do not
+        train(index, run, CONFIG, resume=True, figures=False)
+    assert (run / "last" / "checkpoint.safetensors").read_bytes() == before
+    assert not list(run.rglob("*.part"))
+    train(index, run, CONFIG, resume=True, figures=False)
+    assert_same(run, whole)
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def edited(change: Callable[[dict[str, Any], dict[str, str]], object]) -> Callable[[Path], None]:
+    def edit(path: Path) -> None:
+        with safe_open(path, framework="np") as file:
+            stored = dict(file.metadata())
+        del stored["sha256"]  # as in earlier versions: whoever means ill can also make a checksum that holds
+        tensors = load_file(path)
+        change(tensors, stored)
+        save_file(tensors, path, stored)
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (cut, "cannot be read"),
+        (lambda path: path.write_bytes(b"\x80\x04garbage" * 9), "cannot be read"),
+        (edited(lambda tensors, stored: stored.update(format="2")), "of format 2, .* update the toolkit"),
+        (edited(lambda tensors, stored: stored.pop("position")), "cannot be read"),
+        (edited(lambda tensors, stored: stored.update(position='{"epoch": -1}')), "cannot be read"),
+        (edited(lambda tensors, stored: stored.update(position='{"exec": "x"}')), "cannot be read"),
+        (edited(lambda tensors, stored: stored.update(position='{"batch": 99}')), "batch 99"),
+        (edited(lambda tensors, stored: tensors.popitem()), "another network"),
+        (edited(lambda tensors, stored: tensors.update({"exp_avg.head.11.bias": np.zeros(2)})), "another network"),
+        (
+            edited(lambda tensors, stored: tensors.update({"step.head.11.bias": np.zeros(2, np.float32)})),
+            "a step count",
+        ),
+        (
+            edited(lambda tensors, stored: tensors.update({"step.head.11.bias": np.array(-1, np.float32)})),
+            "a step count",
+        ),
+        (edited(lambda tensors, stored: stored.update(position=f'{{"samples": {10**400}}}')), "cannot be read"),
+        (
+            edited(lambda tensors, stored: tensors["network.head.11.bias"].fill(np.nan)),
+            "not finite",
+        ),
+    ],
+)
+def test_a_checkpoint_that_cannot_be_used_is_named(
+    index: Path, stopped: Path, damage: Callable[[Path], None], says: str
+) -> None:
+    damage(stopped / "last" / "checkpoint.safetensors")
+    with pytest.raises(RunError, match=says) as caught:
+        train(index, stopped, replace(CONFIG, epochs=9), resume=True)
+    assert "checkpoint.safetensors" in str(caught.value)
+
+
+def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    flags = ["--epochs", 1, "--batch", 8, "--rate", 1e-3, "--threads", 1, "--seed", 3, "--precision", "float32"]
+    assert call(main, "--name", "first", *flags, *places) == 0
+    assert call(main, "--name", "again", "--like", "first", *places) == 0
+    assert call(main, "--name", "other", "--like", "first", "--seed", 0, *places) == 0
+    first, again, other = (tmp_path / name for name in ("first", "again", "other"))
+    assert (again / "model.safetensors").read_bytes() == (first / "model.safetensors").read_bytes()
+    assert metrics(again) == metrics(first)
+    assert TrainConfig(**json.loads((other / "config.json").read_text())["training"]) == TrainConfig(
+        epochs=1, batch=8, rate=1e-3, threads=1, seed=0, precision="float32"
+    )
+    capsys.readouterr()
+    assert call(main, "--resume", "first", *places) == 0
+    assert "all its epochs are learnt" in capsys.readouterr().out
+    assert call(main, "--resume", "first", "--batch", 4, *places) == 1
+    assert "begun with --batch 8" in capsys.readouterr().err
+    assert call(main, "--resume", "nobody", *places) == 1
+    assert "nobody: no run there" in capsys.readouterr().err
+    for unfit in (["--like", "first"], ["--init", "first"], ["--name", "other"]):
+        assert call(main, "--resume", "first", *unfit, *places) == 2
+        assert f"{unfit[0]} make" in capsys.readouterr().err
+
+
+def test_a_run_goes_on_when_its_index_is_gone_or_elsewhere(
+    index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A project that is moved keeps together; an index that was removed is built again from the run's own logs."""
+    before, after = tmp_path / "before", tmp_path / "after"
+    shutil.copytree(index.parent, before / "data")
+    monkeypatch.chdir(before)
+    flags = ["--epochs", 1, "--batch", 8, "--threads", 1, "--precision", "float32"]
+    assert call(main, "--name", "first", "--index", "data/index", *flags, "--sessions", "data") == 0
+    assert json.loads(Path("runs/first/config.json").read_text())["index"] == "../../data/index"
+    before.rename(after)
+    monkeypatch.chdir(after)
+    assert call(main, "--resume", "first", "--epochs", 2) == 0
+    shutil.rmtree("data/index")
+    assert call(main, "--resume", "first", "--epochs", 3) == 0
+    assert [line["epoch"] for line in metrics(Path("runs/first"))] == [1, 2, 3]
+    assert json.loads(Path("runs/first/config.json").read_text())["index"] == "../../data/index-first"
+    assert call(main, "--name", "again", "--like", "first", "--epochs", 1) == 0
+    assert not Path("index").exists()
+    assert capsys.readouterr().err == ""
+
+
+def test_a_name_that_is_taken_by_no_run_says_so(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a training that was killed before its config was written."""
+    (tmp_path / "first").mkdir()
+    assert call(main, "--name", "first", "--index", index, "--runs", tmp_path) == 1
+    assert "first: exists already, and is no run; give another --name, or remove it" in capsys.readouterr().err
+
+
+def test_like_builds_the_runs_own_index_again(index: Path, tmp_path: Path) -> None:
+    places = ["--sessions", index.parent, "--runs", tmp_path / "runs"]
+    flags = ["--epochs", 1, "--batch", 8, "--threads", 1, "--precision", "float32"]
+    assert call(main, "--name", "first", "--index", index, *flags, *places) == 0
+    other = tmp_path / "index"
+    build_index([index.parent / "toy.mcap"], other, IndexConfig(bins=3))
+    before = (other / "samples.parquet").read_bytes()
+    assert call(main, "--name", "again", "--like", "first", "--index", other, *places) == 0
+    runs = tmp_path / "runs"
+    assert (runs / "again" / "model.safetensors").read_bytes() == (
+        runs / "first" / "model.safetensors"
+    ).read_bytes()
+    assert (tmp_path / "index-first" / "samples.parquet").exists()
+    assert (other / "samples.parquet").read_bytes() == before

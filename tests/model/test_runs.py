@@ -1,0 +1,152 @@
+"""A run is found, read, and its pilot steers; a damaged one is an error that names the file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from dataset import decode
+from driving import run_code
+from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
+from model.evaluation.evaluate import evaluate_sessions
+from model.runs.run_folder import create_run, find_started
+from toy import TINY, road, toy_index
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "toy"
+    train(toy_index(tmp_path_factory.mktemp("toy")), run, TINY)
+    return run
+
+
+def edit(path: Path, **values: Any) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
+
+
+def cut_weights(run: Path) -> None:
+    weights = run / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1000])
+
+
+def no_weights(run: Path) -> None:
+    (run / "model.safetensors").unlink()
+
+
+def garbage_weights(run: Path) -> None:
+    (run / "model.safetensors").write_bytes(b"garbage" * 100)
+
+
+def other_weights(run: Path) -> None:
+    save_file({"weight": np.zeros((3, 3), np.float32)}, run / "model.safetensors")
+
+
+def one_other_shape(run: Path) -> None:
+    weights = load_file(run / "model.safetensors")
+    name = next(name for name, tensor in weights.items() if tensor.shape == (1, 10))
+    save_file({**weights, name: np.zeros((1, 11), np.float32)}, run / "model.safetensors")
+
+
+def no_config(run: Path) -> None:
+    (run / "config.json").unlink()
+
+
+def garbage_config(run: Path) -> None:
+    (run / "config.json").write_bytes(b"\xff{")
+
+
+def newer_format(run: Path) -> None:
+    edit(run / "config.json", format=3)
+
+
+def other_preprocessing(run: Path) -> None:
+    edit(run / "config.json", preprocessing={"channels": "RGB"})
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (cut_weights, r"model\.safetensors: cannot be read"),
+        (no_weights, r"model\.safetensors: cannot be read"),
+        (garbage_weights, r"model\.safetensors: cannot be read"),
+        (other_weights, r"model\.safetensors: weights of another network"),
+        (one_other_shape, r"model\.safetensors: weights of another network"),
+        (no_config, r"config\.json: cannot be read"),
+        (garbage_config, r"config\.json: cannot be read"),
+        (newer_format, r"config\.json: of format 3"),
+        (other_preprocessing, r"config\.json: trained with another preprocessing"),
+    ],
+)
+def test_a_damaged_run_is_a_run_error_that_names_the_file(
+    trained: Path, tmp_path: Path, damage: Callable[[Path], None], says: str
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    damage(run)
+    with pytest.raises(RunError, match=says) as caught:
+        load_pilot(run)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_is_found_by_name_by_path_and_as_the_newest(trained: Path, tmp_path: Path) -> None:
+    run = trained
+    assert find_run("toy", run.parent) == run
+    assert find_run(str(run), tmp_path) == run
+    assert find_run(None, run.parent) == run
+    with pytest.raises(RunError, match="`bc-train`"):
+        find_run(None, tmp_path)
+    with pytest.raises(RunError, match="other: no trained run"):
+        find_run("other", run.parent)
+
+
+def test_a_pilot_says_the_same_of_the_same_picture_and_which_weights_it_has(
+    trained: Path,
+) -> None:
+    run = trained
+    pilots = [load_pilot(run), load_pilot(run)]
+    pictures = [decode(road("center", row)) for row in (0, 5)]
+    said = [[pilot.predict(pilot.crop(picture)) for picture in (*pictures, *pictures)] for pilot in pilots]
+    assert said[0] == said[1]
+    assert said[0][:2] == said[0][2:]
+    assert said[0][0] != said[0][1]
+    assert pilots[0].weights_sha256 == hashlib.sha256((run / "model.safetensors").read_bytes()).hexdigest()
+    assert pilots[0].run == "toy"
+
+
+def test_places_may_be_given_as_text(trained: Path, tmp_path: Path) -> None:
+    index = toy_index(tmp_path)
+    one = replace(TINY, epochs=1, batch=8)
+    run = str(train(str(index), str(tmp_path / "run"), one, init=str(trained), figures=False).run)
+    train(str(index), run, replace(one, epochs=2), resume=True, figures=False)
+    assert evaluate(run, str(index)).measures.frames == evaluate(Path(run), index).measures.frames
+    log = str(tmp_path / "toy.mcap")
+    assert evaluate_sessions(run, [log]).measures.frames == len(predict_log(log, [run]).row) == 40
+    assert export_onnx(run, str(tmp_path / "run.onnx")) < 1e-4
+    assert load_pilot(str(find_run("run", str(tmp_path)))).run == "run"
+
+
+def test_a_name_that_is_nearly_that_of_a_run_is_recognised(tmp_path: Path) -> None:
+    for name in ("first", "second", "2026-01-01_10-00-00"):
+        create_run(tmp_path / name, {})
+        (tmp_path / name / "model.safetensors").touch()
+    for find in (find_run, find_started):
+        with pytest.raises(RunError, match=r"frist: no .*; did you mean first\?$"):
+            find("frist", tmp_path)
+        with pytest.raises(RunError, match=r"; in \S+ are 2026-01-01_10-00-00, first, second$"):
+            find("something else", tmp_path)
+
+
+@pytest.mark.parametrize("package", ["dataset", "drive", "model", "recorder", "viz"])
+def test_dir_of_a_package_shows_its_public_names_before_they_are_loaded(package: str) -> None:
+    code = f"import {package}; print(set({package}.__all__) <= set(dir({package})), '__doc__' in dir({package}))"
+    done = run_code(code)
+    assert (done.returncode, done.stdout.split()) == (0, ["True", "True"]), done.stderr

@@ -1,0 +1,78 @@
+"""A step of the optimizer is the same in parts as at once, and in bfloat16 nearly what it is in float32."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch.nn import functional
+
+from model import TrainConfig
+from model.device import choose_machine, training_dtype
+from model.network.layers import SteeringNetwork
+from model.training.step import learn, make_optimizer
+
+CPU = torch.device("cpu")
+
+
+def gradients(dtype: torch.dtype, micro_batch: int, **sharing: Any) -> tuple[float, torch.Tensor]:
+    """The squared error of seven drawn samples, and the gradient of all weights in one."""
+    torch.manual_seed(3)
+    network = SteeringNetwork(dropout=0.0).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    pictures = torch.randint(0, 256, (7, 3, 128, 128), dtype=torch.uint8)
+    steering = torch.linspace(-1, 1, 7)
+    optimizer = make_optimizer(network, 1e-4)
+    error = learn(network, optimizer, pictures, steering, dtype=dtype, micro_batch=micro_batch, **sharing)
+    return float(error), torch.cat([p.grad.ravel() for p in network.parameters() if p.grad is not None])
+
+
+def test_the_gradient_is_that_of_the_mean_squared_error() -> None:
+    torch.manual_seed(3)
+    network = SteeringNetwork(dropout=0.0)
+    pictures, steering = torch.randint(0, 256, (7, 3, 128, 128), dtype=torch.uint8), torch.linspace(-1, 1, 7)
+    loss = functional.mse_loss(network(pictures), steering)
+    loss.backward()  # type: ignore[no-untyped-call]
+    expected = torch.cat([p.grad.ravel() for p in network.parameters() if p.grad is not None])
+    error, found = gradients(torch.float32, 7)
+    assert error == pytest.approx(7 * loss.item(), rel=1e-5)
+    assert functional.cosine_similarity(found, expected, dim=0) > 0.99999
+    assert float(found.norm() / expected.norm()) == pytest.approx(1, rel=1e-4)
+
+
+@pytest.mark.parametrize("micro_batch", [1, 3, 100])
+def test_parts_of_a_batch_add_up(micro_batch: int) -> None:
+    error, gradient = gradients(torch.float32, 7)
+    in_parts, of_parts = gradients(torch.float32, micro_batch)
+    assert in_parts == pytest.approx(error, rel=1e-5)
+    torch.testing.assert_close(of_parts, gradient, rtol=1e-3, atol=1e-6)
+
+
+def test_a_rank_counts_its_samples_by_the_whole_batch() -> None:
+    """Seven of fourteen on one of two ranks: the average over the ranks is the gradient of the fourteen's mean."""
+    _, alone = gradients(torch.float32, 7)
+    _, shared = gradients(torch.float32, 7, batch=14, ranks=2)
+    torch.testing.assert_close(shared, alone, rtol=1e-5, atol=1e-8)
+
+
+def test_bfloat16_is_close_and_keeps_weights_in_float32() -> None:
+    exact, gradient = gradients(torch.float32, 7)
+    error, rounded = gradients(torch.bfloat16, 3)
+    assert error == pytest.approx(exact, rel=0.02)
+    assert error != exact  # it was computed otherwise
+    assert rounded.dtype == torch.float32
+    assert functional.cosine_similarity(rounded, gradient, dim=0) > 0.95
+
+
+def test_the_arithmetic_is_what_the_processor_has_unless_somebody_says_otherwise() -> None:
+    has_bfloat16 = any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16", "bf16"))
+    assert training_dtype("auto", CPU) == (torch.bfloat16 if has_bfloat16 else torch.float32)
+    assert training_dtype("float32", CPU) == torch.float32
+    assert training_dtype("bfloat16", CPU) == torch.bfloat16
+    before = torch.get_num_threads()
+    try:
+        machine = choose_machine(TrainConfig(device="cpu", precision="bfloat16", micro_batch=5, threads=1))
+        assert (machine.device, machine.arithmetic, machine.micro_batch) == (CPU, "bfloat16", 5)
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,259 @@
+"""What can go wrong with a training costs one clear line, and never what was learnt before."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+
+from dataset import DatasetError, IndexConfig, build_index
+from disk import files_of_at_most
+from logs import write_log
+from model import RunError, TrainConfig, load_pilot, train
+from model.cli import main
+from recorder.log.topics import Camera
+from toy import STEERING, TINY, road, toy_index
+from udacity import call
+
+ONE = replace(TINY, epochs=1, batch=8)
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="module")
+def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "good"
+    train(index, run, ONE, figures=False)
+    return run
+
+
+def test_a_loss_that_is_not_finite_ends_the_training_and_names_the_way_out(index: Path, tmp_path: Path) -> None:
+    with pytest.raises(
+        RunError, match=r"no longer finite in epoch 1; train anew with a --rate smaller than 1e\+30"
+    ):
+        train(index, tmp_path / "run", replace(TINY, rate=1e30), figures=False)
+    assert not (tmp_path / "run").exists()  # nothing was learnt: the name is free
+
+
+def test_what_was_good_before_is_kept(index: Path, trained: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(trained, tmp_path / "run"))
+    checkpoint = run / "last" / "checkpoint.safetensors"
+    with safe_open(checkpoint, framework="np") as file:
+        stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
+    tensors = load_file(checkpoint)
+    for name in tensors:
+        if name.startswith("exp_avg."):
+            tensors[name].fill(1e38)  # the next step throws the weights beyond all numbers
+    save_file(tensors, checkpoint, stored)
+    before = {path: path.read_bytes() for path in run.rglob("*.safetensors")}
+    with pytest.raises(RunError, match=r"is kept: `bc-train --init \S*/run` with a --rate smaller than 0\.0002"):
+        train(index, run, replace(ONE, epochs=2), resume=True, figures=False)
+    assert {path: path.read_bytes() for path in run.rglob("*.safetensors")} == before
+
+
+def test_nothing_for_training_is_one_line_and_leaves_no_run(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "toy.mcap", STEERING, road, cameras=["center"])
+    held_out = build_index([log], tmp_path / "index", IndexConfig(validation=("toy",))).path
+    with pytest.raises(RunError, match=r"samples\.parquet: no training samples"):
+        train(held_out, tmp_path / "run", ONE)
+    assert not (tmp_path / "run").exists()
+
+
+def test_nothing_held_out_trains_all_the_same_and_keeps_the_last_epoch(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "toy.mcap", STEERING, road, cameras=["center"])
+    all_of_it = build_index([log], tmp_path / "index", IndexConfig(validation_share=0)).path
+    trained = train(all_of_it, tmp_path / "run", replace(ONE, epochs=2, patience=1), figures=False)
+    assert [(epoch.is_best, math.isnan(epoch.validation_loss)) for epoch in trained.epochs] == [(True, True)] * 2
+    line = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[1])
+    assert (line["validation_loss"], line["validation"]["rmse_deg"], line["bins"]) == (None, None, [])
+
+
+def broken_at(*rows: int) -> Callable[[Camera, int], bytes]:
+    """Begins and ends as a JPEG does, and holds nothing."""
+    return lambda camera, row: b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9" if row in rows else road(camera, row)
+
+
+def test_pictures_that_do_not_decode_are_left_out_named_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "toy.mcap", STEERING, broken_at(2, 3), cameras=["center"])
+    index = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0)).path
+    places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]
+    assert call(main, "--name", "run", "--epochs", 2, "--batch", 8, *places) == 3
+    said = capsys.readouterr().err
+    assert "skipped pictures that do not decode: 2 (toy row 2 center, toy row 3 center)" in said
+    assert load_pilot(tmp_path / "runs" / "run")
+
+
+def test_no_picture_at_all_that_decodes_is_one_line(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "toy.mcap", STEERING, broken_at(*range(40)), cameras=["center"])
+    index = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0)).path
+    with pytest.raises(RunError, match="none of its training pictures decodes; see `bc-index --look`"):
+        train(index, tmp_path / "run", ONE, figures=False)
+
+
+def test_a_training_stops_early_when_nothing_gets_better(index: Path, tmp_path: Path) -> None:
+    """A rate at which nothing moves: the first epoch stays the best one."""
+    trained = train(index, tmp_path / "run", replace(TINY, epochs=9, rate=1e-30, patience=2), figures=False)
+    assert [epoch.is_best for epoch in trained.epochs] == [True, False, False]
+    assert trained.is_stopped_early
+    again = train(index, tmp_path / "run", resume=True, figures=False)
+    assert (again.epochs, again.is_stopped_early) == ([], True)
+
+
+def test_a_run_starts_from_the_weights_of_another(index: Path, trained: Path, tmp_path: Path) -> None:
+    frozen = replace(ONE, rate=1e-30)
+    run = tmp_path / "run"
+    train(index, run, frozen, init=trained, figures=False)
+    assert load_pilot(run).weights_sha256
+    ours, theirs = (load_file(each / "model.safetensors") for each in (run, trained))
+    assert all(np.abs(ours[name] - theirs[name]).max() < 1e-20 for name in theirs)
+    told = json.loads((run / "config.json").read_text())["init"]
+    assert told["run"] == "good"
+    assert told["weights_sha256"] == load_pilot(trained).weights_sha256
+    assert told["data"][0]["fingerprint"]
+
+
+def test_that_the_run_it_starts_from_knows_what_is_held_out_is_said(
+    index: Path, trained: Path, tmp_path: Path
+) -> None:
+    assert train(index, tmp_path / "same", ONE, init=trained, figures=False).notices == []
+    log = index.parent / "toy.mcap"
+    other = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0, seed=9)).path
+    [notice] = train(other, tmp_path / "other", ONE, init=trained, figures=False).notices
+    assert "good has learnt from" in notice
+
+
+def test_the_last_epoch_can_be_asked_for_instead_of_the_best(index: Path, tmp_path: Path) -> None:
+    train(index, tmp_path / "run", replace(TINY, epochs=1), figures=False)
+    last, best = load_pilot(tmp_path / "run" / "last"), load_pilot(tmp_path / "run")
+    picture = best.crop(np.zeros((160, 320, 3), np.uint8))
+    assert last.predict(picture) == best.predict(picture)
+    assert (best.run, last.run) == ("run", "run-last")
+    assert last.weights_sha256 != best.weights_sha256  # of the file
+
+
+def test_a_gpu_that_is_not_there_is_one_line(index: Path, tmp_path: Path) -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(RunError, match="--device cuda: PyTorch finds no GPU here; give --device cpu"):
+        train(index, tmp_path / "run", TrainConfig(device="cuda"))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"training": {"epochs": 1, "widgets": 3}}, "unknown settings: widgets"),
+        ({"training": {"epochs": 0}}, "epochs"),
+        ({"training": []}, "cannot be used"),
+        ({"data": {}}, "does not say what"),
+        ({"format": 99}, "of format 99"),
+    ],
+)
+def test_a_config_that_cannot_be_gone_on_with_is_named(
+    index: Path, trained: Path, tmp_path: Path, change: dict[str, Any], says: str
+) -> None:
+    run = Path(shutil.copytree(trained, tmp_path / "run"))
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | change))
+    with pytest.raises(RunError, match=says) as caught:
+        train(index, run, resume=True)
+    assert "config.json" in str(caught.value)
+
+
+def test_a_log_that_changed_since_is_named(index: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(index.parent, tmp_path / "copy"))
+    write_log(folder / "other.mcap", STEERING[:30], road, cameras=["center"]).replace(folder / "toy.mcap")
+    with pytest.raises(DatasetError, match=r"toy\.mcap: has changed since"):
+        train(folder / "index", tmp_path / "run", ONE)
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--name", "good"], "good: exists already; give another --name, or go on with it: `bc-train --resume"),
+        (["--init", "nobody"], "nobody: no trained run there"),
+        (["--init", "damaged"], "config.json: cannot be read"),
+        (["--tensorboard"], "--tensorboard needs TensorBoard: install it with"),
+        (["--viewer"], "--viewer: the viewer is not installed here"),
+    ],
+)
+def test_what_can_fail_at_once_fails_before_an_index_is_built(
+    index: Path,
+    trained: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[str],
+    says: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for package in ("torch.utils.tensorboard", "rerun"):
+        monkeypatch.setitem(sys.modules, package, None)
+    shutil.copytree(trained, Path("runs") / "good")
+    shutil.copytree(trained, Path("runs") / "damaged")
+    (Path("runs") / "damaged" / "config.json").write_text("{")
+    before = sorted(tmp_path.rglob("*"))
+    assert call(main, *flags, "--sessions", index.parent) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert says in line
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--epochs", 0], "--epochs 0: a whole number from 1 to 1,000,000 was expected"),
+        (["--micro-batch", -1], "--micro-batch -1: a whole number from 0"),
+        (["--picture-memory-mb", -1], "--picture-memory-mb -1: a whole number from 0"),
+        (["--rate", 0], "--rate 0: a number above 0"),
+        (["--dropout", 1], "--dropout 1: a number from 0 to 1"),
+        (["--name", "a/b"], "--name 'a/b': a plain name was expected"),
+        (["--resume", "a", "--name", "b"], "a: no run there"),
+    ],
+)
+def test_bad_usage_names_the_flag(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[object],
+    says: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    assert call(main, *flags) == (1 if "--resume" in flags else 2)
+    assert says in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_is_full_names_the_file_and_the_way_on(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    flags = ["--batch", 8, "--threads", 1, "--precision", "float32"]
+    assert call(main, "--name", "first", "--epochs", 1, *flags, *places) == 0
+    capsys.readouterr()
+    with files_of_at_most(30_000_000):
+        assert call(main, "--resume", "first", "--epochs", 2, "--runs", tmp_path) == 1
+    hint, error = capsys.readouterr().err.splitlines()
+    path = tmp_path / "first" / "last" / "checkpoint.safetensors"
+    assert error == f"bc-train: {path}: cannot be written (File too large); make room"
+    assert hint.endswith(f"go on with `bc-train --resume {tmp_path / 'first'}`")
+    with files_of_at_most(10):
+        assert call(main, "--name", "second", *flags, *places) == 1
+    assert "second/config.json: cannot be written (File too large); make room" in capsys.readouterr().err
+    assert not (tmp_path / "second").exists()

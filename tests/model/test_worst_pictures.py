@@ -1,0 +1,153 @@
+"""The frames held out at which a network is worst after each epoch: found, kept in the run, and shown."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from dataset import Samples, decode, preprocess
+from logs import START_NS, STEP_NS
+from model import Epoch, train
+from model.runs.history import read_history
+from recorder.log.topics import Camera
+from rrd import contents, view_names
+from toy import STEERING, TINY, road, toy_index
+from udacity import call
+from viz.cli import main
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("worst")
+    train(toy_index(folder), folder / "run", TINY, figures=False, show_progress=False)
+    return folder
+
+
+def held_out(here: Path) -> list[int]:
+    samples = Samples(here / "index")
+    samples.close()
+    return [row["row"] for row in samples.table.to_pylist() if row["split"] == "validation"]
+
+
+def lines(run: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (run / "worst.jsonl").read_text().splitlines()]
+
+
+def test_each_epoch_has_its_worst_frames_of_those_held_out(here: Path) -> None:
+    for line, epoch in zip(lines(here / "run"), read_history(here / "run")[0].epochs, strict=True):
+        assert line["epoch"] == epoch.epoch
+        errors = [abs(frame["error_deg"]) for frame in line["frames"]]
+        assert errors == sorted(errors, reverse=True)
+        assert errors[0] >= epoch.measures.network.rmse_deg
+        for frame in line["frames"]:
+            assert frame["row"] in held_out(here)
+            assert frame["recorded_deg"] == pytest.approx(25 * STEERING[frame["row"]])
+            assert frame["log_time_ns"] == START_NS + frame["row"] * STEP_NS
+
+
+def test_the_pictures_are_what_the_network_saw_there(here: Path) -> None:
+    history, skipped = read_history(here / "run")
+    assert len(skipped) == 0
+    assert len(history.worst) == TINY.epochs
+    for worst in history.worst:
+        assert worst.jpegs
+        for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
+            seen = preprocess(decode(road("center", frame.row)))
+            assert np.abs(decode(jpeg).astype(int) - seen).mean() < 3  # a JPEG of it
+
+
+def test_the_viewer_gets_them_with_each_epoch(here: Path, tmp_path: Path) -> None:
+    assert call(main, here / "run", "--save", tmp_path / "x.rrd") == 0
+    found, history = contents(tmp_path / "x.rrd"), read_history(here / "run")[0]
+    count = len(history.worst[0].frames)
+    for number in range(count):
+        blobs = [bytes(blob[0]) for blob in found[f"/worst/{number + 1}"]["EncodedImage:blob"] if blob]
+        assert blobs == [worst.jpegs[number] for worst in history.worst]
+        for name in ("recorded", "predicted"):
+            arcs = [strip[0] for strip in found[f"/worst/{number + 1}/{name}"]["LineStrips2D:strips"] if strip]
+            sides = [arc[-1][0] - 64 for arc in arcs]
+            told = [getattr(worst.frames[number], f"{name}_deg") for worst in history.worst]
+            assert np.sign(sides).tolist() == np.sign(told).tolist()
+    words = [text[0] for text in found["/worst/words"]["TextDocument:text"] if text]
+    assert [text.split("\n")[0] for text in words] == [f"epoch {epoch}" for epoch in (1, 2, 3, 4)]
+    assert f"toy row {history.worst[0].frames[0].row}: " in words[0]
+    assert found["/worst/words"]["epoch"] == [1, 2, 3, 4]
+    assert {"worst 1", "worst 6", "worst frames held out"} <= view_names(tmp_path / "x.rrd")
+
+
+def test_a_picture_that_does_not_decode_moves_no_other_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = held_out(toy_index(tmp_path).parent)[0]
+
+    def picture(camera: Camera, row: int) -> bytes:
+        return b"no picture" if row == broken else road(camera, row)
+
+    (tmp_path / "toy.mcap").unlink()
+    monkeypatch.setattr("toy.road", picture)
+    train(toy_index(tmp_path), tmp_path / "run", TINY, figures=False, show_progress=False)
+    for worst in read_history(tmp_path / "run")[0].worst:
+        for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
+            assert frame.row != broken
+            assert np.abs(decode(jpeg).astype(int) - preprocess(decode(road("center", frame.row)))).mean() < 3
+
+
+def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
+    index = toy_index(tmp_path)
+    train(index, tmp_path / "run", TINY, figures=False, show_progress=False)
+    more = type(TINY)(**{**TINY.as_dict(), "epochs": 5})
+    train(index, tmp_path / "run", more, resume=True, figures=False, show_progress=False)
+    assert [line["epoch"] for line in lines(tmp_path / "run")] == [1, 2, 3, 4, 5]
+
+
+def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`read_history` takes no file of any size."""
+    monkeypatch.setattr("model.training.loop.MOST_WORST_BYTES", 40_000)
+    config = type(TINY)(**{**TINY.as_dict(), "epochs": 12})
+    train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
+    history, skipped = read_history(tmp_path / "run")
+    assert len(skipped) == 0
+    assert [epoch.epoch for epoch in history.epochs] == list(range(1, 13))
+    kept = [worst.epoch for worst in history.worst]
+    assert kept == list(range(kept[0], 13))
+    assert 1 < kept[0] < 12
+    assert (tmp_path / "run" / "worst.jsonl").stat().st_size < 2 * 40_000
+
+
+def test_lines_that_no_training_writes_are_skipped_and_named(here: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("metrics.jsonl", "steps.jsonl"):
+        (run / name).write_bytes((here / "run" / name).read_bytes())
+    good = lines(here / "run")
+    frame = good[1]["frames"][0]
+    _, bomb = cv2.imencode(".png", np.zeros((5000, 5000), np.uint8))  # few bytes, many pixels
+    wrong = (
+        {"epoch": 2, "frames": [{**frame, "jpeg": base64.b64encode(bomb.tobytes()).decode()}]},
+        {"epoch": 2, "frames": [{**frame, "jpeg": "no base64"}]},
+        {"epoch": 2, "frames": [{**frame, "jpeg": "bm8gcGljdHVyZQ=="}]},
+        {"epoch": 2, "frames": [{**frame, "row": -1}]},
+        {"epoch": 2, "frames": [{**frame, "error_deg": None}]},
+        {"epoch": 2, "frames": [{**frame, "session": 7}]},
+        {"epoch": 2, "frames": [frame] * 7},
+        {"epoch": 2, "frames": 3},
+        {"epoch": 1, "frames": []},
+    )
+    (run / "worst.jsonl").write_text("".join(json.dumps(line) + "\n" for line in (good[0], *wrong, good[1])))
+    history, skipped = read_history(run)
+    assert [worst.epoch for worst in history.worst] == [1, 2]
+    assert [name for _, name in skipped] == [f"worst.jsonl line {2 + number}" for number in range(len(wrong))]
+
+
+def test_a_run_of_before_is_shown_without(here: Path, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "metrics.jsonl").write_bytes((here / "run" / "metrics.jsonl").read_bytes())
+    history, _ = read_history(tmp_path / "run")
+    assert history.worst == ()
+    assert all(isinstance(epoch, Epoch) for epoch in history.epochs)

@@ -1,0 +1,306 @@
+"""Every chunk of our logs has a CRC: one of 0, MCAP's "there is none", is damage. Others' logs may do without."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.schema import register_schema
+
+from dataset.cli import main as bc_index
+from drive.evaluation.eval_cli import main as bc_eval
+from driving import run, untrained_run
+from logs import write_log
+from model.cli import main as bc_train
+from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
+from plain_mcap import contents, write_plain
+from recorder import Log, LogError
+from recorder.bc_pb2 import VehicleState
+from recorder.cli import main as bc_record
+from recorder.log.check import check, is_whole
+from recorder.log.edit import merge, split, trim, trim_times
+from recorder.log.recover import recover
+from recorder.log.topics import Camera
+from recorder.log_cli import main as bc_log
+from udacity import call, jpeg
+from viz.cli import main as bc_play
+
+DATA_END = 0x0F
+CRC_AT = 33  # within a chunk: opcode, length, two times, size, CRC
+WITHOUT = "written without CRCs: whether it is damaged cannot be told"
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    return jpeg(60 + row, row + 1)
+
+
+def without_crc(path: Path, number: int) -> Path:
+    """A chunk's CRC becomes 0, and a bit in the middle of the picture that it ends with is flipped."""
+    chunk = contents(path).chunks[number]
+    data = bytearray(path.read_bytes())
+    data[chunk.start + CRC_AT : chunk.start + CRC_AT + 4] = bytes(4)
+    data[(chunk.start + chunk.end) // 2] ^= 1
+    path.write_bytes(data)
+    return path
+
+
+def place_of(path: Path, number: int) -> tuple[int, int]:
+    with Log(path) as log:
+        return log.chunks[number].start, log.chunks[number].end
+
+
+@pytest.fixture
+def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Forty rows in chunks of a few pictures; the fourth one has no CRC, and a wrong bit."""
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 20_000)
+    return without_crc(write_log(tmp_path / "a.mcap", [0.0, 0.25] * 20, picture), 3)
+
+
+READERS: dict[str, Callable[[Path, Path], object]] = {
+    "trim": lambda path, to: trim(path, to, (0, 39)),
+    "trim by time": lambda path, to: trim_times(path, to, 0, 9),
+    "merge": lambda path, to: merge([path, path], to),
+    "split": lambda path, to: split(path, to),
+    "frames": lambda path, to: asked(path, Log.frames),
+    "vehicle": lambda path, to: asked(path, Log.vehicle),
+}
+
+
+def asked(path: Path, what: Callable[[Log], object]) -> None:
+    with Log(path) as log:
+        what(log)
+
+
+@pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
+def test_no_reader_believes_a_chunk_without_its_crc(
+    forged: Path, tmp_path: Path, reader: Callable[[Path, Path], object]
+) -> None:
+    with pytest.raises(LogError, match=r"a\.mcap: damaged: .*CRC.*bc-log recover"):
+        reader(forged, tmp_path / "new.mcap")
+    assert list(tmp_path.iterdir()) == [forged]
+
+
+def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
+    """Not even where its place is known from before, as an index keeps it."""
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
+    with Log(path) as log:
+        frame = log.frames().to_pylist()[0]
+    without_crc(path, 0)
+    with Log(path) as log, pytest.raises(LogError, match="CRC"):
+        log.read(frame["offset"], frame["length"], frame["chunk"])
+
+
+def test_the_commands_say_so(forged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    start, end = place_of(forged, 3)
+    assert call(bc_index, forged, "--index", tmp_path / "index") == 1
+    assert "a.mcap: damaged" in capsys.readouterr().err
+    assert not (tmp_path / "index" / "samples.parquet").exists()
+    done = run("bc-play", forged, "--save", tmp_path / "a.rrd")
+    assert (done.returncode, "a.mcap: damaged" in done.stderr) == (1, True)
+    assert not (tmp_path / "a.rrd").exists()
+    assert ("damaged chunks", f"bytes {start:,} to {end:,}") in check(forged).findings
+
+
+def test_recovering_gives_it_no_new_crc(forged: Path, tmp_path: Path) -> None:
+    start, end = place_of(forged, 3)
+    written = recover(forged, tmp_path / "b.mcap")
+    assert ("damaged chunks", f"bytes {start:,} to {end:,}") in list(written.skipped)
+    whole = write_log(tmp_path / "whole.mcap", [0.0, 0.25] * 20, picture)
+    recovered, recorded = contents(written.path).messages, contents(whole)
+    lost = {message.sequence for message in recorded.chunks[3].messages}  # nothing is kept of a row in the hole
+    assert set(recovered) == {message for message in recorded.messages if message.sequence not in lost}
+
+
+def test_a_killed_recording_is_read_without_it(forged: Path) -> None:
+    start, end = place_of(forged, 3)
+    part = forged.with_name("a.mcap.0a1b2c.part")
+    part.write_bytes(forged.read_bytes()[: place_of(forged, -1)[1]])
+    with Log(part) as log:
+        assert start not in [chunk.start for chunk in log.chunks]
+        assert any(lost_from <= start and end <= lost_to for lost_from, lost_to in log.lost)
+        assert len(log.frames())
+
+
+def test_the_summary_and_attachments_have_one_too(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    data = bytearray(path.read_bytes())
+    data[-12:-8] = bytes(4)  # of the summary, before the magic bytes
+    data[data.rindex(b"/camera/right") + 8] ^= 1
+    path.write_bytes(data)
+    with Log(path) as log:
+        assert "damaged" in log.problem
+        assert {channel.topic for channel in log.channels.values()} >= {"/camera/right"}
+
+    other = write_mcap(tmp_path / "other.mcap", DRIVE)
+    with_note = tmp_path / "note.mcap"
+    add_attachment(other, b"hello")
+    recover(other, with_note)
+    note = bytearray(with_note.read_bytes())
+    at = note.index(b"hello")
+    note[at], note[at + 5 : at + 9] = ord("j"), bytes(4)
+    with_note.write_bytes(note)
+    with Log(with_note) as log, pytest.raises(LogError, match="CRC"):
+        log.attachment(log.attachments[0])
+
+
+def without_data_crc(path: Path) -> Path:
+    data = bytearray(path.read_bytes())
+    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    assert data[summary_start - 13] == DATA_END
+    assert any(data[summary_start - 4 : summary_start])
+    data[summary_start - 4 : summary_start] = bytes(4)
+    path.write_bytes(data)
+    return path
+
+
+def test_the_data_section_has_one_too(tmp_path: Path) -> None:
+    path = without_data_crc(write_log(tmp_path / "a.mcap", [0.0, 0.25] * 20, picture))
+    assert [kind for kind, _ in check(path).findings] == ["CRC of all data does not hold"]
+    assert not is_whole(path)
+
+
+def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) -> None:
+    """They have the version number of later ones, but no bc.quality, which came with that CRC."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.NONE)
+        writer.start(profile="bc", library="behavioural-cloning-toolkit 0.1.0")
+        writer.add_metadata("bc.session", {"source": "test", "toolkit": "0.1.0"})
+        image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))
+        state = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
+        for row in range(9):
+            message = CompressedImage(data=picture("center", row), format="jpeg").SerializeToString()
+            writer.add_message(image, row * 10**8, message, row * 10**8, row)
+            data = VehicleState(steering=row / 10, throttle=0.5).SerializeToString()
+            writer.add_message(state, row * 10**8, data, row * 10**8, row)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert check(path).findings == []
+    assert is_whole(path)
+
+
+def add_attachment(path: Path, content: bytes) -> None:
+    """Before the end of the data, of which this file's writer keeps no CRC; the end itself then makes no sense."""
+    data = path.read_bytes()
+    end = data.index(struct.pack("<BQI", 15, 4, 0))
+    body = struct.pack("<QQIIQ", 1, 1, 0, 0, len(content)) + content
+    path.write_bytes(data[:end] + struct.pack("<BQ", 9, len(body) + 4) + body + bytes(4) + data[end:])
+
+
+def test_a_message_outside_of_chunks_is_none_of_ours(tmp_path: Path) -> None:
+    """No CRC covers it."""
+    path = write_plain(tmp_path / "a.mcap", CompressionType.NONE, range(3), use_chunking=False)
+    with Log(path) as log:
+        assert len(log.frames()) == 3
+    data = path.read_bytes()
+    (length,) = struct.unpack_from("<Q", data, 9)
+    ours = struct.pack("<BQ", 1, 10) + struct.pack("<I", 2) + b"bc" + bytes(4)
+    path.write_bytes(data[:8] + ours + data[17 + length :])
+    with Log(path) as log:
+        assert log.lost
+        assert len(log.frames()) == 0
+
+
+# Other programs' logs
+
+
+def test_of_another_program_s_log_it_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_mcap(tmp_path / "other.mcap", DRIVE, enable_crcs=False, compression=CompressionType.NONE)
+    told = f"{path}: {WITHOUT}\n"
+    new = tmp_path / "new.mcap"
+    lines: list[list[object]] = [
+        ["check", path],
+        ["trim", path, "--to", new, "--end", 1],
+        ["merge", path, path, "--to", new],
+        ["recover", path, "--to", new],
+    ]
+    for line in lines:
+        new.unlink(missing_ok=True)
+        assert call(bc_log, *line) == 0
+        assert capsys.readouterr().err.count(told) == 1 + (line[0] == "merge")
+    assert call(bc_log, "check", path, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["has_crcs"] is False
+    with_crcs = write_mcap(tmp_path / "with.mcap", DRIVE)
+    assert call(bc_log, "check", with_crcs) == 0
+    assert "without CRCs" not in capsys.readouterr().err
+
+
+def without_crcs(path: Path) -> Path:
+    """A log with our topics and messages that another program wrote."""
+    return write_plain(path, CompressionType.NONE, range(11), picture=jpeg(60, 1), enable_crcs=False)
+
+
+def test_who_shows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, other = without_crcs(tmp_path / "other.mcap"), without_crcs(tmp_path / "another.mcap")
+    assert call(bc_play, path, "--save", tmp_path / "a.rrd") == 0
+    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n"
+    assert call(bc_play, path, other, "--save", tmp_path / "b.rrd") == 0
+    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n{other}: {WITHOUT}\n"
+    ours = write_log(tmp_path / "ours.mcap", [0.1] * 5, picture)
+    assert call(bc_play, ours, "--save", tmp_path / "c.rrd") == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_who_makes_a_video_of_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("av")
+    path = without_crcs(tmp_path / "other.mcap")
+    assert call(bc_play, path, "--video", tmp_path / "a.mp4") == 0
+    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n"
+
+
+def test_who_follows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Once, at its end, whatever was found until then."""
+    part = tmp_path / "other.mcap.ab12cd.part"
+    whole = without_crcs(tmp_path / "other.mcap")
+    part.write_bytes(whole.read_bytes()[: contents(whole).chunks[-1].end])
+    whole.unlink()
+    assert call(bc_play, part, "--follow", "--save", tmp_path / "a.rrd") == 3  # it was never finished
+    assert capsys.readouterr().err.count(WITHOUT) == 1
+
+
+def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = without_crcs(tmp_path / "other.mcap")
+    line = [path, "--index", tmp_path / "index", "--block-s", 0.5, "--gap-s", 0]
+    for _ in range(2):  # the second time it is not read
+        assert call(bc_index, *line) == 0
+        assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
+
+
+def test_a_training_and_an_evaluation_that_index_such_a_log_say_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "sessions").mkdir()
+    path = without_crcs(tmp_path / "sessions" / "other.mcap")
+    places = ["--sessions", tmp_path / "sessions", "--index", tmp_path / "index"]
+    assert (
+        call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", *places) == 3
+    )  # too short to hold a frame out
+    assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
+    run_folder = untrained_run(tmp_path / "untrained")
+    call(bc_eval, run_folder, "--session", path)
+    assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
+
+
+def test_an_import_of_such_a_log_says_so_and_its_log_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_mcap(tmp_path / "other.mcap", DRIVE, enable_crcs=False)
+    line = ["--from", path, "--image", CAMERA, "--steering", TOPICS.steering, "--sessions", tmp_path / "sessions"]
+    assert call(bc_record, "mine", *line) == 0
+    assert capsys.readouterr().err.count("written without CRCs") == 1
+    imported = contents(tmp_path / "sessions" / "mine.mcap")
+    assert any(b"written without CRCs" in message.data for message in imported.of("/events"))
+    assert len(imported.of("/camera/center")) == len(PICTURES)
+
+
+def test_a_log_without_chunks_is_checked_too(tmp_path: Path) -> None:
+    path = write_plain(tmp_path / "a.mcap", CompressionType.NONE, range(3), use_chunking=False)
+    checked = check(path, look=False)
+    assert (checked.messages, checked.findings, checked.has_crcs) == (6, [], False)

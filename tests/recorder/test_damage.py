@@ -1,0 +1,588 @@
+"""A damaged log: whatever byte is broken and wherever it is cut, what is given out is what was recorded.
+
+The logs are held against mcap's own reader. What no chunk's CRC covers: the log's first record (profile, library),
+the times in a chunk's header (nothing here reads them) and the metadata records, whose text may come back changed.
+The CRC of all data of a finished log covers them, and `bc-log check`, which reads the whole file, compares it.
+No CRC covers the messages of a file without chunks, which only other programs write.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+import tracemalloc
+import zlib
+from collections import Counter
+from pathlib import Path
+
+import lz4.frame
+import pyarrow as pa
+import pytest
+import zstandard
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from mcap.writer import CompressionType
+
+from common import UserError
+from logs import write_log
+from plain_mcap import Contents, Stored, contents, write_plain
+from recorder import Log, LogError, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log import mcap_file
+from recorder.log.check import check
+from recorder.log.recover import recover
+from recorder.log.topics import VEHICLE
+
+MAGIC_BYTES = 8
+MASKS = (0xFF, 0x01)
+CHUNK_TO_MESSAGE = 0x03  # between their opcodes
+
+Given = tuple[str, int, int, object]  # camera or "vehicle", row, log time, what it was
+
+
+@pytest.fixture
+def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two rows in three chunks."""
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    path = write_log(tmp_path / "whole.mcap", [0.25, -0.5], cameras=("center",))
+    assert [len(chunk.messages) for chunk in contents(path).chunks] == [1, 1, 2]
+    return path
+
+
+def recorded_in(messages: list[Stored]) -> set[Given]:
+    """What Log should make of these messages."""
+    found: set[Given] = set()
+    for message in messages:
+        if message.topic == VEHICLE:
+            state = VehicleState.FromString(message.data)
+            found.add(("vehicle", message.sequence, message.log_time, (state.steering, state.speed_mph)))
+        else:
+            picture = CompressedImage.FromString(message.data).data
+            found.add((message.topic.removeprefix("/camera/"), message.sequence, message.log_time, picture))
+    return found
+
+
+def given_out(path: Path) -> set[Given]:
+    """Every state and picture that Log gives out of a file; nothing but a LogError may stop it."""
+    found: set[Given] = set()
+    with contextlib.suppress(LogError), Log(path) as log:
+        ask_for_the_rest(log)
+        with contextlib.suppress(LogError):
+            for state in log.vehicle().to_pylist():
+                found.add(("vehicle", state["row"], state["log_time_ns"], (state["steering"], state["speed_mph"])))
+        with contextlib.suppress(LogError):
+            for frame in log.frames().to_pylist():
+                with contextlib.suppress(LogError):
+                    picture = log.read(frame["offset"], frame["length"], frame["chunk"])
+                    found.add((frame["camera"], frame["row"], frame["log_time_ns"], picture))
+    return found
+
+
+def ask_for_the_rest(log: Log) -> None:
+    parts = (
+        lambda: log.metadata,
+        lambda: log.counts,
+        lambda: log.time_range_ns,
+        lambda: log.fingerprint,
+        lambda: log.notice,
+        lambda: list(log.commands()),
+    )
+    for part in parts:
+        with contextlib.suppress(LogError):
+            part()
+
+
+def recovered(path: Path) -> Contents | None:
+    """The log recovered from `path`, as mcap's reader sees it with every CRC checked; None if there is none."""
+    to = path.with_name("recovered.mcap")
+    to.unlink(missing_ok=True)
+    try:
+        written = recover(path, to)
+    except UserError:
+        assert not to.exists()
+        return None
+    found = contents(to)
+    assert written.messages == len(found.messages)
+    return found
+
+
+def wrong_in_recovered(path: Path, truth: list[Stored], least: list[Stored]) -> list[str]:
+    """What a recovered log has that was never recorded, or lacks though it was whole in the damaged one."""
+    found = recovered(path)
+    kept = set() if found is None else set(found.messages)
+    return [f"recovered {m}" for m in kept - set(truth)] + [f"did not recover {m}" for m in set(least) - kept]
+
+
+def overwrite(path: Path, position: int, value: int) -> None:
+    with path.open("rb+", buffering=0) as stream:
+        stream.seek(position)
+        stream.write(bytes([value]))
+
+
+def complaints_of_flips(path: Path, positions: range, recover_every: int) -> list[str]:
+    """Flip the bytes of a sound log one by one, and say where that made anything wrong."""
+    whole, original = path.read_bytes(), contents(path)
+    truth = recorded_in(original.messages)
+    damaged = path.with_name("damaged.mcap")
+    damaged.write_bytes(whole)
+    chunk_starts = {chunk.start for chunk in original.chunks}
+    complaints = []
+    for position in positions:
+        hit = [m.sequence for c in original.chunks if c.start <= position < c.end for m in c.messages]
+        untouched = [m for m in original.messages if m.sequence not in hit]  # a row is kept whole
+        least = [] if position < MAGIC_BYTES else untouched
+        for mask in (*MASKS, CHUNK_TO_MESSAGE) if position in chunk_starts else MASKS:
+            overwrite(damaged, position, whole[position] ^ mask)
+            found = [f"gave out {wrong}" for wrong in given_out(damaged) - truth]
+            if position % recover_every == 0 or position in chunk_starts:
+                found += wrong_in_recovered(damaged, original.messages, least)
+            complaints += [f"byte {position} ^ {mask:#x}: {what}" for what in found]
+        overwrite(damaged, position, whole[position])
+    return complaints
+
+
+def complaints_of_cuts(path: Path, lengths: range, recover_every: int) -> list[str]:
+    """Cut a sound log at many lengths, and say where what came back is not exactly what was complete."""
+    whole, original = path.read_bytes(), contents(path)
+    cut = path.with_name("cut.mcap")
+    cut.write_bytes(whole)
+    complaints = []
+    for length in reversed(lengths):
+        os.truncate(cut, length)
+        complete = [message for chunk in original.chunks if chunk.end <= length for message in chunk.messages]
+        found = given_out(cut)
+        what = [] if found == recorded_in(complete) else [f"{len(complete)} are complete, gave out {found}"]
+        if length % recover_every == 0 or any(abs(length - chunk.end) < 2 for chunk in original.chunks):
+            # a chunk that lacks only the end of its compressed frame unpacks to what its CRC tells
+            what += wrong_in_recovered(cut, original.messages, complete)
+        complaints += [f"cut at {length}: {one}" for one in what]
+        if length >= MAGIC_BYTES:
+            with Log(cut) as log:
+                if not log.problem or str(cut) not in log.notice:
+                    complaints.append(f"cut at {length}: no notice")
+    return complaints
+
+
+def test_no_byte_that_is_flipped_makes_a_log_give_out_anything_wrong(whole: Path) -> None:
+    assert complaints_of_flips(whole, range(whole.stat().st_size), recover_every=13) == []
+
+
+def test_wherever_a_log_is_cut_all_complete_chunks_are_read(whole: Path) -> None:
+    assert complaints_of_cuts(whole, range(whole.stat().st_size), recover_every=13) == []
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_the_same_holds_for_compressed_logs(tmp_path: Path, compression: CompressionType) -> None:
+    path = write_plain(tmp_path / "whole.mcap", compression, range(3))
+    size = path.stat().st_size
+    assert len(contents(path).chunks) == 2
+    assert complaints_of_flips(path, range(0, size, 5), recover_every=11) == []
+    assert complaints_of_cuts(path, range(0, size, 5), recover_every=11) == []
+
+
+def test_a_killed_recording_of_which_any_byte_is_broken_loses_one_chunk_at_most(whole: Path) -> None:
+    """Without an end that tells where the chunks are, those behind the damage are searched for.
+
+    A topic is described in the chunk of its first message, and nobody knows what follows on it without that.
+    """
+    original = contents(whole)
+    end = original.chunks[-1].end
+    first = {message.topic: message for message in reversed(original.messages)}
+    chunk_starts = {chunk.start for chunk in original.chunks}
+    data = whole.read_bytes()[:end]
+    killed = whole.with_name("killed.mcap")
+    complaints = []
+    for position in range(MAGIC_BYTES, end):
+        damaged = bytearray(data)
+        damaged[position] ^= MASKS[position % 2] if position not in chunk_starts else CHUNK_TO_MESSAGE
+        killed.write_bytes(damaged)
+        hit = [message for c in original.chunks if c.start <= position < c.end for message in c.messages]
+        undescribed = {topic for topic, message in first.items() if message in hit}
+        least = [m for m in original.messages if m not in hit and m.topic not in undescribed]
+        found = given_out(killed)
+        if not recorded_in(least) <= found <= recorded_in(original.messages):
+            complaints.append(f"byte {position}: gave out {found}, whole are {least}")
+    assert complaints == []
+
+
+def test_what_a_recovery_leaves_out_is_named(whole: Path) -> None:
+    middle = contents(whole).chunks[1]
+    data = bytearray(whole.read_bytes())
+    data[middle.end - 1] ^= 1
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(data)
+    with Log(path) as log, pytest.raises(LogError, match=r"damaged\.mcap: damaged.*CRC.*bc-log recover"):
+        log.frames()
+    written = recover(path, whole.with_name("recovered.mcap"))
+    assert list(written.skipped) == [
+        ("messages of a row of which the rest is lost", "/camera/center row 0"),
+        ("damaged chunks", f"bytes {middle.start:,} to {middle.end:,}"),
+    ]
+    assert written.notices == [f"{path}: lost in all: 1 of 4 messages"]
+
+
+def test_broken_metadata_costs_a_recovery_nothing_else(whole: Path) -> None:
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(whole.read_bytes().replace(b"\x06\x00\x00\x00source", b"\xff\xff\x00\x00source"))
+    written = recover(path, whole.with_name("recovered.mcap"))
+    assert contents(written.path).messages == contents(whole).messages
+    assert list(written.skipped.counts) == ["damaged metadata records"]
+
+
+def test_damage_that_only_the_crc_of_all_data_shows_is_told(whole: Path) -> None:
+    """No other CRC covers metadata: nobody knows what it was."""
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(whole.read_bytes().replace(b"\x04\x00\x00\x00test", b"\x04\x00\x00\x00tesu"))
+    assert [kind for kind, _ in check(path, look=False).findings if "CRC" in kind]
+    written = recover(path, whole.with_name("recovered.mcap"))
+    assert contents(written.path).messages == contents(whole).messages
+    assert not len(written.skipped)
+    assert ["metadata, or what describes topics, may be wrong" in notice for notice in written.notices] == [True]
+    assert not len(recover(whole, whole.with_name("copy.mcap")).skipped)
+
+
+def test_a_file_in_which_nothing_is_whole_is_not_recovered(whole: Path) -> None:
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(whole.read_bytes()[: contents(whole).chunks[0].end - 1])
+    with pytest.raises(LogError, match=r"damaged\.mcap: not one whole message"):
+        recover(path, whole.with_name("recovered.mcap"))
+    assert not whole.with_name("recovered.mcap").exists()
+
+
+def test_a_log_without_chunks_has_a_fingerprint_of_its_pictures(tmp_path: Path) -> None:
+    """Only other programs write such files; no CRC tells one picture from another there."""
+
+    def fingerprint(picture: bytes) -> str:
+        path = tmp_path / f"{picture[:3].decode()}.mcap"
+        write_plain(path, CompressionType.NONE, range(3), use_chunking=False, picture=picture)
+        with Log(path) as log:
+            assert log.counts == {"/camera/center": 3, "/vehicle": 3}
+            return log.fingerprint
+
+    assert fingerprint(b"one" + bytes(500) + b"1") != fingerprint(b"two" + bytes(500) + b"1")
+    assert fingerprint(b"one" + bytes(500) + b"1") != fingerprint(b"one" + bytes(500) + b"2")
+
+
+def test_a_chunk_that_has_become_a_message_is_none(tmp_path: Path) -> None:
+    """Its start time stands where a message has its channel: here that is one which exists.
+
+    A recovery finds what it was.
+    """
+    whole = tmp_path / "whole.mcap"
+    with LogWriter(whole, {}) as writer:
+        for row in range(3):
+            writer.picture("center", 1, row, b"picture")
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(whole.read_bytes())
+    overwrite(path, contents(whole).chunks[0].start, 5)
+    assert given_out(path) == set()
+    recover(path, whole.with_name("recovered.mcap"))
+    assert contents(whole.with_name("recovered.mcap")).messages == contents(whole).messages
+
+
+HEADER_BYTES = 49  # of an uncompressed chunk
+CRC_BYTES = range(33, 37)
+MESSAGE_INDEX = 0x07
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+def test_a_chunk_whose_header_alone_is_damaged_is_recovered(whole: Path, is_killed: bool) -> None:
+    """Its CRC is of its records, and a header says in several ways how long they are."""
+    original = contents(whole)
+    data = whole.read_bytes()[: original.chunks[-1].end if is_killed else None]
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    complaints = []
+    for chunk in original.chunks:
+        for at in {*range(HEADER_BYTES)} - {*CRC_BYTES}:
+            position = chunk.start + at
+            damaged.write_bytes(data[:position] + bytes([data[position] ^ 0x41]) + data[position + 1 :])
+            written = recover(damaged, to, overwrite=True)
+            if contents(to).messages != original.messages or len(written.skipped):
+                complaints.append((chunk.start, at, list(written.skipped)))
+    assert complaints == []
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_compressed_chunks_are_recovered_too(tmp_path: Path, compression: CompressionType) -> None:
+    path = write_plain(tmp_path / "whole.mcap", compression, range(3))
+    original, data = contents(path), path.read_bytes()
+    chunk = original.chunks[0]
+    damaged, to = path.with_name("damaged.mcap"), path.with_name("recovered.mcap")
+    for at in {*range(HEADER_BYTES + len(compression.name))} - {*CRC_BYTES}:
+        position = chunk.start + at
+        damaged.write_bytes(data[:position] + bytes([data[position] ^ 0x41]) + data[position + 1 :])
+        recover(damaged, to, overwrite=True)
+        assert contents(to).messages == original.messages, at
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+def test_chunks_that_have_changed_places_are_put_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_killed: bool
+) -> None:
+    """Whatever lies between them has then moved too, where they are not of one length."""
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    lengths = [50, 90, 40, 20, 70, 70, 30, 60]
+    whole = write_log(
+        tmp_path / "whole.mcap", [0.1] * 8, lambda camera, row: bytes([row]) * lengths[row], cameras=("center",)
+    )
+    original, data = contents(whole), whole.read_bytes()
+    chunks = original.chunks
+    assert len(chunks) > 4
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    for i, j in [(0, 1), (0, 3), (1, 3), (1, len(chunks) - 1)]:
+        one, two = chunks[i], chunks[j]
+        parts = [(0, one.start), (two.start, two.end), (one.end, two.start), (one.start, one.end), (two.end, None)]
+        swapped = b"".join(data[start:end] for start, end in parts)
+        damaged.write_bytes(swapped[: chunks[-1].end] if is_killed else swapped)
+        recover(damaged, to, overwrite=True)
+        assert Counter(contents(to).messages) == Counter(original.messages), (i, j)
+        assert check(to, look=False).findings == []
+
+
+def with_indexes(data: bytes, start: int, end: int) -> tuple[int, int]:
+    """Where a chunk begins, and where the indexes of its messages end, which lie behind it."""
+    while data[end] == MESSAGE_INDEX:
+        end += 9 + int.from_bytes(data[end + 1 : end + 9], "little")
+    return start, end
+
+
+def test_a_chunk_that_moved_with_its_indexes_is_found_though_the_summary_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may end behind all the places that the summary tells of its neighbours."""
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    lengths = [500, 90, 40, 900, 70, 70, 30, 60]
+    whole = write_log(
+        tmp_path / "whole.mcap", [0.1] * 8, lambda camera, row: bytes([row]) * lengths[row], cameras=("center",)
+    )
+    original, data = contents(whole), whole.read_bytes()
+    blocks = [with_indexes(data, chunk.start, chunk.end) for chunk in original.chunks]
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    complaints = []
+    for i, (a, b) in enumerate(blocks):
+        for j, (c, d) in enumerate(blocks[i + 1 :], start=i + 1):
+            damaged.write_bytes(data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:])
+            written = recover(damaged, to, overwrite=True)
+            if Counter(contents(to).messages) != Counter(original.messages) or len(written.skipped):
+                complaints.append((i, j, list(written.skipped)))
+    assert complaints == []
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+def test_a_chunk_that_is_there_twice_is_taken_once(whole: Path, is_killed: bool) -> None:
+    original, data = contents(whole), whole.read_bytes()
+    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
+    for chunk in original.chunks:
+        start, end = with_indexes(data, chunk.start, chunk.end)
+        rest = data[end : original.chunks[-1].end] if is_killed else data[end:]
+        damaged.write_bytes(data[:end] + data[start:end] + rest)
+        written = recover(damaged, to, overwrite=True)
+        assert contents(to).messages == original.messages
+        where = f"bytes {end:,} to {end + chunk.end - chunk.start:,}, as at {start:,}"
+        named = [(reason, place) for reason, place in written.skipped if not reason.startswith("stretches")]
+        assert named == [("repetitions of a chunk", where)]
+
+
+def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have no row: who merges a log with itself has them twice."""
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 10)
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        for _ in range(3):
+            writer.event(5, "braked")
+        writer.vehicle(6, 0, VehicleState(steering=0.1))
+    assert len(contents(path).chunks) == 4
+    recover(path, tmp_path / "b.mcap")
+    assert contents(tmp_path / "b.mcap").messages == contents(path).messages
+
+
+def test_where_rows_are_numbered_twice_chunks_stay_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        for number in range(20):
+            writer.vehicle(number, number % 10, VehicleState(steering=number / 20))
+    recover(path, tmp_path / "b.mcap")
+    assert contents(tmp_path / "b.mcap").messages == contents(path).messages
+
+
+def test_a_chunk_that_has_become_a_channel_is_none(tmp_path: Path) -> None:
+    """All that a channel has can be found in a chunk of a simulator's times, which begin at 0."""
+    lost = bytearray(chunk(b"hello", size=5, compression=b"", stored=b"hello"))
+    lost[0] = 4
+    path = unfinished(tmp_path / "a.mcap", struct.pack("<BQII", 1, 8, 0, 0), bytes(lost))
+    with Log(path) as log:
+        assert (log.channels, log.lost) == ({}, [(25, path.stat().st_size)])
+
+
+# Lies: lengths that nobody should believe
+
+
+def chunk(records: bytes, *, size: int, compression: bytes, stored: bytes, length: int | None = None) -> bytes:
+    """A chunk that tells `size` as its unpacked size, and perhaps another `length` than it has."""
+    header = struct.pack("<QQQI", 0, 0, size, zlib.crc32(records))
+    content = header + struct.pack("<I", len(compression)) + compression + struct.pack("<Q", len(stored)) + stored
+    return struct.pack("<BQ", 6, len(content) if length is None else length) + content
+
+
+def unfinished(path: Path, *parts: bytes) -> Path:
+    path.write_bytes(b"\x89MCAP0\r\n" + b"".join(parts))
+    return path
+
+
+def peak_bytes_of_reading(path: Path) -> int:
+    pa.table({"row": [1]}).sort_by("row")  # loads the rest of pyarrow
+    tracemalloc.start()
+    try:
+        given_out(path)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+GIGABYTE = 1 << 30
+
+
+@pytest.mark.parametrize("size", [8 * GIGABYTE, 1 << 20, 0])
+@pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
+def test_a_chunk_that_would_unpack_to_gigabytes_is_not_unpacked(
+    tmp_path: Path, size: int, compression: bytes
+) -> None:
+    """Whatever size it tells: the true one, a small one, none."""
+    zeros = bytes(1 << 24)
+    pack = zstandard.compress if compression == b"zstd" else lz4.frame.compress
+    bomb = pack(zeros)
+    if compression == b"zstd":  # frames in a row unpack to the sum of them
+        bomb *= 512
+    path = unfinished(tmp_path / "a.mcap", chunk(zeros, size=size, compression=compression, stored=bomb))
+    del zeros
+    assert peak_bytes_of_reading(path) < 1 << 24
+
+
+@pytest.mark.parametrize("opcode", [3, 4, 5, 6, 7, 9, 12, 0x80])
+def test_a_record_that_lies_about_its_length_takes_no_memory(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, opcode: int
+) -> None:
+    """The file is as long as the record says, but sparse."""
+    for module in ("chunks", "structure"):
+        monkeypatch.setattr(f"recorder.{module}.MAX_RECORD_BYTES", 1 << 20)
+    complete = contents(whole).chunks[-1]
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(whole.read_bytes()[: complete.end] + struct.pack("<BQ", opcode, 1 << 24))
+    os.truncate(path, path.stat().st_size + (1 << 24))
+    assert peak_bytes_of_reading(path) < 1 << 22
+    assert given_out(path) == recorded_in(contents(whole).messages)
+    with Log(path) as log:
+        assert log.lost == [(complete.end, path.stat().st_size)]
+
+
+def test_a_footer_that_points_far_back_takes_no_memory(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A summary of the size of the file is none."""
+    for module in ("chunks", "structure"):
+        monkeypatch.setattr(f"recorder.{module}.MAX_RECORD_BYTES", 1 << 20)
+    path = whole.with_name("damaged.mcap")
+    footer = struct.pack("<BQQQI", 2, 20, MAGIC_BYTES, 0, 1) + b"\x89MCAP0\r\n"
+    path.write_bytes(whole.read_bytes()[: contents(whole).chunks[-1].end])
+    with path.open("rb+") as stream:
+        stream.seek(1 << 24)
+        stream.write(footer)
+    assert peak_bytes_of_reading(path) < 1 << 22
+    assert given_out(path) == recorded_in(contents(whole).messages)
+
+
+def test_a_summary_with_a_bomb_in_it_is_not_unpacked(whole: Path) -> None:
+    zeros = bytes(1 << 26)
+    bomb = chunk(zeros, size=len(zeros), compression=b"zstd", stored=zstandard.compress(zeros))
+    del zeros
+    data = whole.read_bytes()
+    start = struct.unpack_from("<Q", data, len(data) - MAGIC_BYTES - 20)[0]
+    footer = struct.pack("<BQQQI", 2, 20, start, 0, 0) + b"\x89MCAP0\r\n"  # a CRC of 0: none
+    path = whole.with_name("damaged.mcap")
+    path.write_bytes(data[: -MAGIC_BYTES - 29] + bomb + footer)
+    assert peak_bytes_of_reading(path) < 1 << 24
+
+
+def test_a_file_full_of_chunks_that_lie_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each header promises a chunk up to the end of the file: reading them all could take hours."""
+    header = chunk(b"?", size=5, compression=b"", stored=b"")
+    total = MAGIC_BYTES + len(header) * 5000
+    ends = range(total - MAGIC_BYTES, 0, -len(header))
+    path = unfinished(tmp_path / "a.mcap", *(header[:1] + struct.pack("<Q", end - 9) + header[9:] for end in ends))
+    assert path.stat().st_size == total
+    read_bytes = 0
+    pread = os.pread
+
+    def counting(descriptor: int, length: int, offset: int) -> bytes:
+        nonlocal read_bytes
+        read_bytes += length
+        return pread(descriptor, length, offset)
+
+    monkeypatch.setattr("os.pread", counting)
+    with Log(path) as log:
+        assert (log.chunks, log.lost) == ([], [(MAGIC_BYTES, total)])
+    assert total < read_bytes < 100 * total
+
+
+def sizes_unpacked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """What compressed chunks are unpacked to from now on, in bytes."""
+    sizes: list[int] = []
+    unpack = mcap_file.unpack
+
+    def counting(stored: memoryview, compression: bytes, size: int) -> bytes:
+        sizes.append(size)
+        return unpack(stored, compression, size)
+
+    monkeypatch.setattr(mcap_file, "unpack", counting)
+    return sizes
+
+
+def test_a_file_full_of_bombs_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each chunk is of a few hundred bytes, unpacks to megabytes, and has another CRC than it tells."""
+    zeros = bytes(1 << 22)
+    bomb = chunk(b"?", size=len(zeros), compression=b"zstd", stored=zstandard.compress(zeros))
+    path = unfinished(tmp_path / "a.mcap", *[bomb] * 100)
+    sizes = sizes_unpacked(monkeypatch)
+    with Log(path) as log:
+        assert (log.chunks, log.lost) == ([], [(MAGIC_BYTES, path.stat().st_size)])
+    assert len(zeros) <= sum(sizes) < 8 * len(zeros)
+
+
+def test_a_file_full_of_bombs_whose_crcs_hold_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A megabyte of them would unpack to gigabytes."""
+    monkeypatch.setattr("recorder.log.mcap_file.MAX_CHUNK_BYTES", 1 << 22)
+    message = struct.pack("<BQHIQQ", 5, 22 + (1 << 21), 1, 0, 5, 5) + bytes(1 << 21)
+    bomb = chunk(message, size=len(message), compression=b"zstd", stored=zstandard.compress(message))
+    path = unfinished(tmp_path / "a.mcap", *[bomb] * 300)
+    sizes = sizes_unpacked(monkeypatch)
+    with Log(path) as log:
+        assert 0 < len(log.chunks) < 300
+        assert log.lost
+    assert sum(sizes) < 200 * path.stat().st_size + (1 << 23)
+
+
+@pytest.mark.parametrize("opcode", [0, 5, 0x80])
+def test_a_chunk_of_more_records_than_its_file_can_hold_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opcode: int
+) -> None:
+    """Records without content, or messages without any: unpacked, each takes Python's time."""
+    monkeypatch.setattr("recorder.log.mcap_file.FREE_MESSAGES", 1 << 10)
+    content = struct.pack("<HIQQ", 1, 0, 5, 5) if opcode == 5 else b""
+    records = (struct.pack("<BQ", opcode, len(content)) + content) * (1 << 14)
+    bomb = chunk(records, size=len(records), compression=b"zstd", stored=zstandard.compress(records))
+    path = unfinished(tmp_path / "a.mcap", bomb)
+    with Log(path) as log:
+        assert log.chunks == []
+
+
+def test_a_disk_that_gives_nothing_is_a_log_error(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failing disk: no other test can make one."""
+
+    def fail(*_: object) -> bytes:
+        raise OSError(5, "Input/output error")
+
+    with Log(whole) as log:
+        monkeypatch.setattr("os.pread", fail)
+        with pytest.raises(LogError, match=r"whole\.mcap: damaged: .*Input/output error"):
+            log.vehicle()

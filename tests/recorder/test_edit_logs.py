@@ -1,0 +1,548 @@
+"""New logs out of old ones hold what they should, message by message, and other programs find nothing wrong."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from common import UserError
+from logs import START_NS, STEP_NS, not_a_picture, write_log
+from plain_mcap import Contents, Stored, contents, write_plain
+from recorder import Log, LogError, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.check import check
+from recorder.log.edit import check_rows, merge, rows_between, split, trim, trim_times
+from recorder.log.recover import recover
+from recorder.log.tags import Tag, add_tag, read_tags, tags_path
+from recorder.log.topics import CAMERAS, ROW_TOPICS
+from udacity import jpeg
+from waiting import PATIENCE_S
+
+SECOND_NS = 1_000_000_000
+VERSION = version("behavioural-cloning-toolkit")
+
+
+def drive(path: Path, rows: Iterable[int], *, gap_after: int | None = None, name: str = "") -> Path:
+    """A drive with every kind of message; the events `begin` and `end` lie outside of its rows' time."""
+    with LogWriter(path, {"source": "test", "driver": name or path.stem}) as writer:
+        writer.event(START_NS - 1, f"begin {name}")
+        for row in rows:
+            time_ns = START_NS + row * STEP_NS
+            if gap_after is not None and row > gap_after:
+                time_ns += 10 * SECOND_NS
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, f"{name} {not_a_picture(camera, row)!r}".encode())
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 100, throttle=0.5, speed_mph=9.0))
+            writer.crop(time_ns, row, b"\x89PNG\r\n\x1a\n" + bytes([row]))
+            writer.command(time_ns, row, PilotCommand(steering=row / 50))
+            writer.pose(time_ns, row, PoseInFrame(frame_id="world"))
+            writer.event(time_ns, f"at row {row}")
+        writer.event(time_ns + 1, f"end {name}")
+        writer.add_metadata("bc.run", {"sha256": "abc"})
+    return path
+
+
+def killed(whole: Path) -> tuple[Path, list[Stored]]:
+    """What a kill leaves of this log, and the messages that are in it."""
+    found = contents(whole)
+    path = whole.with_name(f"{whole.name}.0a1b2c.part")
+    last = found.chunks[-1]
+    path.write_bytes(whole.read_bytes()[: last.end - 1])
+    return path, [message for chunk in found.chunks[:-1] for message in chunk.messages]
+
+
+def events_in(found: Contents) -> list[str]:
+    return [LogMessage.FromString(message.data).message for message in found.of("/events")]
+
+
+def numbered_on(messages: list[Stored], first: int) -> list[Stored]:
+    return [m._replace(sequence=m.sequence + first) if m.topic in ROW_TOPICS else m for m in messages]
+
+
+def tag(path: Path, *tags: tuple[int, int, str]) -> Path:
+    with Log(path) as log:
+        for one in tags:
+            add_tag(path, log.fingerprint, Tag(*one))
+    return path
+
+
+def tags_of(path: Path) -> list[tuple[int, int, str]]:
+    with Log(path) as log:
+        return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
+
+
+@pytest.fixture(autouse=True)
+def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 2048)
+
+
+# Recover
+
+
+def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20))
+    done = recover(whole, tmp_path / "b.mcap")
+    original, found = contents(whole), contents(done.path)
+    assert found.messages == original.messages
+    assert (done.messages, done.rows, list(done.skipped)) == (len(original.messages), 20, [])
+    assert found.profile == "bc"
+    session = {**dict(original.metadata)["bc.session"], "recovered_from": "a.mcap", "rewritten_by": VERSION}
+    assert sorted(found.metadata) == sorted({**dict(original.metadata), "bc.session": session}.items())
+
+
+def test_an_unfinished_log_is_recovered_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
+    part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
+    done = recover(part, tmp_path / "b.mcap")
+    rows = [message.sequence for message in complete if message.topic == "/vehicle"]
+    begun = [m for m in complete if m.topic in ROW_TOPICS and m.sequence > max(rows)]
+    assert begun
+    assert contents(done.path).messages == [message for message in complete if message not in begun]
+    assert done.rows == len(rows)
+    *unfinished, (reason, where) = done.skipped
+    assert unfinished == [
+        ("messages of a row that was never finished", f"{m.topic} row {m.sequence}") for m in begun
+    ]
+    assert reason.startswith("stretches of bytes")
+    assert where.endswith(f" to {part.stat().st_size:,}")
+
+
+def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
+    """Its last row may have a picture, and no steering yet."""
+    whole = drive(tmp_path / "a.mcap", range(20))
+    chunks = contents(whole).chunks
+    part, to = tmp_path / "a.mcap.0a1b2c.part", tmp_path / "b.mcap"
+    for chunk in chunks:
+        part.write_bytes(whole.read_bytes()[: chunk.end])
+        recover(part, to, overwrite=True)
+        assert check(to, look=False).findings == [], chunk.start
+
+
+def test_a_log_that_lost_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
+    """What is left at the edges of the hole, of rows whose pictures or steering were in it, is named as lost."""
+    whole = drive(tmp_path / "a.mcap", range(20))
+    original, data = contents(whole), whole.read_bytes()
+    rows = [{m.sequence for m in chunk.messages} for chunk in original.chunks]
+    assert all(one & other for one, other in itertools.pairwise(rows)), "rows lie across chunks"
+    damaged, to = tmp_path / "b.mcap", tmp_path / "c.mcap"
+    for chunk in original.chunks:
+        damaged.write_bytes(data[: chunk.end - 1] + bytes([data[chunk.end - 1] ^ 1]) + data[chunk.end :])
+        done = recover(damaged, to, overwrite=True)
+        assert [f for f in check(to, look=False).findings if "gap" not in f.kind] == [], chunk.start
+        lost = {m.sequence for m in chunk.messages if m.topic in ROW_TOPICS}
+        kept = [m for m in original.messages if m not in chunk.messages]
+        assert contents(to).messages == [m for m in kept if m.topic not in ROW_TOPICS or m.sequence not in lost]
+        assert done.skipped.counts["damaged chunks"] == 1
+
+
+def test_without_any_row_every_picture_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        for row in range(9):
+            writer.picture("center", START_NS + row, row, b"picture")
+    assert contents(recover(path, tmp_path / "b.mcap").path).messages == contents(path).messages
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_compressed_log_of_another_program_is_recovered_uncompressed(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    path = write_plain(tmp_path / "a.mcap", compression, range(20))
+    done = recover(path, tmp_path / "b.mcap")
+    assert contents(done.path).messages == contents(path).messages
+    assert contents(done.path).profile == ""
+    with Log(done.path) as log:
+        assert {chunk.compression for chunk in log.chunks} == {""}
+
+
+def test_attachments_and_messages_without_a_schema_are_recovered_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        channel = writer.register_channel("/json", "json", 0)
+        writer.add_message(channel, 1, b"{}", 2, 3)
+        writer.add_attachment(4, 5, "notes.txt", "text/plain", b"hello")
+        writer.finish()  # type: ignore[no-untyped-call]
+    found = contents(recover(path, tmp_path / "b.mcap").path)
+    assert found.messages == [Stored("/json", "", 3, 1, 2, b"{}")]
+    assert found.attachments == [("notes.txt", b"hello")]
+
+
+def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_path: Path) -> None:
+    plain = tmp_path / "plain.mcap"
+    with plain.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        schema = writer.register_schema("bc.VehicleState", "protobuf", b"")
+        channel = writer.register_channel("/vehicle", "protobuf", schema)
+        for row, log_time in enumerate([START_NS, 2**64 - 1, START_NS + 1]):
+            writer.add_message(channel, log_time, b"", log_time, row)
+        writer.finish()  # type: ignore[no-untyped-call]
+    done = recover(plain, tmp_path / "b.mcap")
+    assert [message.sequence for message in contents(done.path).messages] == [0, 2]
+    assert "messages of a time that cannot be" in done.skipped.counts
+    with pytest.raises(LogError, match=r"plain\.mcap: .*time"):
+        merge([plain, done.path], tmp_path / "c.mcap")
+
+
+# Trim
+
+
+def test_a_trimmed_log_holds_its_rows_and_the_events_between_them(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20))
+    done = trim(whole, tmp_path / "b.mcap", (5, 8))
+    found = contents(done.path)
+    times = range(START_NS + 5 * STEP_NS, START_NS + 8 * STEP_NS + 1)
+    assert found.messages == [message for message in contents(whole).messages if message.log_time in times]
+    assert (done.messages, done.rows) == (4 * 8, 4)
+    assert events_in(found) == [f"at row {row}" for row in range(5, 9)]
+    assert dict(found.metadata)["bc.session"].items() >= {"trimmed_from": "a.mcap", "rows": "5-8"}.items()
+    assert dict(found.metadata)["bc.quality"]["rows"] == "4"
+
+
+def test_an_unfinished_log_can_be_trimmed(tmp_path: Path) -> None:
+    part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
+    done = trim(part, tmp_path / "b.mcap", (2, 4))
+    expected = [m for m in complete if m.topic in ROW_TOPICS and 2 <= m.sequence <= 4]
+    assert [m for m in contents(done.path).messages if m.topic in ROW_TOPICS] == expected
+
+
+def test_rows_that_are_not_there_are_told_with_those_that_are(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(3, 9))
+    with pytest.raises(LogError, match=r"a\.mcap: no row from 9 to 12; its rows are 3 to 8"):
+        trim(whole, tmp_path / "b.mcap", (9, 12))
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_seconds_count_from_the_first_row(tmp_path: Path) -> None:
+    with Log(drive(tmp_path / "a.mcap", range(3, 20))) as log:
+        assert rows_between(log, 0.0, 0.5) == (3, 8)
+        assert rows_between(log, 0.45, 1e9) == (8, 19)
+        with pytest.raises(LogError, match=r"no row between 7 and 9 s; it lasts 1\.6 s"):
+            rows_between(log, 7, 9)
+        with pytest.raises(LogError, match="no row between nan"):
+            rows_between(log, float("nan"), 9)
+
+
+def test_a_time_that_comes_twice_is_no_stretch(tmp_path: Path) -> None:
+    path = merge([drive(tmp_path / "a.mcap", range(5)), drive(tmp_path / "b.mcap", range(5))], tmp_path / "c.mcap")
+    with Log(path.path) as log, pytest.raises(LogError, match=r"time goes back .* --rows"):
+        rows_between(log, 0.1, 0.3)
+
+
+def foreign(path: Path) -> Path:
+    """Another program's log: ten messages, a tenth of a second apart, of no topic that we know."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=100)
+        writer.start("other", "other")
+        channel = writer.register_channel("/tf", "json", writer.register_schema("tf", "jsonschema", b"{}"))
+        for number in range(10):
+            time_ns = START_NS + number * STEP_NS
+            writer.add_message(channel, time_ns, b"%d" % number, time_ns, number)
+        writer.add_metadata("calibration", {"k": "1"})
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def test_a_log_of_another_program_is_trimmed_by_time_alone(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "tf.mcap")
+    found = contents(trim_times(path, tmp_path / "b.mcap", 0.2, 0.45).path)
+    assert [message.data for message in found.messages] == [b"2", b"3", b"4"]
+    assert found.metadata == [("calibration", {"k": "1"})]
+    with pytest.raises(LogError, match=r"tf\.mcap: no message of these times; it lasts 0\.9 s"):
+        trim_times(path, tmp_path / "c.mcap", 5, 6)
+    with pytest.raises(LogError, match=r"tf\.mcap: no rows in it .* only times"):
+        trim(path, tmp_path / "c.mcap", (0, 1))
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["b.mcap", "tf.mcap"]
+
+
+def test_seconds_of_a_log_with_rows_are_those_of_its_rows(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(3, 20))
+    by_time = trim_times(whole, tmp_path / "b.mcap", 0.45, 1.0)
+    by_rows = trim(whole, tmp_path / "c.mcap", (8, 13))
+    assert contents(by_time.path).messages == contents(by_rows.path).messages
+    assert (by_time.rows, by_time.messages) == (by_rows.rows, by_rows.messages)
+
+
+def test_rows_that_a_log_does_not_have_are_refused(tmp_path: Path) -> None:
+    with Log(drive(tmp_path / "a.mcap", range(3, 9))) as log:
+        check_rows(log, (3, 8))
+        for rows in ((2, 8), (3, 9), (20, 30)):
+            with pytest.raises(LogError, match=rf"rows from {rows[0]} to {rows[1]}.*its rows are 3 to 8"):
+                check_rows(log, rows)
+
+
+# Merge
+
+
+def test_a_merged_log_holds_all_messages_in_order_and_every_row_has_its_own_number(tmp_path: Path) -> None:
+    logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
+    done = merge(logs, tmp_path / "all.mcap")
+    one, two, three = (contents(log).messages for log in logs)
+    found = contents(done.path)
+    assert found.messages == [*one, *numbered_on(two, 20), *numbered_on(three, 35)]
+    numbers = [message.sequence for message in found.of("/vehicle")]
+    assert len(set(numbers)) == len(numbers) == done.rows == 20 + 10 + 5
+    assert {name for name, _ in found.metadata} >= {"bc.session of one.mcap", "bc.session of three.mcap"}
+    with Log(done.path) as log:
+        for name, row in (("one", 0), ("two", 25), ("three", 35)):
+            own = row - {"one": 0, "two": 20, "three": 35}[name]
+            assert log.picture(row, "left") == f"{name} {not_a_picture('left', own)!r}".encode()
+
+
+NAMED_ROWS = {"one": range(20), "two": range(5, 15), "three": range(5)}
+
+
+def test_a_log_is_merged_with_itself_and_with_an_unfinished_one(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(8))
+    part, complete = killed(whole)
+    done = merge([whole, part, whole], tmp_path / "b.mcap")
+    messages = contents(whole).messages
+    second = 1 + max(m.sequence for m in complete if m.topic in ROW_TOPICS)
+    assert contents(done.path).messages == [
+        *messages,
+        *numbered_on(complete, 8),
+        *numbered_on(messages, 8 + second),
+    ]
+
+
+def test_rows_beyond_the_largest_number_are_a_log_error(tmp_path: Path) -> None:
+    last = tmp_path / "last.mcap"
+    with LogWriter(last, {}) as writer:
+        writer.vehicle(1, 2**32 - 1, VehicleState())
+    with pytest.raises(LogError, match=r"a\.mcap: row 0 would have a number above 4294967295"):
+        merge([last, drive(tmp_path / "a.mcap", range(2))], tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+# Split
+
+
+def test_each_drive_becomes_a_log_and_no_message_is_lost(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
+    done = split(whole, tmp_path / "drives")
+    assert [written.path.name for written in done] == ["a-1.mcap", "a-2.mcap"]
+    first, second = (contents(written.path) for written in done)
+    assert first.messages + second.messages == contents(whole).messages
+    assert [message.sequence for message in first.of("/vehicle")] == list(range(12))
+    assert (events_in(first)[0], events_in(second)[-1]) == ("begin ", "end ")
+    assert [(w.rows, w.messages) for w in done] == [(12, len(first.messages)), (8, len(second.messages))]
+    assert dict(second.metadata)["bc.session"].items() >= {"split_from": "a.mcap", "drive": "1"}.items()
+
+
+def test_what_was_merged_is_split_again_where_time_goes_back(tmp_path: Path) -> None:
+    logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
+    parts = split(merge(logs, tmp_path / "all.mcap").path, tmp_path)
+    assert [part.rows for part in parts] == [20, 10, 5]
+    found = Counter(message for part in parts for message in contents(part.path).messages)
+    assert found == Counter(contents(tmp_path / "all.mcap").messages)
+
+
+def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"a\.mcap: a single drive"):
+        split(drive(tmp_path / "a.mcap", range(5)), tmp_path / "drives")
+    path = write_log(tmp_path / "b.mcap", [0.0] * 600, cameras=(), step_ns=-1)
+    with pytest.raises(LogError, match=r"b\.mcap: 600 drives are too many"):
+        split(path, tmp_path / "drives")
+    assert not (tmp_path / "drives").exists()
+
+
+def test_a_part_is_split_under_the_name_it_would_have_had(tmp_path: Path) -> None:
+    part, _ = killed(drive(tmp_path / "a.mcap", range(20), gap_after=5))
+    assert [written.path.name for written in split(part, tmp_path)] == ["a-1.mcap", "a-2.mcap"]
+
+
+def test_if_one_name_is_taken_meanwhile_no_drive_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = tag(drive(tmp_path / "a.mcap", range(20), gap_after=11), (0, 19, "exclude"))
+    finish = LogWriter.finish
+
+    def finish_and_be_late(writer: LogWriter) -> None:
+        finish(writer)
+        (tmp_path / "drives" / "a-2.mcap").write_bytes(b"somebody's work")
+
+    monkeypatch.setattr(LogWriter, "finish", finish_and_be_late)
+    with pytest.raises(LogError, match=r"not split: somebody else wrote .*a-2\.mcap.*nothing was kept"):
+        split(whole, tmp_path / "drives")
+    assert [path.name for path in (tmp_path / "drives").iterdir()] == ["a-2.mcap"]
+    assert (tmp_path / "drives" / "a-2.mcap").read_bytes() == b"somebody's work"
+
+
+# Tags
+
+
+def test_tags_go_where_their_rows_go(tmp_path: Path) -> None:
+    whole = tag(
+        drive(tmp_path / "a.mcap", range(20), gap_after=11),
+        (0, 30, "exclude"),
+        (8, 15, "recovery"),
+        (2, 3, "bend"),
+    )
+    trim(whole, tmp_path / "trimmed.mcap", (3, 10))
+    assert tags_of(tmp_path / "trimmed.mcap") == [(3, 3, "bend"), (3, 10, "exclude"), (8, 10, "recovery")]
+    trim_times(whole, tmp_path / "times.mcap", 0.3, 1.0)
+    assert tags_of(tmp_path / "times.mcap") == tags_of(tmp_path / "trimmed.mcap")
+    first, second = split(whole, tmp_path / "drives")
+    assert tags_of(first.path) == [(0, 11, "exclude"), (2, 3, "bend"), (8, 11, "recovery")]
+    assert tags_of(second.path) == [(12, 15, "recovery"), (12, 19, "exclude")]
+    merge([second.path, first.path, second.path], tmp_path / "merged.mcap")
+    assert tags_of(tmp_path / "merged.mcap") == [
+        (12, 15, "recovery"),
+        (12, 19, "exclude"),
+        (20, 31, "exclude"),
+        (22, 23, "bend"),
+        (28, 31, "recovery"),
+        (32 + 12, 32 + 15, "recovery"),
+        (32 + 12, 32 + 19, "exclude"),
+    ]
+    recover(whole, tmp_path / "recovered.mcap")
+    assert tags_of(tmp_path / "recovered.mcap") == [(0, 19, "exclude"), (2, 3, "bend"), (8, 15, "recovery")]
+
+
+def test_tags_of_rows_that_are_not_there_and_of_another_content_do_not_come_along(tmp_path: Path) -> None:
+    whole = tag(drive(tmp_path / "a.mcap", range(20)), (0, 5, "bend"))
+    trim(whole, tmp_path / "b.mcap", (6, 10))
+    drive(tmp_path / "c.mcap", range(20), name="recorded anew")
+    tags_path(whole).rename(tags_path(tmp_path / "c.mcap"))
+    trim(tmp_path / "c.mcap", tmp_path / "d.mcap", (0, 10))
+    assert not list(tmp_path.glob("[bd].tags.jsonl"))
+
+
+def test_damaged_tags_stop_all_but_a_recovery_which_names_them(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
+    tags_path(whole).write_text("exclude 3 5\n")
+    edits: list[Edit] = [EDITS["trim"], EDITS["merge"], lambda path, to, force: split(path, to, overwrite=force)]
+    for edit in edits:
+        with pytest.raises(LogError, match=r"a\.tags\.jsonl: line 1 is not a tag"):
+            edit(whole, tmp_path / "b.mcap", False)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "a.tags.jsonl"]
+    done = recover(whole, tmp_path / "b.mcap")
+    assert done.skipped.counts == {"damaged files of tags": 1}
+
+
+# All of them
+
+Edit = Callable[[Path, Path, bool], object]
+EDITS: dict[str, Edit] = {
+    "recover": lambda path, to, force: recover(path, to, overwrite=force),
+    "trim": lambda path, to, force: trim(path, to, (0, 3), overwrite=force),
+    "merge": lambda path, to, force: merge([path, path], to, overwrite=force),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_nothing_is_overwritten_and_the_original_never_changes(tmp_path: Path, edit: Edit) -> None:
+    whole, other = drive(tmp_path / "a.mcap", range(5)), tmp_path / "b.mcap"
+    before = whole.read_bytes()
+    other.write_bytes(b"somebody's work")
+    with pytest.raises(UserError, match=r"b\.mcap exists already.*--force"):
+        edit(whole, other, False)
+    assert other.read_bytes() == b"somebody's work"
+    with pytest.raises(LogError, match=r"a\.mcap: the log itself"):
+        edit(whole, whole, True)
+    link = tmp_path / "link.mcap"
+    link.symlink_to(whole)
+    with pytest.raises(LogError, match=r"link\.mcap: the log itself"):
+        edit(whole, link, True)
+    edit(whole, other, True)
+    assert contents(other).messages
+    assert whole.read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "link.mcap"]
+
+
+def test_split_overwrites_nothing_either(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
+    before = whole.read_bytes()
+    (tmp_path / "a-2.mcap").write_bytes(b"somebody's work")
+    with pytest.raises(UserError, match=r"a-2\.mcap exists already"):
+        split(whole, tmp_path)
+    assert (tmp_path / "a-2.mcap").read_bytes() == b"somebody's work"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
+    assert len(split(whole, tmp_path, overwrite=True)) == 2
+    assert whole.read_bytes() == before
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_a_name_that_is_not_utf8_is_told_escaped(tmp_path: Path, edit: Edit) -> None:
+    whole = drive(tmp_path / os.fsdecode(b"caf\xe9.mcap"), range(5), name="x")
+    edit(whole, tmp_path / "b.mcap", False)
+    told = contents(tmp_path / "b.mcap").metadata
+    assert any("caf\\udce9.mcap" in value for _, values in told for value in values.values())
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_an_edit_that_fails_leaves_no_folder(tmp_path: Path, edit: Edit) -> None:
+    path = drive(tmp_path / "a.mcap", range(20))
+    data = bytearray(path.read_bytes())
+    for chunk in contents(path).chunks:
+        data[chunk.end - 1] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(LogError):
+        edit(path, tmp_path / "new" / "folder" / "b.mcap", False)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("recorder.log.writer.version_of", lambda: "0.0.1")
+        whole = drive(tmp_path / "a.mcap", range(20), gap_after=5)
+    recover(whole, tmp_path / "b.mcap")
+    trim(whole, tmp_path / "c.mcap", (0, 3))
+    for path in (tmp_path / "b.mcap", tmp_path / "c.mcap", split(whole, tmp_path)[1].path):
+        with Log(path) as log:
+            assert (log.metadata["toolkit"], log.metadata["rewritten_by"]) == ("0.0.1", VERSION)
+
+
+@pytest.mark.parametrize("edit", [EDITS["trim"], EDITS["merge"]], ids=["trim", "merge"])
+def test_a_damaged_log_is_not_edited_by_halves(tmp_path: Path, edit: Edit) -> None:
+    path = drive(tmp_path / "a.mcap", range(20))
+    data = bytearray(path.read_bytes())
+    data[contents(path).chunks[3].end - 1] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=r"a\.mcap: damaged.*bc-log recover"):
+        edit(path, tmp_path / "b.mcap", False)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def picture_drive(path: Path) -> Path:
+    with LogWriter(path, {"source": "test"}) as writer:
+        writer.event(START_NS, "begin")
+        for row in range(10):
+            time_ns = START_NS + row * STEP_NS + (5 * SECOND_NS if row > 5 else 0)
+            for level, camera in enumerate(CAMERAS):
+                writer.picture(camera, time_ns, row, jpeg(20 * level + row))
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 100, throttle=0.5, speed_mph=9.0))
+    return path
+
+
+def test_rerun_finds_nothing_wrong_with_any_of_them(tmp_path: Path) -> None:
+    """It does with a merged log in which time goes back, of which the drives were given in that order."""
+    recorded = picture_drive(tmp_path / "recorded.mcap")
+    part, _ = killed(recorded)
+    recover(part, tmp_path / "recovered.mcap")
+    trim(recorded, tmp_path / "trimmed.mcap", (2, 7))
+    merge([written.path for written in split(recorded, tmp_path)], tmp_path / "merged.mcap")
+    complaints = []
+    for name in ("recorded", "recovered", "trimmed", "merged"):
+        path = tmp_path / f"{name}.mcap"
+        done = subprocess.run(
+            [sys.executable, "-m", "rerun", "mcap", "check", "--full", str(path)],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+        if done.returncode or done.stderr or "PROBLEM" in done.stdout or "/camera/left" not in done.stdout:
+            complaints.append(f"{path.name}: {done.stdout} {done.stderr}")
+    assert complaints == []

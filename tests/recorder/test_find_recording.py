@@ -1,0 +1,181 @@
+"""What is not quite a recording: a folder above it or in it, one of its files, a log of this toolkit."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+from driving import one_line_of, run
+from logs import read_messages
+from other_logs import DRIVE, write_bag, write_mcap
+from recorder import Log, RecordingError, import_udacity
+from recorder.cli import main
+from recorder.sources.donkeycar import import_tub
+from recorder.sources.recording_kinds import Topics, import_from
+from tubs import record_2, write_tub_2
+from udacity import call, make_recording, paths
+
+CSV = f"{paths(0)},0,1,0,9.5\n"
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A folder with a recording of each kind, and others that are none."""
+    make_recording(tmp_path / "udacity" / "recording", CSV, [0])
+    car = tmp_path / "mycar"
+    write_tub_2(car / "data", map(record_2, range(4)))
+    (car / "models").mkdir()
+    (car / "manage.py").touch()
+    (tmp_path / "robot").mkdir()
+    write_bag(tmp_path / "robot" / "bag", StoragePlugin.MCAP)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("mycar", "mycar/data"),
+        ("mycar/data/images", "mycar/data"),
+        ("mycar/data/images/0_cam_image_array_.jpg", "mycar/data"),
+        ("mycar/data/manifest.json", "mycar/data"),
+        ("mycar/data/catalog_0.catalog", "mycar/data"),
+        ("udacity", "udacity/recording"),
+        ("udacity/recording/IMG", "udacity/recording"),
+        ("udacity/recording/driving_log.csv", "udacity/recording"),
+        ("robot", "robot/bag"),
+        ("robot/bag/metadata.yaml", "robot/bag"),
+    ],
+)
+def test_what_was_meant_is_said(home: Path, monkeypatch: pytest.MonkeyPatch, given: str, meant: str) -> None:
+    monkeypatch.chdir(home)
+    with pytest.raises(RecordingError) as error:
+        import_from(Path(given), Path("x.mcap"))
+    assert str(error.value) == f"{given}: no recording itself; did you mean {meant}?"
+    with pytest.raises(RecordingError, match=rf"did you mean {home / meant}\?"):
+        import_from(home / given, home / "x.mcap")
+
+
+def test_several_recordings_are_all_named_and_many_are_not(home: Path) -> None:
+    with pytest.raises(RecordingError) as error:
+        import_from(home, home / "x.mcap")
+    names = ["mycar/data", "robot/bag", "udacity/recording"]
+    assert str(error.value).endswith(f"did you mean {' or '.join(str(home / name) for name in names)}?")
+    shutil.copytree(home / "udacity", home / "udacity 2")
+    with pytest.raises(RecordingError, match=r"recording or another one there\?"):
+        import_from(home, home / "x.mcap")
+
+
+@pytest.mark.parametrize("given", ["nowhere", "mycar/models", "mycar/manage.py", "mycar/data/nothing"])
+def test_nothing_is_guessed_where_nothing_is_near(home: Path, given: str) -> None:
+    with pytest.raises(RecordingError) as error:
+        import_from(home / given, home / "x.mcap")
+    assert "did you mean" not in str(error.value)
+
+
+def test_folders_that_go_in_circles_end(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "b").symlink_to(tmp_path / "a")
+    os.mkfifo(tmp_path / "a" / "driving_log.csv")
+    with pytest.raises(RecordingError, match=r"no driving_log\.csv in it"):
+        import_from(tmp_path / "a", tmp_path / "x.mcap")
+
+
+# Logs of this toolkit
+
+
+def test_a_log_of_this_toolkit_needs_no_import(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", CSV, [0])
+    log = import_udacity(tmp_path / "drive", tmp_path / "mine" / "log.mcap").path
+    done = run("bc-record", "x", "--from", log, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "a log of this toolkit, which is a session without being imported: copy it into sessions/" in (
+        one_line_of(done)
+    )
+    with pytest.raises(RecordingError, match="a session already: `bc-index`"):
+        import_from(log, log.with_name("x.mcap"))
+    part = shutil.copy(log, tmp_path / "log.mcap.1a2b3c.part")
+    with pytest.raises(RecordingError, match=r"`bc-log recover .*part`"):
+        import_from(Path(part), tmp_path / "x.mcap")
+
+
+def test_one_whose_topics_are_given_is_read_like_any_other(tmp_path: Path) -> None:
+    """The left camera as if it were the centre."""
+    make_recording(tmp_path / "drive", CSV, [0])
+    log = import_udacity(tmp_path / "drive", tmp_path / "log.mcap").path
+    done = import_from(log, tmp_path / "left.mcap", Topics("/camera/left", "/vehicle.steering"))
+    [(_, picture)] = read_messages(done.path)["/camera/center"]
+    [(_, left)] = read_messages(log)["/camera/left"]
+    assert picture.data == left.data
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n\x01", b"bc"])
+def test_what_is_hardly_a_file_is_no_log_of_ours(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.mcap").write_bytes(content)
+    with pytest.raises(RecordingError, match="which topics"):
+        import_from(tmp_path / "x.mcap", tmp_path / "y.mcap")
+    write_mcap(tmp_path / "x.mcap", DRIVE)
+    with pytest.raises(RecordingError, match="which topics"):
+        import_from(tmp_path / "x.mcap", tmp_path / "y.mcap")
+
+
+# Watching
+
+
+@pytest.mark.parametrize("given", ["mycar/data", "robot/bag", "robot/bag/bag.mcap"])
+def test_what_cannot_be_followed_is_refused(home: Path, capsys: pytest.CaptureFixture[str], given: str) -> None:
+    line = ["x", "--from", home / given, "--watch", "--sessions", home / "sessions"]
+    assert call(main, *line) == 1
+    assert "--watch follows folders of the Udacity simulator" in capsys.readouterr().err
+
+
+# Catalogues that a tub's manifest does not name
+
+
+def without_its_last_catalogue(folder: Path) -> Path:
+    """The manifest was not brought to the disk when the car lost its power."""
+    manifest = write_tub_2(folder, map(record_2, range(5)), pictures=range(5), deleted=[1]) / "manifest.json"
+    manifest.write_text(manifest.read_text().replace(', "catalog_1.catalog"', ""))
+    return folder
+
+
+def steerings(log: Path) -> list[float]:
+    return [state.steering for _, state in read_messages(log)["/vehicle"]]
+
+
+def test_catalogues_that_the_manifest_does_not_name_are_taken_if_asked_for(tmp_path: Path) -> None:
+    folder = without_its_last_catalogue(tmp_path / "data")
+    done = run("bc-record", "few", "--from", folder, cwd=tmp_path)
+    assert done.returncode == 3
+    assert "(--all-catalogs takes them): 1 (catalog_1.catalog)" in done.stderr
+    assert steerings(tmp_path / "sessions" / "few.mcap") == [-1.0, 0.25]
+    done = run("bc-record", "all", "--from", folder, "--all-catalogs", cwd=tmp_path)
+    assert "catalog_1" not in done.stderr
+    assert steerings(tmp_path / "sessions" / "all.mcap") == [-1.0, 0.25, 1.0, -1.0]
+
+
+def test_a_tub_without_any_manifest_is_still_one(tmp_path: Path) -> None:
+    folder = without_its_last_catalogue(tmp_path / "data")
+    (folder / "manifest.json").unlink()
+    done = import_from(folder, tmp_path / "log.mcap")
+    assert steerings(done.path) == [-1.0, 0.0, 0.25, 1.0, -1.0]
+    assert done.skipped.counts == {"lists of deleted records that cannot be read": 1}
+    assert import_tub(folder, tmp_path / "again.mcap").rows == 5
+    with Log(done.path) as log:
+        assert log.metadata["clock"] == "recorded"
+
+
+@pytest.mark.parametrize("make", [lambda folder: make_recording(folder, CSV, [0]), None])
+def test_all_catalogues_of_what_is_no_tub_is_refused(
+    tmp_path: Path, make: Callable[[Path], object] | None
+) -> None:
+    flags = ["--from", tmp_path / "drive"] if make is not None else []
+    if make is not None:
+        make(tmp_path / "drive")
+    done = run("bc-record", "x", *flags, "--all-catalogs", cwd=tmp_path)
+    assert done.returncode == (1 if flags else 2)
+    assert "--all-catalogs" in one_line_of(done)

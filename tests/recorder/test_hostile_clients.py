@@ -1,0 +1,384 @@
+"""Clients that mean harm: nobody keeps the others waiting, takes memory without end, or stays for ever."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import random
+import select
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import websocket
+
+from drive.config import DriveConfig
+from drive.server import DriveServer
+from driving import PATIENCE_S, untrained_run
+from logs import read_messages
+from model import load_pilot
+from recorder.server import (
+    connection_guard,
+    engineio_connection,
+    eventlet_host,
+    malformed_packets,
+    telemetry_server,
+    threaded_host,
+)
+from recorder.server.allowed_hosts import LetIn
+from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, ServerMode
+from recorder.server.websocket import FRAME_BYTES, TOO_LARGE
+from serving import (
+    UNUSED,
+    Book,
+    PollingClient,
+    RawClient,
+    Serving,
+    fields,
+    malformed,
+    steered,
+    tell,
+    wait_until,
+)
+
+
+def sent_until_hung_up(stream: socket.socket, data: bytes, pause_s: float = 0.0, most: int = 1 << 30) -> int:
+    """How often `data` could be sent."""
+    stream.settimeout(PATIENCE_S)
+    count = 0
+    with contextlib.suppress(ConnectionError):
+        while count < most:
+            stream.sendall(data)
+            count += 1
+            time.sleep(pause_s)
+            if select.select([stream], [], [], 0)[0] and not stream.recv(1 << 16):
+                break
+    return count
+
+
+# Those who take their time
+
+
+@pytest.mark.parametrize(
+    "begin",
+    ["GET {} HTTP/1.1\r\nX: ", "POST {} HTTP/1.1\r\nContent-Length: 99999\r\n\r\n"],
+    ids=["a head without end", "a body that drips"],
+)
+def test_a_request_that_comes_byte_by_byte_is_not_waited_for(
+    begin: str, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Serving(mode, Book()) as serving:
+        path = PollingClient(serving.port).path
+        monkeypatch.setattr(connection_guard, "REQUEST_S", 0.2)
+        with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as slow:
+            slow.sendall(begin.format(path).encode())
+            # a byte is never long in coming: only the whole is
+            assert sent_until_hung_up(slow, b"x", pause_s=0.01, most=2_000) < 2_000
+        monkeypatch.setattr(connection_guard, "REQUEST_S", PATIENCE_S)
+        assert len(tell(serving.port, range(3))) == 3
+
+
+def test_clients_that_leave_before_their_answer_leave_no_open_file(
+    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At once, and not when memory is looked through next: that may be hours later."""
+    files = Path("/proc/self/fd")
+    if not files.exists():
+        pytest.skip("open files were not counted: this system does not list them")
+    with Serving(mode, Book()) as serving:
+        assert len(tell(serving.port, range(1))) == 1
+        monkeypatch.setattr(connection_guard, "REQUEST_S", 0.05)
+        before = len(list(files.iterdir()))
+        gc.disable()
+        try:
+            for _ in range(5):
+                with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as slow:
+                    slow.sendall(b"GET / HTTP/1.1\r\nX: ")
+                    sent_until_hung_up(slow, b"x", pause_s=0.01)
+            wait_until(lambda: len(list(files.iterdir())) <= before)
+        finally:
+            gc.enable()
+
+
+def test_more_connections_than_are_served_are_told_and_their_places_come_free(
+    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for host in (eventlet_host, threaded_host):
+        monkeypatch.setattr(host, "MOST_CONNECTIONS", 4)
+    with Serving(mode, Book()) as serving, ExitStack() as crowd:
+        for _ in range(8):
+            crowd.enter_context(socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S))
+        wait_until(lambda: connection_guard.CROWD in serving.said)
+        crowd.close()
+        assert len(tell(serving.port, range(3))) == 3
+
+
+def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(
+    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(telemetry_server, "MOST_CONNECTIONS", 5)
+    with Serving(mode, Book()) as serving:
+        for _ in range(5):
+            PollingClient(serving.port)
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            PollingClient(serving.port)
+        refused.value.close()
+        assert connection_guard.CROWD in serving.said
+        assert len(tell(serving.port, range(3))) == 3  # it keeps no simulator out
+
+
+# Those who do not read
+
+
+def test_a_client_that_does_not_read_its_answers_keeps_nobody_else_waiting(mode: ServerMode) -> None:
+    book = Book()
+    with Serving(mode, book) as serving:
+        deaf = RawClient(serving.port)
+        frame = websocket.ABNF.create_frame(b'42["telemetry",1]', websocket.ABNF.OPCODE_TEXT).format()
+        deaf.stream.setblocking(False)
+        while select.select([], [deaf.stream], [], 0.5)[1]:  # until the server reads no more either
+            with contextlib.suppress(BlockingIOError):
+                deaf.stream.send(frame * 1000)
+        assert len(tell(serving.port, range(5))) == 5
+        ticks = book.ticks
+        wait_until(lambda: book.ticks > ticks)
+        serving.stop()
+        deaf.vanish()
+
+
+def test_what_a_client_does_not_read_is_bounded(mode: ServerMode) -> None:
+    """By polling, where nothing is read before it is asked for."""
+    book = Book()
+    with Serving(mode, book) as serving:
+        client = PollingClient(serving.port)
+        for _ in range(engineio_connection.MOST_UNREAD + 1):
+            client.request('42["telemetry",1]')
+        wait_until(lambda: "disconnected" in book.calls)
+        assert book.calls.count("telemetry") <= engineio_connection.MOST_UNREAD + 1
+        assert engineio_connection.NOT_READ in serving.said
+
+
+def test_heartbeats_that_nobody_reads_are_not_kept(mode: ServerMode) -> None:
+    """A client asks for answer after answer, and reads none."""
+    with Serving(mode, Book()) as serving:
+        deaf = RawClient(serving.port)
+        ping = websocket.ABNF.create_frame(b"2" + b"x" * 100, websocket.ABNF.OPCODE_TEXT).format()
+        enough = 200_000  # 40 MB in answers: more than any system keeps for a connection
+        with contextlib.suppress(ConnectionError):
+            for _ in range(enough // 100):
+                deaf.stream.sendall(ping * 100)
+        wait_until(lambda: engineio_connection.NOT_READ in serving.said)
+        deaf.vanish()
+        assert len(tell(serving.port, range(3))) == 3
+
+
+# Those who send without end
+
+
+@pytest.mark.parametrize("content", [b"", b"x"])
+def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: bytes, mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        client = RawClient(serving.port)
+        size = bytes([0x80 | len(content)])
+        client.stream.sendall(b"\x01" + size + bytes(4) + content)
+        most = 2 * MAX_MESSAGE_BYTES // FRAME_BYTES
+        with contextlib.suppress(ConnectionError):
+            for _ in range(most // 1000):
+                client.stream.sendall((b"\x00" + size + bytes(4) + content) * 1000)
+        client.until_hung_up()
+        wait_until(lambda: engineio_connection.HUNG_UP[TOO_LARGE] in serving.said)
+
+
+@pytest.mark.parametrize("header", ["Content-Length: -1", "Content-Length: x", "Transfer-Encoding: chunked"])
+def test_a_body_whose_size_is_not_told_is_not_read(header: str, mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        client = PollingClient(serving.port)
+        with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
+            stream.sendall(f"POST {client.path} HTTP/1.1\r\nHost: localhost\r\n{header}\r\n\r\n".encode())
+            assert sent_until_hung_up(stream, b"x" * 65536, most=1000) < 1000
+        assert len(tell(serving.port, range(3))) == 3
+
+
+def test_what_a_client_sends_is_not_sent_back_at_length(mode: ServerMode) -> None:
+    book = Book()
+    with Serving(mode, book) as serving:
+        client = RawClient(serving.port, "40", "2" + "x" * 100_000)
+        while not (message := str(client.websocket.recv())).startswith("3"):
+            pass
+        assert len(message) <= 101
+        client.websocket.send("40/" + "x" * 100_000 + ",")
+        client.until_hung_up()
+        assert malformed_packets.BROKEN in serving.said
+
+
+def test_a_client_has_one_place_however_often_it_connects(mode: ServerMode) -> None:
+    book = Book()
+    with Serving(mode, book) as serving:
+        client = RawClient(serving.port, *["40"] * 50)
+        client.tell(1)
+        assert client.command() == steered(UNUSED)
+        client.close()
+        wait_until(lambda: "disconnected" in book.calls)
+        assert book.calls == ["connected", "telemetry", "answered", "disconnected"]
+
+
+# Malformed telemetries, by everything that drives
+
+
+@contextlib.contextmanager
+def driving(mode: ServerMode, log: Path, pilot_run: Path) -> Iterator[DriveServer]:
+    """bc-drive's own server, in a thread."""
+    stop = threading.Event()
+    with (
+        DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0, mode=mode) as server,
+        ThreadPoolExecutor(1) as thread,
+    ):
+        running = thread.submit(server.run, stop.is_set)
+        try:
+            yield server
+        finally:
+            stop.set()
+            running.result(PATIENCE_S)
+
+
+def test_malformed_telemetries_are_answered_and_the_good_ones_in_between_driven(
+    mode: ServerMode, tmp_path: Path
+) -> None:
+    run = untrained_run(tmp_path / "run")
+    log = tmp_path / "run.mcap"
+    chance = random.Random(11)
+    good: list[tuple[str, str]] = []
+    told = {"manual": 0, "steer": 0}
+    with driving(mode, log, run) as server:
+        client = RawClient(server.port)
+        for number in range(500):
+            data = malformed(chance)
+            client.websocket.send('42["telemetry",' + data + "]")
+            name, command = client.command()
+            told[name] += 1
+            assert (name == "manual") == (data == "null"), data[:80]
+            assert name == "manual" or -1 <= float(command["steering_angle"].replace(",", ".")) <= 1
+            if number % 9 == 0:
+                client.tell(fields(number % 7))
+                name, command = client.command()
+                told[name] += 1
+                good.append((str(number % 7), command["steering_angle"]))
+        client.close()
+    summary = server.session.summary
+    assert summary.telemetries == sum(told.values())
+    assert summary.frames >= len(good)
+    assert summary.frames + summary.malformed == told["steer"]
+    assert summary.malformed > 250
+    assert len(set(good)) == 7  # each picture its steering, whatever came before it
+    assert len({angle for _, angle in good}) == 7
+    assert len(read_messages(log)["/pilot/command"]) == summary.frames
+
+
+def test_a_client_that_polls_is_driven_like_any_other(mode: ServerMode, tmp_path: Path) -> None:
+    run = untrained_run(tmp_path / "run")
+    log = tmp_path / "run.mcap"
+    with driving(mode, log, run) as server:
+        raw = RawClient(server.port)
+        raw.tell(fields(3))
+        _, expected = raw.command()
+        raw.close()
+        wait_until(lambda: not server.session.is_connected)
+        polling = PollingClient(server.port)
+        name, command = polling.tell(fields(3))
+        assert (name, command["steering_angle"]) == ("steer", expected["steering_angle"])
+        assert polling.tell("nonsense")[0] == "steer"
+        assert polling.tell(None)[0] == "manual"
+    summary = server.session.summary
+    assert (summary.frames, summary.malformed) == (2, 1)
+
+
+# Web pages of other sites, in the user's own browser
+
+
+def asked(port: int, path: str, **headers: str) -> int:
+    """The status that a request is answered by."""
+    head = "".join(f"{name.replace('_', '-')}: {value}\r\n" for name, value in headers.items())
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
+        stream.sendall(f"GET {path} HTTP/1.1\r\n{head}\r\n".encode())
+        return int(stream.recv(1 << 16).split()[1])
+
+
+POLL = "/socket.io/?EIO=4&transport=polling"
+WEBSOCKET = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec_WebSocket_Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    "Sec_WebSocket_Version": "13",
+}
+
+
+@pytest.mark.parametrize(
+    ("headers", "is_let_in"),
+    [
+        ({"Host": "127.0.0.1:4567"}, True),
+        ({"Host": "localhost:4567"}, True),
+        ({"Host": "LocalHost.:80"}, True),
+        ({"Host": "[::1]:4567"}, True),
+        ({"Host": "127.9.9.9"}, True),
+        ({}, True),
+        ({"Host": "127.0.0.1:4567", "Origin": "http://localhost:8888"}, True),
+        ({"Host": "evil.example:4801", "Origin": "http://evil.example:4801"}, False),  # DNS rebinding
+        ({"Host": "evil.example:4801"}, False),
+        ({"Host": "127.0.0.1.evil.example"}, False),
+        ({"Host": "localhost@evil.example"}, False),
+        ({"Host": "192.168.0.7:4567"}, False),
+        ({"Host": ""}, False),
+        ({"Host": "[::1"}, False),
+        ({"Host": "127.0.0.1:4567", "Origin": "http://evil.example"}, False),
+        ({"Host": "127.0.0.1:4567", "Origin": "null"}, False),
+        ({"Host": "127.0.0.1:4567", "Origin": "http://evil.example", "X_Forwarded_Host": "evil.example"}, False),
+    ],
+)
+def test_no_page_of_another_site_is_let_in_by_whatever_name_it_comes(
+    headers: dict[str, str], is_let_in: bool
+) -> None:
+    with Serving("eventlet", Book()) as serving:
+        websocket_path = POLL.replace("polling", "websocket")
+        assert asked(serving.port, POLL, **headers) == (200 if is_let_in else 403)
+        assert asked(serving.port, websocket_path, **WEBSOCKET, **headers) == (101 if is_let_in else 403)
+        assert sum("refused a web page" in line for line in serving.said) == (not is_let_in)
+
+
+def test_names_that_are_tried_one_after_the_other_are_one_line(mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        for number in range(5):
+            assert asked(serving.port, POLL, Host=f"evil{number}.example\x1b[2J") == 403
+            assert asked(serving.port, f"{POLL}&j={number}", Host="localhost") == 403  # JSONP
+        (line,) = serving.said
+        assert "evil0.example\\x1b[2J" in line
+        assert len(tell(serving.port, range(3))) == 3
+
+
+@pytest.mark.parametrize(
+    ("host", "name", "origin", "is_let_in"),
+    [
+        ("0.0.0.0", "192.168.0.7:4567", None, True),
+        ("::", "[2001:db8::1]:4567", None, True),
+        ("0.0.0.0", "mybox:4567", None, True),
+        ("0.0.0.0", "mybox.local", None, True),
+        ("0.0.0.0", "host.docker.internal:4567", None, True),
+        ("0.0.0.0", "evil.example", None, False),
+        ("0.0.0.0", "192.168.0.7:4567", "http://192.168.0.7:4567", True),
+        ("0.0.0.0", "192.168.0.7:4567", "http://203.0.113.5", False),
+        ("0.0.0.0", "mybox", "http://evil.example", False),
+        ("192.168.0.7", "192.168.0.7:4567", None, True),
+        ("192.168.0.7", "192.168.0.8:4567", None, False),
+        ("car.example.org", "car.example.org:4567", "http://car.example.org", True),
+        ("car.example.org", "mybox", None, False),
+    ],
+)
+def test_what_host_names_is_let_in(host: str, name: str, origin: str | None, is_let_in: bool) -> None:
+    environ = {"HTTP_HOST": name} | ({} if origin is None else {"HTTP_ORIGIN": origin})
+    assert (LetIn(host).refused(environ) == "") == is_let_in

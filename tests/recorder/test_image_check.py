@@ -1,0 +1,317 @@
+"""Looking at pictures: which do not decode, which cameras are frozen, and that it is done once."""
+
+from __future__ import annotations
+
+import json
+import os
+import tracemalloc
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from dataset.index.frame_flags import Looked
+from dataset.index.image_check_cache import look_at, look_at_all, read_look, write_look
+from logs import START_NS, STEP_NS
+from recorder import Log, LogError, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.check import check
+from recorder.log.topics import CAMERAS, Camera
+from recorder.pictures.image_check import Look
+from udacity import jpeg
+
+WHOLE = [jpeg(100 + number, number + 1) for number in range(20)]
+CUT_OFF = WHOLE[0][: len(WHOLE[0]) // 2]
+BROKEN: dict[tuple[Camera, int], bytes] = {
+    ("center", 3): CUT_OFF,
+    ("left", 0): b"",
+    ("left", 7): CUT_OFF,
+    ("left", 8): b"no picture",
+    ("right", 19): CUT_OFF,
+}
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    """No two rows of a camera have the same."""
+    return BROKEN.get((camera, row)) or (b"" if (camera, row) in BROKEN else WHOLE[row])
+
+
+def write_drive(
+    path: Path,
+    speed_mph: Sequence[float] = (9.0,) * 20,
+    picture: Callable[[Camera, int], bytes] = picture,
+) -> Path:
+    """A log of one row of three pictures for each speed."""
+    with LogWriter(path, {"source": "test"}, overwrite=True) as writer:
+        for row, speed in enumerate(speed_mph):
+            time_ns = START_NS + row * STEP_NS
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, picture(camera, row))
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 100, speed_mph=speed))
+    return path
+
+
+def findings(path: Path, kind: str) -> list[str]:
+    return [finding.where for finding in check(path).findings if finding.kind == kind]
+
+
+def fingerprint(path: Path) -> str:
+    with Log(path) as log:
+        return log.fingerprint
+
+
+# The pictures themselves
+
+
+def test_every_picture_that_does_not_decode_is_named_in_order_and_every_one_is_counted() -> None:
+    told: list[int] = []
+    with ThreadPoolExecutor(2) as pool:
+        look = Look(pool, told.append)
+        for row in range(150):
+            look.take("/a", row, row, CUT_OFF if row in (0, 77) else WHOLE[row % 20])
+            look.take("/b", row, row, b"" if row == 31 else WHOLE[(row + 1) % 20])
+        look.finish()
+    assert look.broken == [("/a", 0), ("/b", 31), ("/a", 77)]
+    assert look.decoded == sum(told) == 300
+
+
+@pytest.mark.parametrize(
+    ("pictures", "moves", "expected"),
+    [
+        ("abcdef", "111111", []),
+        ("aabbcc", "111111", []),  # a slow camera
+        ("abbbcd", "111111", [(1, 3)]),
+        ("aaabbb", "111111", [(0, 2), (3, 5)]),
+        ("aaaaaa", "111111", [(0, 5)]),
+        ("aaaaaa", "000000", []),  # the car stands: it sees the same
+        ("aaaaaa", "000111", [(2, 5)]),
+        ("aaaaaa", "001011", [(3, 5)]),
+        ("ab" * 3, "111111", []),
+        ("", "", []),
+    ],
+)
+def test_three_equal_pictures_in_a_row_from_a_moving_car_are_frozen(
+    pictures: str, moves: str, expected: list[tuple[int, int]]
+) -> None:
+    look = Look(None)
+    for i, name in enumerate(pictures):
+        look.take("/a", 100 + i, 5 * i, name.encode())
+    standing = {(100 + i, 5 * i) for i, moving in enumerate(moves) if moving == "0"}
+    assert [found for seen in look.seen.values() for found in seen.frozen(standing)] == expected
+
+
+class _Job(Future[Any]):
+    def __init__(self, job: Callable[[], Any]) -> None:
+        super().__init__()
+        self._job = job
+
+    def result(self, timeout: float | None = None) -> Any:
+        return self._job()
+
+
+class _WhenAsked(Executor):
+    """The slowest pool there can be: a job is done when its result is asked for."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return _Job(partial(fn, *args, **kwargs))
+
+
+@pytest.mark.parametrize(("pictures", "size"), [(100, 1 << 20), (20_000, 1 << 13)])
+def test_pictures_that_wait_to_be_decoded_take_bounded_memory(pictures: int, size: int) -> None:
+    tracemalloc.start()
+    look = Look(_WhenAsked())
+    for row in range(pictures):
+        look.take("/a", row, row, row.to_bytes(4, "big") * (size // 4))  # 100 MB, 160 MB in all
+    look.finish()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(look.broken) == pictures
+    assert peak < 24 << 20
+
+
+# bc-log check
+
+
+def test_check_tells_frozen_and_broken_pictures_from_sound_ones(tmp_path: Path) -> None:
+    def pictures(camera: Camera, row: int) -> bytes:
+        return WHOLE[4] if camera == "right" and 4 <= row < 12 else picture(camera, row)
+
+    path = write_drive(tmp_path / "a.mcap", [9.0] * 10 + [0.0] * 10, pictures)
+    assert findings(path, "pictures that do not decode") == [
+        *("/camera/left row 0", "/camera/center row 3", "/camera/left row 7", "/camera/left row 8"),
+        "/camera/right row 19",
+    ]
+    assert findings(path, "stretches of frozen pictures") == ["/camera/right rows 4 to 9"]  # from 10 on it stands
+    assert check(path).pictures == 60
+    assert check(path, look=False).pictures == 0
+
+
+def test_empty_pictures_at_the_start_are_frozen_from_the_first_one_on(tmp_path: Path) -> None:
+    path = write_drive(tmp_path / "a.mcap", picture=lambda camera, row: b"" if row < 4 else WHOLE[row])
+    assert findings(path, "stretches of frozen pictures") == [
+        f"/camera/{camera} rows 0 to 3" for camera in CAMERAS
+    ]
+
+
+@pytest.mark.parametrize("topic", ["/vehicle", "/camera/center"])
+def test_a_time_that_no_clock_shows_is_a_finding(tmp_path: Path, topic: str) -> None:
+    path = tmp_path / "late.mcap"
+    schema = "bc.VehicleState" if topic == "/vehicle" else "foxglove.CompressedImage"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        channel = writer.register_channel(topic, "protobuf", writer.register_schema(schema, "protobuf", b""))
+        writer.add_message(channel, 2**63, b"", 2**63, 7)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert findings(path, "times that no clock shows") == [f"{topic} row 7"]
+
+
+# The look of an index
+
+
+def test_looking_at_a_log_finds_what_was_put_into_it(tmp_path: Path) -> None:
+    def pictures(camera: Camera, row: int) -> bytes:
+        return WHOLE[4] if camera == "right" and 4 <= row < 12 else picture(camera, row)
+
+    told: list[int] = []
+    with Log(write_drive(tmp_path / "a.mcap", picture=pictures)) as log:
+        looked = look_at(log, told.append)
+    assert looked == Looked(
+        60,
+        {"center": ((3, 3),), "left": ((0, 0), (7, 8)), "right": ((19, 19),)},
+        {"right": ((4, 11),)},
+    )
+    assert sum(told) == 60
+
+
+@pytest.mark.parametrize("speed_mph", [[0.0] * 20, [float("nan")] * 20])
+def test_a_car_whose_speed_is_unknown_counts_as_moving(tmp_path: Path, speed_mph: list[float]) -> None:
+    with Log(write_drive(tmp_path / "a.mcap", speed_mph, lambda camera, row: WHOLE[0])) as log:
+        frozen = look_at(log).frozen
+    assert frozen == ({} if speed_mph[0] == 0 else dict.fromkeys(CAMERAS, ((0, 19),)))
+
+
+def test_compressed_logs_with_some_plain_chunks_are_looked_at_in_their_order(tmp_path: Path) -> None:
+    """Writers store a chunk as it is where compression gains nothing."""
+    source = write_drive(tmp_path / "a.mcap")
+    mixed = tmp_path / "mixed.mcap"
+    with source.open("rb") as stream, mixed.open("wb") as target:
+        writer = McapWriter(target, chunk_size=8_000, compression=CompressionType.ZSTD)
+        writer.start("bc")
+        channels: dict[str, int] = {}
+        for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+            assert schema is not None
+            if channel.topic not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "protobuf", number)
+            at = channels[channel.topic]
+            writer.add_message(at, message.log_time, message.data, message.publish_time, message.sequence)
+            plain = (message.sequence // 3) % 2
+            writer._Writer__compression = CompressionType.NONE if plain else CompressionType.ZSTD  # type: ignore[attr-defined]
+        writer.finish()  # type: ignore[no-untyped-call]
+    with Log(mixed) as log, Log(source) as original:
+        assert {chunk.compression for chunk in log.chunks} == {"", "zstd"}
+        assert look_at(log) == look_at(original)
+
+
+def test_an_unchanged_log_is_looked_at_once(tmp_path: Path) -> None:
+    logs = {name: write_drive(tmp_path / f"{name}.mcap") for name in ("a", "b")}
+    index = tmp_path / "index"
+    assert look_at_all(logs, index) == ["a", "b"]
+    assert look_at_all(logs, index) == []
+    for name, path in logs.items():
+        with Log(path) as log:
+            assert read_look(index, name, log.fingerprint) == _all_cameras(look_at(log))
+    write_drive(logs["b"], picture=lambda camera, row: WHOLE[row])
+    assert read_look(index, "b", fingerprint(logs["b"])) is None
+    assert look_at_all(logs, index) == ["b"]
+    looked = read_look(index, "b", fingerprint(logs["b"]))
+    assert looked is not None
+    assert not any(looked.broken.values())
+
+
+def _all_cameras(looked: Looked) -> Looked:
+    """A look that was read names every camera."""
+    return Looked(
+        looked.pictures,
+        {camera: looked.broken.get(camera, ()) for camera in CAMERAS},
+        {camera: looked.frozen.get(camera, ()) for camera in CAMERAS},
+    )
+
+
+def test_what_was_looked_at_stays_when_a_later_log_stops_the_work(tmp_path: Path) -> None:
+    logs = {name: write_drive(tmp_path / f"{name}.mcap") for name in ("a", "b")}
+    data = bytearray(logs["b"].read_bytes())
+    data[data.index(WHOLE[5]) + 100] ^= 1
+    logs["b"].write_bytes(data)
+    with pytest.raises(LogError, match=r"b\.mcap: damaged"):
+        look_at_all(logs, tmp_path / "index")
+    assert read_look(tmp_path / "index", "a", fingerprint(logs["a"])) is not None
+    assert os.listdir(tmp_path / "index" / "looks") == ["a.json"]  # noqa: PTH208
+
+
+SOUND: Mapping[str, Any] = {
+    "format": 1,
+    "fingerprint": "f",
+    "pictures": 10,
+    "broken": {"left": [[0, 2], [3, 3]]},
+    "frozen": {},
+}
+
+
+WRONG_VALUES: Sequence[Any] = (None, -2, [], {"left": 1}, "left")
+WRONG_STRETCHES = (
+    *("[[2,1]]", "[[0,2],[2,3]]", "[[5,6],[0,1]]", "[[-1,0]]"),
+    *("[[0]]", "[[0,1e9]]", "[[0,true]]", "[0,1]"),
+)
+
+
+def test_a_look_is_read_as_it_was_written(tmp_path: Path) -> None:
+    looked = Looked(10, {"center": (), "left": ((0, 2), (3, 3)), "right": ()}, dict.fromkeys(CAMERAS, ()))
+    write_look(tmp_path, "a", "f", looked)
+    assert read_look(tmp_path, "a", "f") == looked
+    assert read_look(tmp_path, "a", "another log") is None
+    assert read_look(tmp_path, "b", "f") is None
+    (tmp_path / "looks" / "a.json").write_text(json.dumps(SOUND))
+    assert read_look(tmp_path, "a", "f") == looked
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "null",
+        "\xff",
+        "[" * 100_000,
+        *(json.dumps({**SOUND, "pictures": wrong}) for wrong in (-1, 1.5, True, "10", None, 2**62)),
+        *(json.dumps({**SOUND, name: wrong}) for name in SOUND for wrong in WRONG_VALUES),
+        *(json.dumps({**SOUND, "broken": {"left": json.loads(wrong)}}) for wrong in WRONG_STRETCHES),
+        json.dumps({name: value for name, value in SOUND.items() if name != "frozen"}),
+    ],
+)
+def test_a_damaged_look_counts_as_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / "looks").mkdir()
+    (tmp_path / "looks" / "a.json").write_text(text, encoding="latin-1")
+    assert read_look(tmp_path, "a", "f") is None
+
+
+def test_a_link_is_neither_read_nor_written_through(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere.json"
+    elsewhere.write_text(json.dumps(SOUND))
+    (tmp_path / "looks").mkdir()
+    link = tmp_path / "looks" / "a.json"
+    link.symlink_to(elsewhere)
+    assert read_look(tmp_path, "a", "f") is None
+    write_look(tmp_path, "a", "f", Looked(3, {}, {}))
+    assert json.loads(elsewhere.read_text()) == SOUND
+    assert not link.is_symlink()
+    looked = read_look(tmp_path, "a", "f")
+    assert looked is not None
+    assert looked.pictures == 3

@@ -1,0 +1,533 @@
+"""A Udacity recording becomes a log, whatever machine, locale and accident it comes from."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from driving import one_line_of, run
+from logs import read_messages
+from recorder import Imported, RecordingError, import_udacity
+from recorder.cli import main
+from recorder.log.topics import CAMERAS
+from udacity import call, jpeg, make_recording, paths, picture_name
+
+START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 1_000_000_000
+VALUES = [(0.0, 1.0, 0.0, 7.8e-05), (-0.35, 0.25, 0.0, 12.1822), (0.05, 0.0, 1.0, 30.19)]
+CELLS = ["0,1,0,7.8E-05", "-0.35,0.25,0,12.1822", "0.05,0,1,30.19"]
+
+
+def three_rows(prefix: str = "IMG/", separator: str = ",", end: str = "\n") -> str:
+    return "".join(
+        paths(number, prefix, separator) + separator + cells.replace(",", separator) + end
+        for number, cells in enumerate(CELLS)
+    )
+
+
+def values_of(log: Path) -> list[tuple[float, float, float, float]]:
+    states = [state for _, state in read_messages(log)["/vehicle"]]
+    return [(state.steering, state.throttle, state.brake, state.speed_mph) for state in states]
+
+
+def pictures_of(log: Path) -> dict[str, bytes]:
+    """The pictures in a log, by the name that they had in the recording."""
+    return {
+        picture_name(camera, (message.log_time - START_NS) // 100_000_000): image.data
+        for camera in CAMERAS
+        for message, image in read_messages(log).get(f"/camera/{camera}", [])
+    }
+
+
+def imported(folder: Path) -> Imported:
+    return import_udacity(folder, folder / "imported.mcap")
+
+
+def assert_all_three_rows(folder: Path, pictures: dict[str, bytes]) -> None:
+    done = imported(folder)
+    assert (done.rows, done.pictures, list(done.skipped)) == (3, 9, [])
+    assert values_of(done.path) == VALUES
+    assert pictures_of(done.path) == pictures
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
+@pytest.mark.parametrize("separator", [",", ", "], ids=["comma", "comma and space"])
+def test_separators_and_line_ends(tmp_path: Path, separator: str, end: str) -> None:
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(separator=separator, end=end)))
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
+def test_no_final_newline(tmp_path: Path, end: str) -> None:
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(end=end).removesuffix(end)))
+
+
+def test_spaces_only_before_the_paths(tmp_path: Path) -> None:
+    csv = "".join(f"{paths(i, separator=', ')},{cells}\n" for i, cells in enumerate(CELLS))
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+def test_separators_and_line_ends_mixed_in_one_file(tmp_path: Path) -> None:
+    one, two, three = (paths(i, separator=separator) for i, separator in enumerate([",", ", ", ","]))
+    csv = f"{one},{CELLS[0]}\r\n{two}, {CELLS[1].replace(',', ', ')}\n{three}, {CELLS[2]}\r"
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+@pytest.mark.parametrize(
+    "prefix",
+    [
+        "C:\\self driving\\data\\IMG\\",
+        "D:\\IMG/",
+        "/Users/someone/Desktop/track1/IMG/",
+        "/home/b-sh/term1/IMG/",
+        "/Users/someone/My Drives (new)/IMG/",
+        "C:\\Usuários\\José\\área de trabalho\\IMG\\",
+        "/Users/someone/Anna’s MacBook/IMG/",
+        "/data/laps 1, 2 and 3/IMG/",
+        "IMG/",
+        "IMG\\",
+        "../IMG/",
+        "",
+    ],
+)
+def test_only_the_file_name_of_a_path_counts(tmp_path: Path, prefix: str) -> None:
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(prefix)))
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8-sig", "mac_roman"])
+def test_accents_in_the_encoding_of_another_machine(tmp_path: Path, encoding: str) -> None:
+    csv = three_rows("/Users/José/Anna’s drives/IMG/").encode(encoding)
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+@pytest.mark.parametrize("img", ["IMG", ".", "../IMG"])
+def test_pictures_are_found_beside_the_csv_and_above_it(tmp_path: Path, img: str) -> None:
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    assert_all_three_rows(folder, make_recording(folder, three_rows("/elsewhere/IMG/"), img=img))
+
+
+@pytest.mark.parametrize("title", ["center,left,right,", "center, left, right, ", '"center","left","right",'])
+def test_a_header_is_no_row(tmp_path: Path, title: str) -> None:
+    csv = f"{title}steering,throttle,brake,speed\n{three_rows()}"
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
+    csv = "\n" + three_rows(end="\n\n") + " \r\n\n"
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+def test_scientific_notation(tmp_path: Path) -> None:
+    make_recording(tmp_path, f"{paths(0)},-1.5E-06,2e-1,0,1.2E+01\n", [0])
+    assert values_of(imported(tmp_path).path) == [(-1.5e-06, 0.2, 0.0, 12.0)]
+
+
+@pytest.mark.parametrize("separator", [", ", ","], ids=["comma and space", "comma"])
+@pytest.mark.parametrize(
+    ("cells", "values"),
+    [
+        ("-0,08581576|0,1286689|0|12,1822", (-0.08581576, 0.1286689, 0.0, 12.1822)),
+        ("-0,5|0,25|0,125|3,75", (-0.5, 0.25, 0.125, 3.75)),
+        ("0|1|0|30,19", (0.0, 1.0, 0.0, 30.19)),
+        ("0|0|0|0,5", (0.0, 0.0, 0.0, 0.5)),
+        ("0|0|0|0", (0.0, 0.0, 0.0, 0.0)),
+        ("1|1|0|9", (1.0, 1.0, 0.0, 9.0)),
+        ("-1|0,4|0|22,40861", (-1.0, 0.4, 0.0, 22.40861)),
+        ("0|0|1|15,5", (0.0, 0.0, 1.0, 15.5)),
+        ("0,05|0|0|8,25", (0.05, 0.0, 0.0, 8.25)),
+        ("0|1|0|7,8E-05", (0.0, 1.0, 0.0, 7.8e-05)),
+        ("0,1|1|0|30,02", (0.1, 1.0, 0.0, 30.02)),
+    ],
+)
+def test_decimal_commas(tmp_path: Path, separator: str, cells: str, values: tuple[float, ...]) -> None:
+    make_recording(tmp_path, paths(0) + separator + cells.replace("|", separator) + "\n", [0])
+    assert values_of(imported(tmp_path).path) == [values]
+
+
+def test_a_space_tells_a_separator_from_a_decimal_comma(tmp_path: Path) -> None:
+    """Without the spaces these cells could as well be a speed of 5.31 mph."""
+    make_recording(tmp_path, f"{paths(0, separator=', ')}, 0, 1, 0,5, 31\n", [0])
+    assert values_of(imported(tmp_path).path) == [(0.0, 1.0, 0.5, 31.0)]
+
+
+@pytest.mark.parametrize(
+    ("cells", "values"),
+    [
+        # as Mono's string.Format("{0}") writes -0.2167, 10.9014 and 7.8E-05 for fa-IR
+        ("-0/2167,1,0,10/9014", (-0.2167, 1.0, 0.0, 10.9014)),
+        ("0,0/5,1,7/8E-05", (0.0, 0.5, 1.0, 7.8e-05)),
+        # as ToString("N4") does for ar-SA and fa-IR
+        ("0.2167-,0.5000,0.0000,10.9014", (-0.2167, 0.5, 0.0, 10.9014)),
+        ("0/2167-,0/5000,0/0000,10/9014", (-0.2167, 0.5, 0.0, 10.9014)),
+        # with ICU: fa-IR, ar-EG, sv-SE
+        ("\u200e\u22120\u066b2167,1,0,10\u066b9014", (-0.2167, 1.0, 0.0, 10.9014)),
+        ("\u061c-0\u066b2167,1,0,7\u066b8E\u061c-05", (-0.2167, 1.0, 0.0, 7.8e-05)),
+        ("\u22120,2167,1,0,10,9014", (-0.2167, 1.0, 0.0, 10.9014)),
+        ("+0.5,+1,0,.5", (0.5, 1.0, 0.0, 0.5)),
+        ('"-0,2167","1","0","10,9014"', (-0.2167, 1.0, 0.0, 10.9014)),
+        ('"-0.2167", "1", "0", "10.9014"', (-0.2167, 1.0, 0.0, 10.9014)),
+    ],
+)
+def test_numbers_of_other_countries(tmp_path: Path, cells: str, values: tuple[float, ...]) -> None:
+    make_recording(tmp_path, f"{paths(0)},{cells}\n", [0])
+    assert values_of(imported(tmp_path).path) == [values]
+
+
+@pytest.mark.parametrize(
+    "cells", ["0.1,0.2,0,20.5,7", "0,1,0,30.5,", "0, 1, 0, 30, 7", '"0,1","0,2","0","20,5","7"', "0,1,0,30,7"]
+)
+def test_a_row_with_a_value_too_many_is_named(tmp_path: Path, cells: str) -> None:
+    make_recording(tmp_path, f"{paths(0)},{CELLS[0]}\n{paths(1)},{cells}\n{paths(2)},{CELLS[2]}\n")
+    done = imported(tmp_path)
+    if cells.endswith(","):  # an empty cell is no value
+        assert (done.rows, len(done.skipped)) == (3, 0)
+    else:
+        assert values_of(done.path) == [VALUES[0], VALUES[2]]
+        assert done.skipped.counts == {"rows with more than four values": 1}
+
+
+def test_decimal_commas_behind_a_drive_with_decimal_points(tmp_path: Path) -> None:
+    """Somebody has put another country's recording behind a downloaded one."""
+    cells = ["0,1,0,7.8E-05", "-0,05,1,0,12,25", "0,1,0,12,5"]
+    make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
+    assert values_of(imported(tmp_path).path) == [(0, 1, 0, 7.8e-05), (-0.05, 1, 0, 12.25), (0, 1, 0, 12.5)]
+
+
+def test_decimal_commas_of_a_drive_that_stops_at_a_whole_speed(tmp_path: Path) -> None:
+    cells = ["0,05,1,0,29,98", "0,05,1,0,30", "0,1,1,0,30,02"]
+    make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
+    assert values_of(imported(tmp_path).path) == [(0.05, 1, 0, 29.98), (0.05, 1, 0, 30), (0.1, 1, 0, 30.02)]
+
+
+def test_missing_pictures_are_named_and_everything_else_is_kept(tmp_path: Path) -> None:
+    pictures = make_recording(tmp_path, three_rows())
+    missing = [
+        picture_name("left", 1),
+        picture_name("center", 2),
+        picture_name("left", 2),
+        picture_name("right", 2),
+    ]
+    for name in missing:
+        (tmp_path / "IMG" / name).unlink()
+    done = imported(tmp_path)
+    assert [name for _, name in done.skipped] == [missing[0], *missing[1:]]
+    assert (done.rows, done.pictures) == (3, 5)
+    assert values_of(done.path) == VALUES
+    assert pictures_of(done.path) == {name: data for name, data in pictures.items() if name not in missing}
+
+
+def test_a_camera_without_any_picture(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows())
+    for number in range(3):
+        (tmp_path / "IMG" / picture_name("right", number)).unlink()
+    done = imported(tmp_path)
+    assert (done.rows, done.pictures, len(done.skipped)) == (3, 6, 3)
+    assert "/camera/right" not in read_messages(done.path)
+
+
+def test_pictures_without_a_row_are_named(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows(), [0, 1, 2, 7])
+    done = imported(tmp_path)
+    assert list(done.skipped) == [("pictures without a row", picture_name(camera, 7)) for camera in CAMERAS]
+    assert (done.rows, done.pictures) == (3, 9)
+
+
+def test_several_drives_and_time_going_backwards_keep_their_order(tmp_path: Path) -> None:
+    numbers = [300, 301, 0, 1, 90]  # half a minute, back to the start, and a gap of nine seconds
+    csv = "".join(f"{paths(number)},0.{position},0,0,5\n" for position, number in enumerate(numbers))
+    make_recording(tmp_path, csv, numbers)
+    done = imported(tmp_path)
+    assert (done.rows, done.pictures, len(done.skipped)) == (5, 15, 0)
+    expected = [(START_NS + number * 100_000_000, position) for position, number in enumerate(numbers)]
+    for topic in ("/vehicle", "/camera/center", "/camera/left", "/camera/right"):
+        assert [(m.log_time, m.sequence) for m, _ in read_messages(done.path)[topic]] == expected
+    assert [steering for steering, *_ in values_of(done.path)] == [0.0, 0.1, 0.2, 0.3, 0.4]
+
+
+def test_two_folders_rows_in_one_file(tmp_path: Path) -> None:
+    prefixes = ["/home/me/one/IMG/", "C:\\two\\IMG\\", "/home/me/one/IMG/"]
+    csv = "".join(f"{paths(i, prefix)},{CELLS[i]}\n" for i, prefix in enumerate(prefixes))
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+@pytest.mark.parametrize("kept", [20, 120, -18, -12])
+def test_a_last_row_that_is_cut_off_is_named(tmp_path: Path, kept: int) -> None:
+    last = f"{paths(2)},0.05,0.5,1,30.19"
+    make_recording(tmp_path, f"{paths(0)},{CELLS[0]}\n{paths(1)},{CELLS[1]}\n{last[:kept]}", [0, 1])
+    done = imported(tmp_path)
+    assert values_of(done.path) == VALUES[:2]
+    assert [name for _, name in done.skipped] == ["line 3"]
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        *["nan,0,0,1", "0,inf,0,1", "0,1e999,0,1", "left,0,0,1", "0,0,0", ""],
+        # Python's float() takes these
+        *["1_0,0,0,1", "0,0,0,1_0.5", "\u0663,0,0,1", "\u0660.\u0665,0,0,1", "infinity,0,0,1", "\uff11,0,0,1"],
+        *[
+            "0x1,0,0,1",
+            "0 1,0,0,1",
+            "0.1\0,0,0,1",
+            "--1,0,0,1",
+            "1-2,0,0,1",
+            "-1-,0,0,1",
+            "1/2/2024,0,0,1",
+            ".,0,0,1",
+        ],
+    ],
+)
+def test_a_row_without_four_numbers_is_named_and_the_others_are_kept(tmp_path: Path, cells: str) -> None:
+    make_recording(tmp_path, f"{paths(0)},{CELLS[0]}\n{paths(1)},{cells}\n{paths(2)},{CELLS[2]}\n")
+    done = imported(tmp_path)
+    assert values_of(done.path) == [VALUES[0], VALUES[2]]
+    assert [name for _, name in done.skipped] == ["line 2"]
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [(b"", "empty"), (b"GIF89a not a JPEG", "another format"), (jpeg(90)[:-300], "cut off")],
+    ids=["empty", "another format", "cut off"],
+)
+def test_a_picture_that_is_not_a_whole_jpeg_is_left_out_and_named(tmp_path: Path, data: bytes, why: str) -> None:
+    pictures = make_recording(tmp_path, three_rows())
+    broken = picture_name("center", 1)
+    (tmp_path / "IMG" / broken).write_bytes(data)
+    done = imported(tmp_path)
+    assert [name for _, name in done.skipped] == [broken], why
+    del pictures[broken]
+    assert pictures_of(done.path) == pictures
+    assert values_of(done.path) == VALUES
+
+
+def test_a_link_that_leaves_the_recording_is_not_followed(tmp_path: Path) -> None:
+    secret = tmp_path / "private.jpg"
+    secret.write_bytes(jpeg(250))
+    folder = tmp_path / "downloaded"
+    make_recording(folder, three_rows())
+    link = folder / "IMG" / picture_name("left", 0)
+    link.unlink()
+    link.symlink_to(secret)
+    done = imported(folder)
+    assert link.name in [name for _, name in done.skipped]
+    assert done.pictures == 8
+    assert secret.read_bytes() not in done.path.read_bytes()
+
+
+def pictures_elsewhere(folder: Path, place: Path) -> dict[str, bytes]:
+    """A recording whose `place` is a link to a folder on another disk, which has the pictures."""
+    pictures = make_recording(folder, three_rows())
+    disk = folder.parent / "disk" / "pictures of July"
+    disk.parent.mkdir()
+    (folder / "IMG").rename(disk)
+    place.symlink_to(disk)
+    return pictures
+
+
+@pytest.mark.parametrize("place", ["IMG", "../IMG"])
+def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path, place: str) -> None:
+    folder = tmp_path / "drive"
+    pictures = pictures_elsewhere(folder, folder / place)
+    assert_all_three_rows(folder, pictures)
+
+
+def test_a_picture_that_leads_out_of_a_linked_folder_is_named(tmp_path: Path) -> None:
+    secret = tmp_path / "private.jpg"
+    secret.write_bytes(jpeg(250))
+    folder = tmp_path / "drive"
+    pictures_elsewhere(folder, folder / "IMG")
+    link = folder / "IMG" / picture_name("left", 0)
+    link.unlink()
+    link.symlink_to(secret)
+    done = imported(folder)
+    assert done.pictures == 8
+    assert list(done.skipped) == [("pictures that are links out of the recording", link.name)]
+    assert secret.read_bytes() not in done.path.read_bytes()
+
+
+def test_a_link_to_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    pictures_elsewhere(folder, folder / "IMG")
+    (tmp_path / "disk").rename(tmp_path / "unplugged")
+    with pytest.raises(RecordingError, match=r"IMG is a link to .*pictures of July, which is not there"):
+        imported(folder)
+
+
+def test_a_recording_all_of_whose_pictures_are_links_says_how_to_copy_it(tmp_path: Path) -> None:
+    """As git-annex and its like keep large files."""
+    folder = tmp_path / "drive"
+    make_recording(folder, three_rows())
+    (tmp_path / "store").mkdir()
+    for picture in list((folder / "IMG").iterdir()):
+        picture.symlink_to(picture.rename(tmp_path / "store" / picture.name))
+    with pytest.raises(RecordingError, match=r"its pictures are links out of it, .*`cp -rL`"):
+        imported(folder)
+
+
+def test_a_csv_that_is_a_link_out_of_the_recording_is_not_followed(tmp_path: Path) -> None:
+    make_recording(tmp_path / "private", three_rows())
+    folder = tmp_path / "downloaded"
+    make_recording(folder, "")
+    (folder / "driving_log.csv").unlink()
+    (folder / "driving_log.csv").symlink_to(tmp_path / "private" / "driving_log.csv")
+    with pytest.raises(RecordingError, match="a link out of the recording"):
+        imported(folder)
+
+
+def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    make_recording(folder, three_rows())
+    logs = [import_udacity(folder, tmp_path / name).path.read_bytes() for name in ("one.mcap", "two.mcap")]
+    assert logs[0] == logs[1]
+
+
+def test_what_was_skipped_is_an_event_in_the_log(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows(), [0, 1, 2, 7])
+    events = [event.message for _, event in read_messages(imported(tmp_path).path)["/events"]]
+    assert len(events) == 3
+    assert all(name in event for name, event in zip([picture_name(c, 7) for c in CAMERAS], events, strict=True))
+
+
+# The command
+
+
+def test_bc_record_tells_what_it_wrote(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", three_rows())
+    done = run("bc-record", "lake", "--from", tmp_path / "drive", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "sessions/lake.mcap: 3 rows, 9 pictures" in done.stdout
+    assert values_of(tmp_path / "sessions" / "lake.mcap") == VALUES
+
+
+def test_bc_record_ends_with_3_and_names_what_was_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_recording(tmp_path / "drive", three_rows(), [0, 1])
+    assert call(main, "lake", "--from", tmp_path / "drive", "--sessions", tmp_path / "sessions") == 3
+    told = capsys.readouterr()
+    assert "3 rows, 6 pictures" in told.out
+    assert all(picture_name(camera, 2) in told.err for camera in CAMERAS)
+
+
+def empty(folder: Path) -> None:
+    folder.mkdir()
+
+
+def without_csv(folder: Path) -> None:
+    make_recording(folder, three_rows())
+    (folder / "driving_log.csv").unlink()
+
+
+def without_usable_row(folder: Path) -> None:
+    make_recording(folder, f"center,left,right,steering,throttle,brake,speed\n{paths(0)},a,b\n")
+
+
+def without_pictures(folder: Path) -> None:
+    make_recording(folder, three_rows(), [])
+
+
+def not_there(folder: Path) -> None:
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("make", [empty, without_csv, without_usable_row, without_pictures, not_there])
+def test_a_recording_without_anything_usable_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: object
+) -> None:
+    folder = tmp_path / "drive"
+    assert callable(make)
+    make(folder)
+    assert call(main, "lake", "--from", folder, "--sessions", tmp_path / "sessions") == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
+    assert str(folder) in told.err
+    assert not (tmp_path / "sessions").exists() or not list((tmp_path / "sessions").iterdir())
+
+
+def test_an_error_is_one_line_from_the_real_command_too(tmp_path: Path) -> None:
+    done = run("bc-record", "lake", "--from", tmp_path / "nowhere", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "nowhere: no such folder" in one_line_of(done)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_session_is_replaced_only_with_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_recording(tmp_path / "drive", three_rows())
+    log = tmp_path / "lake.mcap"
+    log.write_bytes(b"somebody's work")
+    line = ["lake", "--from", tmp_path / "drive", "--sessions", tmp_path]
+    assert call(main, *line) == 1
+    assert "--force" in capsys.readouterr().err
+    assert log.read_bytes() == b"somebody's work"
+    assert call(main, *line, "--force") == 0
+    assert values_of(log) == VALUES
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive", "lake.mcap"]
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", "/abs", "..", ".hidden", "a\\b"])
+def test_a_name_that_is_no_plain_name_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    make_recording(tmp_path / "drive", three_rows())
+    before = sorted(tmp_path.rglob("*"))
+    assert call(main, name, "--from", tmp_path / "drive", "--sessions", tmp_path / "sessions") == 2
+    assert "bc-record" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_wrong_flag_is_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "lake", "--form", "folder") == 2
+    assert "--form" in capsys.readouterr().err
+
+
+def test_every_split_of_a_decimal_comma_row_that_is_written_is_read(tmp_path: Path) -> None:
+    """All combinations of whole and broken numbers that a drive at a steady speed can have."""
+    rows = list(itertools.product(("0", "-0,25"), ("1", "0,75"), ("0",), ("20,5", "20,4375")))
+    csv = "".join(f"{paths(i)},{','.join(row)}\n" for i, row in enumerate(rows))
+    make_recording(tmp_path, csv, range(len(rows)))
+    expected = [tuple(float(cell.replace(",", ".")) for cell in row) for row in rows]
+    assert values_of(imported(tmp_path).path) == expected
+
+
+def test_a_row_that_comes_twice_is_taken_once(tmp_path: Path) -> None:
+    """Twice in a log, a picture could be on both sides of the split."""
+    make_recording(tmp_path, three_rows() + three_rows())
+    done = imported(tmp_path)
+    assert values_of(done.path) == VALUES
+    assert done.skipped.counts == {"rows with the pictures of an earlier row": 3}
+
+
+def test_a_name_that_is_not_utf8_is_named_escaped(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows())
+    (tmp_path / "IMG" / os.fsdecode(b"caf\xe9.jpg")).write_bytes(jpeg(1))
+    assert [name for _, name in imported(tmp_path).skipped] == ["caf\\udce9.jpg"]
+
+
+@pytest.mark.parametrize("year", ["1960", "2300"])
+def test_a_time_that_no_log_can_hold_costs_the_row(tmp_path: Path, year: str) -> None:
+    names = ",".join(f"IMG/{camera}_{year}_01_01_00_00_00_000.jpg" for camera in CAMERAS)
+    make_recording(tmp_path, f"{three_rows()}{names},0,0,0,1\n")
+    done = imported(tmp_path)
+    assert (done.rows, done.skipped.counts) == (
+        3,
+        {"rows with a time in their pictures' names that no log can hold": 1},
+    )
+
+
+def test_a_file_that_only_begins_and_ends_like_a_jpeg_is_left_out(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows())
+    broken = picture_name("left", 2)
+    (tmp_path / "IMG" / broken).write_bytes(b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9")
+    assert [name for _, name in imported(tmp_path).skipped] == [broken]
+
+
+def test_an_empty_csv_is_called_empty(tmp_path: Path) -> None:
+    (tmp_path / "driving_log.csv").touch()
+    with pytest.raises(RecordingError, match=r"driving_log\.csv: an empty file: no drive was recorded"):
+        import_udacity(tmp_path, tmp_path / "x.mcap")

@@ -1,0 +1,153 @@
+"""Whole JPEGs are told from cut, half-written and foreign files, without decoding them; OpenCV is the judge."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from recorder.pictures.jpeg import PADDING_BYTES, is_whole_jpeg
+
+ENCODINGS: dict[str, list[int]] = {
+    "baseline": [],
+    "progressive": [cv2.IMWRITE_JPEG_PROGRESSIVE, 1],
+    "own tables": [cv2.IMWRITE_JPEG_OPTIMIZE, 1],
+    "restarts": [cv2.IMWRITE_JPEG_RST_INTERVAL, 3],
+    "4:1:1, progressive": [
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_411,
+        cv2.IMWRITE_JPEG_PROGRESSIVE,
+        1,
+    ],
+}
+
+
+@cache
+def encoded(encoding: str, is_grey: bool) -> bytes:
+    """A small picture with edges, a gradient and noise."""
+    picture = np.random.default_rng(1).integers(0, 60, (40, 56, 3)).astype(np.uint8)
+    picture[:, :, 1] += np.linspace(0, 150, 56).astype(np.uint8)
+    cv2.circle(picture, (28, 20), 12, (30, 200, 250), -1)
+    ok, data = cv2.imencode(".jpg", picture[:, :, 1] if is_grey else picture, ENCODINGS[encoding])
+    assert ok
+    return data.tobytes()
+
+
+def is_decoded(data: bytes) -> bool:
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
+    except cv2.error:
+        return False
+
+
+whole_pictures = st.builds(encoded, st.sampled_from(sorted(ENCODINGS)), st.booleans())
+
+
+@pytest.mark.parametrize("is_grey", [False, True], ids=["colour", "grey"])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_common_encoding_is_taken(encoding: str, is_grey: bool) -> None:
+    assert is_whole_jpeg(encoded(encoding, is_grey))
+
+
+def test_every_picture_of_real_recordings_is_taken(recordings: Path) -> None:
+    pictures = sorted(recordings.glob("*/IMG/*.jpg"))
+    assert len(pictures) > 8000
+    assert [path.name for path in pictures if not is_whole_jpeg(path.read_bytes())] == []
+
+
+@given(whole_pictures, st.data())
+def test_a_picture_that_is_cut_off_anywhere_is_refused(data: bytes, draw: st.DataObject) -> None:
+    assert not is_whole_jpeg(data[: draw.draw(st.integers(0, len(data) - 1))])
+
+
+@given(whole_pictures, st.data())
+def test_a_picture_whose_end_is_not_written_yet_is_refused(data: bytes, draw: st.DataObject) -> None:
+    """Its file already has its size, but zeros where the rest will be."""
+    kept = draw.draw(st.integers(0, len(data) - 2))
+    assert not is_whole_jpeg(data[:kept] + bytes(len(data) - kept))
+
+
+@settings(max_examples=1000)
+@given(whole_pictures, whole_pictures, st.data())
+def test_what_is_taken_can_be_decoded_however_it_was_spliced(one: bytes, two: bytes, draw: st.DataObject) -> None:
+    begin = one[: draw.draw(st.integers(0, len(one)))]
+    between = draw.draw(st.sampled_from([b"", bytes(7), begin[-60:], two[:300]]))
+    end = two[draw.draw(st.integers(0, len(two))) :]
+    spliced = begin + between + end
+    assert is_decoded(spliced) or not is_whole_jpeg(spliced)
+
+
+@settings(max_examples=500)
+@given(whole_pictures, st.integers(0, 900), st.integers(1, 200))
+def test_what_is_taken_can_be_decoded_with_a_hole_of_zeros(data: bytes, begin: int, size: int) -> None:
+    holed = (data[:begin] + bytes(size) + data[begin + size :])[: len(data)]
+    assert is_decoded(holed) or not is_whole_jpeg(holed)
+
+
+@pytest.mark.parametrize(
+    "marker", [b"\xff\xdb", b"\xff\xc0", b"\xff\xc4", b"\xff\xda"], ids=["DQT", "SOF", "DHT", "SOS"]
+)
+def test_a_picture_without_one_of_its_parts_is_refused(marker: bytes) -> None:
+    data = encoded("baseline", True)
+    begin = data.index(marker)
+    end = begin + 2 + int.from_bytes(data[begin + 2 : begin + 4], "big")
+    assert not is_whole_jpeg(data[:begin] + data[end:])
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\xff\xd8",
+        b"\xff\xd8\xff\xd9",
+        b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9",
+        b"\xff\xd8" + b"\xff" * 500 + b"\xd9",
+        b"GIF89a" + bytes(100),
+        b"\x89PNG\r\n\x1a\n" + bytes(100),
+    ],
+)
+def test_what_only_looks_like_a_jpeg_is_refused(data: bytes) -> None:
+    assert not is_whole_jpeg(data)
+
+
+def test_a_table_without_its_codes_is_refused() -> None:
+    ok, image = cv2.imencode(".jpg", np.full((16, 16), 90, np.uint8), ENCODINGS["own tables"])
+    assert ok
+    data = image.tobytes()
+    codes_at = data.rindex(b"\xff\xc4") + 5  # how many there are of each length, 1 to 16 bits
+    assert is_whole_jpeg(data)
+    assert sum(data[codes_at : codes_at + 16]) == 1
+    assert not is_whole_jpeg(data[:codes_at] + bytes(16) + data[codes_at + 16 :])
+
+
+def test_a_padded_end_is_taken_and_a_long_tail_is_not() -> None:
+    data = encoded("baseline", False)
+    assert is_whole_jpeg(data + bytes(PADDING_BYTES))
+    assert not is_whole_jpeg(data + bytes(PADDING_BYTES + 1))
+
+
+def test_half_a_picture_with_another_one_behind_it_is_refused() -> None:
+    data = encoded("baseline", False)
+    assert not is_whole_jpeg(data[: len(data) // 2] + data)
+
+
+def test_a_picture_of_thousands_of_scans_is_refused() -> None:
+    """Each makes OpenCV go over the whole picture once more, and takes fourteen bytes."""
+    data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    last = data.rindex(b"\xff\xda")
+    assert is_whole_jpeg(data)
+    assert is_whole_jpeg(data[:-2] + 50 * data[last:-2] + data[-2:])
+    assert not is_whole_jpeg(data[:-2] + 2000 * data[last:-2] + data[-2:])
+
+
+def test_a_picture_without_a_size_is_refused() -> None:
+    data = encoded("baseline", False)
+    size_at = data.index(b"\xff\xc0") + 5
+    assert data[size_at : size_at + 4] == bytes((0, 40, 0, 56))
+    assert not is_whole_jpeg(data[:size_at] + bytes((0, 0, 0, 56)) + data[size_at + 4 :])
+    assert not is_whole_jpeg(data[:size_at] + b"\xff\xff\xff\xff" + data[size_at + 4 :])

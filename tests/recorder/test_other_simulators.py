@@ -1,0 +1,173 @@
+"""A folder in the layout of Udacity's simulator that another one wrote: one camera, pictures without times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from driving import one_line_of, run
+from logs import read_messages
+from recorder import Imported, Log, RecordingError, import_udacity
+from recorder.cli import main
+from recorder.sources.donkeycar import import_tub
+from recorder.sources.udacity_follow import watch_udacity
+from tubs import record_1, write_tub_1
+from udacity import call, jpeg, make_recording, paths
+
+ROWS = "".join(f"IMG/{number}.jpg,,,0.{number},0.5,0,{20 + number}.5\n" for number in range(1, 5))
+
+
+def make_folder(folder: Path, csv: str = ROWS) -> list[bytes]:
+    """Pictures 1.jpg to 4.jpg and the csv; the pictures' bytes."""
+    make_recording(folder, csv, [])
+    pictures = [jpeg(50 * number, number) for number in range(1, 5)]
+    for number, picture in enumerate(pictures, start=1):
+        (folder / "IMG" / f"{number}.jpg").write_bytes(picture)
+    return pictures
+
+
+def watched(folder: Path, log: Path, rate_hz: float | None) -> Imported:
+    return watch_udacity(folder, log, rate_hz=rate_hz, idle_s=0)
+
+
+def imported(folder: Path, log: Path, rate_hz: float | None) -> Imported:
+    return import_udacity(folder, log, rate_hz=rate_hz)
+
+
+def metadata_of(path: Path) -> dict[str, str]:
+    with Log(path) as log:
+        return log.metadata
+
+
+both_ways = pytest.mark.parametrize("record", [imported, watched])
+
+
+@both_ways
+def test_one_camera_and_no_times(tmp_path: Path, record: object) -> None:
+    assert callable(record)
+    pictures = make_folder(tmp_path / "torcs")
+    done = record(tmp_path / "torcs", tmp_path / "torcs.mcap", 20)
+    assert (done.rows, done.pictures, len(done.skipped)) == (4, 4, 0)
+    messages = read_messages(done.path)
+    assert messages.keys() == {"/camera/center", "/vehicle"}
+    times = [0, 50_000_000, 100_000_000, 150_000_000]
+    assert [message.log_time for message, _ in messages["/camera/center"]] == times
+    states = [(message.log_time, state.steering) for message, state in messages["/vehicle"]]
+    assert states == list(zip(times, [0.1, 0.2, 0.3, 0.4], strict=True))
+    assert [image.data for _, image in messages["/camera/center"]] == pictures
+    about = metadata_of(done.path)
+    assert about["clock"].startswith("20 Hz, as --rate said")
+    assert about["start"].startswith("1970")
+
+
+@both_ways
+def test_a_row_that_cannot_be_used_leaves_its_time_free(tmp_path: Path, record: object) -> None:
+    assert callable(record)
+    make_folder(tmp_path / "torcs", f"center,left,right,steering\n{ROWS.replace('0.2,', 'x,', 1)}")
+    done = record(tmp_path / "torcs", tmp_path / "torcs.mcap", 10)
+    assert done.skipped.counts == {"rows with a value that is not a number": 1}
+    assert [m.log_time for m, _ in read_messages(done.path)["/vehicle"]] == [0, 200_000_000, 300_000_000]
+
+
+@both_ways
+@pytest.mark.parametrize("row", ["{},,", "{},{},", ",{},{}", '{}, "" , ""', "{} , ,{}"])
+def test_cameras_that_a_row_leaves_out_are_not_missed(tmp_path: Path, record: object, row: str) -> None:
+    """But the centre is always named: it is what the network drives by."""
+    assert callable(record)
+    center, left, _ = paths(0).split(",")
+    make_recording(tmp_path / "drive", f"{paths(1)},0,1,0,9.5\n{row.format(center, left)},0,1,0,9.5\n", [0, 1])
+    done = record(tmp_path / "drive", tmp_path / "log.mcap", None)
+    reasons = {reason for reason, _ in done.skipped} - {"pictures without a row"}
+    if row.startswith(","):
+        assert (done.rows, reasons) == (1, {"rows with fewer than three columns of pictures, or cut off"})
+    else:
+        assert (done.rows, done.pictures, reasons) == (2, 3 + row.count("{}"), set())
+
+
+def test_pictures_without_times_name_the_flag(tmp_path: Path) -> None:
+    make_folder(tmp_path / "torcs")
+    done = run("bc-record", "torcs", "--from", tmp_path / "torcs", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "no time in their pictures' names (--rate 20 takes them as 20 a second)" in one_line_of(done)
+    done = run("bc-record", "torcs", "--from", tmp_path / "torcs", "--rate", 20, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "torcs.mcap: 4 rows, 4 pictures" in done.stdout
+
+
+@both_ways
+def test_a_rate_for_pictures_that_tell_their_times_is_refused(tmp_path: Path, record: object) -> None:
+    assert callable(record)
+    make_recording(tmp_path / "drive", f"{paths(0)},0,1,0,9.5\n", [0])
+    with pytest.raises(RecordingError, match=r"--rate: .*leave it out"):
+        record(tmp_path / "drive", tmp_path / "log.mcap", 20)
+    tub = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
+    with pytest.raises(RecordingError, match=r"--rate: .*leave it out"):
+        import_tub(tub, tmp_path / "log.mcap", rate_hz=20)
+    assert not (tmp_path / "log.mcap").exists()
+
+
+@pytest.mark.parametrize("rate", ["0", "-20", "nan", "inf", "1e9", "0.5"])
+def test_a_rate_that_no_camera_has_is_refused(tmp_path: Path, rate: str) -> None:
+    make_folder(tmp_path / "torcs")
+    for record in (imported, watched):
+        with pytest.raises(RecordingError, match=r"--rate .* 1 to 1,000"):
+            record(tmp_path / "torcs", tmp_path / "log.mcap", float(rate))
+    assert [path.name for path in tmp_path.iterdir()] == ["torcs"]
+
+
+def test_a_tub_without_times_at_another_rate(tmp_path: Path) -> None:
+    records = {number: record_1(number) for number in range(4)}
+    for values in records.values():
+        del values["milliseconds"]
+    done = import_tub(write_tub_1(tmp_path / "tub", records, start_s=None), tmp_path / "log.mcap", rate_hz=10)
+    assert [message.log_time for message, _ in read_messages(done.path)["/vehicle"]] == [
+        number * 100_000_000 for number in range(4)
+    ]
+    assert metadata_of(done.path)["clock"].startswith("10 Hz, as --rate said")
+
+
+@pytest.mark.parametrize("flags", [["--listen"], ["--from", "other.mcap", "--image", "/a", "--steering", "/b.c"]])
+def test_a_rate_where_every_message_has_its_time_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[str]
+) -> None:
+    assert call(main, "x", *flags, "--rate", 20, "--sessions", tmp_path) == (2 if "--listen" in flags else 1)
+    assert "--rate: " in capsys.readouterr().err
+
+
+# Pictures of different sizes
+
+
+def picture_of(width: int, height: int) -> bytes:
+    return bytes(cv2.imencode(".jpg", np.zeros((height, width, 3), np.uint8))[1])
+
+
+@both_ways
+def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: object) -> None:
+    assert callable(record)
+    folder = tmp_path / "torcs"
+    make_folder(folder)
+    assert record(folder, tmp_path / "one.mcap", 20).notices == []
+    (folder / "IMG" / "2.jpg").write_bytes(picture_of(640, 480))
+    (folder / "IMG" / "3.jpg").write_bytes(picture_of(640, 480))
+    (notice,) = record(folder, tmp_path / "two.mcap", 20).notices
+    assert notice.startswith("pictures of different sizes: 640 x 480 px (2), 320 x 160 px (2).")
+
+
+def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
+    (folder / "2_cam-image_array_.jpg").write_bytes(picture_of(320, 240))
+    assert call(main, "car", "--from", folder, "--sessions", tmp_path) == 0
+    told = capsys.readouterr()
+    assert "pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)" in told.err
+    assert "4 rows, 4 pictures" in told.out
+
+
+def test_one_row_is_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_folder(tmp_path / "torcs", ROWS.splitlines()[0])
+    for number in range(2, 5):
+        (tmp_path / "torcs" / "IMG" / f"{number}.jpg").unlink()
+    assert call(main, "x", "--from", tmp_path / "torcs", "--rate", 20, "--sessions", tmp_path) == 0
+    assert "x.mcap: 1 row, 1 picture, 0.0 MB" in capsys.readouterr().out

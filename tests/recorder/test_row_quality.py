@@ -1,0 +1,198 @@
+"""What is odd about the rows of a log: each flag on rows made for it, and what a written log says of its own."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import START_NS
+from plain_mcap import contents
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.recover import recover
+from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, stretches, summary
+
+SECOND_NS = 1_000_000_000
+
+
+def states(
+    time_s: list[float],
+    *,
+    steering: list[float] | float = 0.0,
+    throttle: float = 0.5,
+    brake: float = 0.0,
+    speed_mph: list[float] | float = 9.0,
+) -> States:
+    """Rows at these seconds; their numbers do not begin at 0."""
+
+    def column(value: list[float] | float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        return np.array(np.broadcast_to(np.array(value, np.float64), len(time_s)))
+
+    return States(
+        row=np.arange(100, 100 + len(time_s)),
+        time_ns=START_NS + np.array([round(second * 1e9) for second in time_s], np.int64),
+        steering=column(steering),
+        throttle=column(throttle),
+        brake=column(brake),
+        speed_mph=column(speed_mph),
+    )
+
+
+def flagged(of: States, flag: RowFlag) -> list[int]:
+    """The positions of the rows that a flag holds for."""
+    positions: list[int] = np.flatnonzero(row_flags(of)[flag]).tolist()
+    return positions
+
+
+def every_tenth(count: int) -> list[float]:
+    return [i / 10 for i in range(count)]
+
+
+def test_a_gap_is_more_than_a_second_or_time_that_goes_back() -> None:
+    rows = states([0.0, 0.1, 1.1, 2.2, 2.3, 1.0, 1.0, 1.1])
+    assert flagged(rows, "gap") == [3, 5]
+    assert drive_numbers(rows.time_ns).tolist() == [0, 0, 0, 1, 1, 2, 2, 2]
+
+
+@pytest.mark.parametrize(
+    ("values", "is_out"),
+    [
+        ({"steering": 1.0}, False),
+        ({"steering": -1.0}, False),
+        ({"steering": 1.0001}, True),
+        ({"steering": -25.0}, True),
+        ({"steering": math.nan}, True),
+        ({"steering": math.inf}, True),
+        ({"throttle": 1.0}, False),
+        ({"throttle": -0.1}, True),
+        ({"throttle": math.nan}, True),
+        ({"brake": 1.1}, True),
+        ({"brake": 1.0}, False),
+        ({"speed_mph": math.nan}, False),
+        ({"speed_mph": -30.0}, False),
+        ({"speed_mph": -40.0}, True),
+        ({"speed_mph": 300.0}, False),
+        ({"speed_mph": 99999.0}, True),
+        ({"speed_mph": math.inf}, True),
+    ],
+)
+def test_values_out_of_range(values: dict[str, float], is_out: bool) -> None:
+    """A speed that is not known is no fault."""
+    assert flagged(states([0.0, 0.1], **values), "out_of_range") == ([0, 1] if is_out else [])
+
+
+def test_standing_still_is_below_half_a_mile_an_hour_and_known() -> None:
+    rows = states(every_tenth(6), speed_mph=[0.0, 0.49, 0.5, 9.0, math.nan, -3.0])
+    assert flagged(rows, "standing_still") == [0, 1, 5]
+
+
+def test_steering_is_stuck_after_three_seconds_and_straight_on_after_thirty() -> None:
+    assert flagged(states(every_tenth(30), steering=0.25), "stuck_steering") == []
+    assert flagged(states(every_tenth(31), steering=0.25), "stuck_steering") == list(range(31))
+    assert flagged(states(every_tenth(300), steering=0.0), "stuck_steering") == []
+    assert flagged(states(every_tenth(301), steering=0.0), "stuck_steering") == list(range(301))
+
+
+def test_only_the_stuck_stretch_is_flagged() -> None:
+    steering = [0.1, 0.2, *[0.25] * 31, 0.3, *[0.25] * 30]
+    assert flagged(states(every_tenth(len(steering)), steering=steering), "stuck_steering") == list(range(2, 33))
+
+
+def test_who_stands_still_may_hold_the_wheel() -> None:
+    assert flagged(states(every_tenth(50), steering=0.25, speed_mph=0.0), "stuck_steering") == []
+    moving_s = [0.0] * 25 + [9.0] * 25
+    assert flagged(states(every_tenth(50), steering=0.25, speed_mph=moving_s), "stuck_steering") == []
+
+
+def test_a_new_drive_begins_anew() -> None:
+    times = [*every_tenth(20), *[10 + second for second in every_tenth(20)]]
+    assert flagged(states(times, steering=0.25), "stuck_steering") == []
+
+
+numbers = st.floats(width=32) | st.sampled_from([0.0, -0.0, 1.0, math.inf, math.nan])
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**63 - 1), numbers, numbers, numbers, numbers), max_size=12))
+def test_whatever_a_log_holds_its_rows_are_judged(rows: list[tuple[int, float, float, float, float]]) -> None:
+    """Warnings are errors here, NumPy's of infinite values too."""
+    columns = list(zip(*rows, strict=True)) or [()] * 5
+    found = States(
+        np.arange(len(rows)),
+        np.array(columns[0], np.int64),
+        *(np.array(column, np.float64) for column in columns[1:]),
+    )
+    flags = row_flags(found)
+    assert tuple(flags) == ROW_FLAGS
+    assert {len(mask) for mask in flags.values()} == {len(rows)}
+    told = summary(found)
+    assert {flag: told[flag] for flag in flags} == {flag: str(sum(mask.tolist())) for flag, mask in flags.items()}
+
+
+@given(st.lists(st.booleans(), max_size=20))
+def test_stretches_are_the_runs_of_true(mask: list[bool]) -> None:
+    found = stretches(np.array(mask, np.bool_))
+    assert [i for first, last in found for i in range(first, last + 1)] == [i for i, on in enumerate(mask) if on]
+    assert all(later[0] - earlier[1] > 1 for earlier, later in itertools.pairwise(found))
+
+
+# In a log
+
+
+def write(path: Path) -> Path:
+    """Five seconds with a stuck wheel, a gap, and a row out of range."""
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(50):
+            writer.vehicle(START_NS + row * SECOND_NS // 10, row, VehicleState(steering=0.25, speed_mph=9.0))
+        writer.vehicle(START_NS + 10 * SECOND_NS, 50, VehicleState(steering=-25.0, speed_mph=0.0))
+    return path
+
+
+EXPECTED = {
+    "rows": "51",
+    "drives": "2",
+    "gap": "1",
+    "out_of_range": "1",
+    "standing_still": "1",
+    "stuck_steering": "50",
+}
+
+
+def test_a_written_log_says_what_is_odd_about_its_rows(tmp_path: Path) -> None:
+    told = dict(contents(write(tmp_path / "a.mcap")).metadata)["bc.quality"]
+    assert told.items() >= EXPECTED.items()
+    assert json.loads(told["stretches"]) == [
+        ["stuck_steering", 0, 49, 0.0, 4.9],
+        ["gap", 50, 50, 4.9, 10.0],
+        ["out_of_range", 50, 50, 10.0, 10.0],
+        ["standing_still", 50, 50, 10.0, 10.0],
+    ]
+    with Log(tmp_path / "a.mcap") as log:
+        assert log.read_metadata("bc.quality") == told
+
+
+def test_a_recovered_log_says_it_of_the_rows_it_has(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.mcap")
+    told = dict(contents(recover(whole, tmp_path / "b.mcap").path).metadata)["bc.quality"]
+    assert told.items() >= EXPECTED.items()
+
+
+def test_a_log_without_vehicle_states_says_nothing(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap", {}) as writer:
+        writer.event(START_NS, "connected")
+    assert "bc.quality" not in dict(contents(tmp_path / "a.mcap").metadata)
+
+
+def test_at_most_a_hundred_stretches_are_listed_but_all_are_counted(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap", {}) as writer:
+        for row in range(400):
+            state = VehicleState(steering=2.0 if row % 2 else row / 1000, speed_mph=9.0)
+            writer.vehicle(START_NS + row * SECOND_NS // 10, row, state)
+    told = dict(contents(tmp_path / "a.mcap").metadata)["bc.quality"]
+    assert (told["out_of_range"], len(json.loads(told["stretches"]))) == ("200", 100)

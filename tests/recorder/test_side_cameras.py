@@ -1,0 +1,122 @@
+"""`bc-log cameras`: how far the side cameras are, measured in pictures whose cameras' places are known."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import simulator.rendering.camera
+from driving import road_jpeg
+from recorder import LogWriter, RecordingError
+from recorder.bc_pb2 import VehicleState
+from recorder.log.reader import Log
+from recorder.log.side_cameras import Gray, measure, side_cameras
+from recorder.log.topics import CAMERAS
+from recorder.log_cli import main as log_main
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from simulator.driving.simulation import Simulation
+from udacity import call
+
+LAKE = Simulation("lake")  # half a second to build
+
+
+def moments(count: int = 6) -> list[list[Gray | None]]:
+    """What the three cameras see in as many places of the lake."""
+    result: list[list[Gray | None]] = []
+    for number in range(count):
+        LAKE.course.start(number * LAKE.track.line.length_m / count)
+        result.append([decoded(np.frombuffer(LAKE.jpeg(camera), np.uint8)) for camera in CAMERAS])
+    return result
+
+
+def decoded(jpeg: Gray) -> Gray:
+    picture = cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE)
+    assert picture is not None
+    return picture.astype(np.uint8)
+
+
+@pytest.mark.parametrize(("apart_m", "high_m"), [(0.36, 1.4), (0.9, 1.4), (1.2, 1.4), (0.5, 1.0)])
+def test_it_is_that_of_the_cameras_that_took_the_pictures(
+    apart_m: float, high_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(simulator.rendering.camera.MOUNT_LEFT_M, "left", apart_m)
+    monkeypatch.setitem(simulator.rendering.camera.MOUNT_LEFT_M, "right", -apart_m)
+    monkeypatch.setattr(simulator.rendering.camera, "MOUNT_UP_M", high_m)
+    found = measure(moments())
+    true = apart_m / high_m * math.cos(simulator.rendering.camera.MOUNT_PITCH_RAD)
+    assert found.left == pytest.approx(true, abs=0.015)
+    assert found.right == pytest.approx(true, abs=0.015)
+    assert found.side_correction == pytest.approx(0.2 * true / 0.63, abs=0.011)
+    assert found.moments == 6
+
+
+@pytest.mark.parametrize("size", [(640, 320), (160, 80)])
+def test_the_size_of_the_pictures_does_not_matter(size: tuple[int, int]) -> None:
+    others: list[list[Gray | None]] = [
+        [cv2.resize(p, size, interpolation=cv2.INTER_AREA).astype(np.uint8) for p in each if p is not None]
+        for each in moments()
+    ]
+    assert measure(others).spacing == pytest.approx(0.63, abs=0.02)
+
+
+def test_cameras_at_two_distances_have_no_one_correction(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(simulator.rendering.camera.MOUNT_LEFT_M, "right", -0.5)
+    with pytest.raises(
+        ValueError, match=r"left camera is 0\.6\d of its height .* right one 0\.3\d: one correction"
+    ):
+        measure(moments())
+
+
+def test_pictures_that_tell_nothing_are_refused() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (5, 3, 160, 320), dtype=np.uint8)
+    with pytest.raises(ValueError, match="not shifted"):
+        measure([list(each) for each in noise])
+    same = [[each[0], each[0], each[0]] for each in moments(3)]  # a recorder that keeps one camera's three times
+    with pytest.raises(ValueError, match="not shifted"):
+        measure(same)
+    with pytest.raises(ValueError, match="not shifted"):  # left and right exchanged
+        measure([[centre, right, left] for centre, left, right in moments(3)])
+    black = np.zeros((160, 320), np.uint8)
+    with pytest.raises(ValueError, match="not shifted"):
+        measure([[black, black, black]])
+    nothing: list[list[list[Gray | None]]] = [[], [[black, None, black]], [[black, black, black[:80]]]]
+    for each_moments in nothing:
+        with pytest.raises(ValueError, match="no moment has whole pictures"):
+            measure(each_moments)
+    with pytest.raises(ValueError, match="too flat"):
+        measure([[black[:9]] * 3])
+
+
+def test_the_command_names_the_flag_of_bc_index(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = record_simulated(SimulatedDrive(laps=0.006), tmp_path / "lake.mcap").path
+    assert call(log_main, "cameras", log) == 0
+    told = capsys.readouterr().out
+    assert told.startswith(f"{log}: each side camera is 0.6")
+    assert told.rstrip().endswith("moments: `bc-index --side-correction 0.2`")
+
+
+def test_a_log_without_side_cameras_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with LogWriter(tmp_path / "x.mcap", {"source": "telemetry"}) as writer:
+        writer.picture("center", 0, 0, road_jpeg(0))
+        writer.vehicle(0, 0, VehicleState())
+    assert call(log_main, "cameras", tmp_path / "x.mcap") == 1
+    assert "x.mcap: no moment has pictures of all three cameras" in capsys.readouterr().err
+    with Log(tmp_path / "x.mcap") as log, pytest.raises(RecordingError):
+        side_cameras(log)
+
+
+@pytest.mark.parametrize("name", ["jungle_linux", "lake_14hz", "lake_windows", "mountain_linux"])
+def test_udacitys_cameras_have_udacitys_correction(name: str, recordings: Path) -> None:
+    images = recordings / name / "IMG"
+    centres = sorted(images.glob("center_*.jpg"))
+    found = measure(
+        [
+            [decoded(np.fromfile(images / path.name.replace("center", camera), np.uint8)) for camera in CAMERAS]
+            for path in centres[:: len(centres) // 30]
+        ]
+    )
+    assert found.side_correction == pytest.approx(0.2, abs=0.011)

@@ -1,0 +1,275 @@
+"""Tags: names for stretches of a log, in a journal beside it that nothing damages for good."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from disk import files_of_at_most
+from driving import PATIENCE_S, environment
+from recorder import LogError
+from recorder.log.tags import Tag, add_tag, add_tags, check_name, read_tags, remove_tag, stale_tags, tags_path
+
+CONTENT, OTHER_CONTENT = "a" * 64, "b" * 64
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Nothing reads the log itself: its fingerprint is given."""
+    return tmp_path / "lake.mcap"
+
+
+rows = st.tuples(st.integers(0, 5), st.integers(0, 2**32 - 1)).filter(lambda rows: rows[0] <= rows[1])
+names = st.sampled_from(["exclude", "recovery", "Größe, «x» #1", "\u4e2d\u6587", 'quotes "\\'])
+changes = st.tuples(st.sampled_from(["add", "remove"]), rows, names, st.sampled_from([CONTENT, OTHER_CONTENT]))
+
+
+@given(changes=st.lists(changes, max_size=12))
+def test_tags_are_what_was_added_and_not_removed_since(
+    tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[str, tuple[int, int], str, str]]
+) -> None:
+    """Of each content of the log on its own, whatever the order."""
+    log = tmp_path_factory.mktemp("tags") / "lake.mcap"
+    expected: dict[str, dict[tuple[int, int, str], bool]] = {CONTENT: {}, OTHER_CONTENT: {}}
+    for action, (first, last), name, content in changes:
+        tag = Tag(first, last, name)
+        (add_tag if action == "add" else remove_tag)(log, content, tag)
+        expected[content][first, last, name] = action == "add"
+    for content, model in expected.items():
+        found = [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(log, content)]
+        assert found == sorted(key for key, is_there in model.items() if is_there)
+        others = [other for fingerprint, other in expected.items() if fingerprint != content]
+        assert stale_tags(log, content) == sum(sum(other.values()) for other in others)
+
+
+def test_a_log_without_tags_has_none(log: Path) -> None:
+    assert read_tags(log, CONTENT) == []
+    remove_tag(log, CONTENT, Tag(1, 2, "exclude"))
+    assert read_tags(log, CONTENT) == []
+
+
+def test_the_file_is_lines_of_json_beside_the_log(log: Path) -> None:
+    add_tag(log, CONTENT, Tag(3, 5, "exclude"))
+    remove_tag(log, CONTENT, Tag(3, 5, "exclude"))
+    path = log.parent / "lake.tags.jsonl"
+    assert [json.loads(line) for line in path.read_text().splitlines()] == [
+        {"add": "exclude", "rows": [3, 5], "log": CONTENT},
+        {"remove": "exclude", "rows": [3, 5], "log": CONTENT},
+    ]
+
+
+def test_wherever_a_crash_cuts_the_last_line_the_others_stay_and_tagging_goes_on(log: Path) -> None:
+    first, second, third = Tag(1, 2, "one"), Tag(3, 4, "two Größe"), Tag(5, 6, "three")
+    add_tag(log, CONTENT, first)
+    begin = tags_path(log).stat().st_size
+    add_tag(log, CONTENT, second)
+    whole = tags_path(log).read_bytes()
+    for length in range(begin, len(whole)):
+        tags_path(log).write_bytes(whole[:length])
+        assert read_tags(log, CONTENT) == [first]
+        add_tag(log, CONTENT, third)
+        assert read_tags(log, CONTENT) == [first, third]
+
+
+DAMAGED = {
+    "no JSON": b"exclude 3 5",
+    "an empty line": b"",
+    "another kind": b'["exclude"]',
+    "neither added nor removed": b'{"rows": [1, 2], "log": "%s"}',
+    "both": b'{"add": "x", "remove": "x", "rows": [1, 2], "log": "%s"}',
+    "no log": b'{"add": "x", "rows": [1, 2]}',
+    "one row": b'{"add": "x", "rows": [1], "log": "%s"}',
+    "rows the wrong way round": b'{"add": "x", "rows": [2, 1], "log": "%s"}',
+    "a row below the first": b'{"add": "x", "rows": [-1, 1], "log": "%s"}',
+    "half a row": b'{"add": "x", "rows": [0.5, 1], "log": "%s"}',
+    "true for a row": b'{"add": "x", "rows": [true, true], "log": "%s"}',
+    "a row of many digits": b'{"add": "x", "rows": [1, ' + b"9" * 5000 + b'], "log": "%s"}',
+    "an empty name": b'{"add": " ", "rows": [1, 2], "log": "%s"}',
+    "a name with a terminal's control codes": b'{"add": "\\u001b[2J", "rows": [1, 2], "log": "%s"}',
+    "a number for a name": b'{"add": 5, "rows": [1, 2], "log": "%s"}',
+    "no UTF-8": b'{"add": "\xff\xfe", "rows": [1, 2], "log": "%s"',
+    "nested without end": b"[" * 100_000,
+}
+
+
+@pytest.mark.parametrize("line", DAMAGED.values(), ids=DAMAGED)
+def test_a_damaged_line_is_an_error_that_names_it_and_nothing_is_lost(log: Path, line: bytes) -> None:
+    """Tags may keep rows out of training: to go on with half of them would be worse than to stop."""
+    add_tag(log, CONTENT, Tag(1, 2, "exclude"))
+    with tags_path(log).open("ab") as stream:
+        stream.write(line.replace(b"%s", CONTENT.encode()) + b"\n")
+    before = tags_path(log).read_bytes()
+    with pytest.raises(LogError, match=r"lake\.tags\.jsonl: line 2 is not a tag") as caught:
+        read_tags(log, CONTENT)
+    assert "\n" not in str(caught.value)
+    add_tag(log, CONTENT, Tag(3, 4, "exclude"))
+    assert tags_path(log).read_bytes().startswith(before)
+
+
+def test_an_endless_file_is_refused_without_reading_it(log: Path) -> None:
+    tags_path(log).touch()
+    os.truncate(tags_path(log), 1 << 40)
+    with pytest.raises(LogError, match="larger than"):
+        read_tags(log, CONTENT)
+
+
+@pytest.mark.parametrize("name", ["", " ", "x" * 65, "two\nlines", "\x1b[2J", "\udce9", 5, None])
+def test_names_that_no_tag_can_have(log: Path, name: object) -> None:
+    with pytest.raises(ValueError, match="not a name for a tag"):
+        check_name(name)
+    with pytest.raises(LogError, match="not a name for a tag"):
+        add_tag(log, CONTENT, Tag(1, 2, name))  # type: ignore[arg-type]
+    assert not tags_path(log).exists()
+
+
+@pytest.mark.parametrize("rows", [(2, 1), (-1, 1), (0, 2**32)])
+def test_rows_that_no_tag_can_have(log: Path, rows: tuple[int, int]) -> None:
+    """A line that cannot be read again would take all other tags with it."""
+    with pytest.raises(LogError, match="row"):
+        add_tag(log, CONTENT, Tag(*rows, "exclude"))
+    assert not tags_path(log).exists()
+
+
+def test_tags_that_do_not_fit_on_the_disk_change_nothing(log: Path) -> None:
+    tags = [Tag(row, row, "exclude") for row in range(3)]
+    add_tags(log, CONTENT, tags)
+    size = tags_path(log).stat().st_size
+    tags_path(log).unlink()
+    for limit in (0, 10, size - 1):
+        with files_of_at_most(limit), pytest.raises(LogError, match=r"lake\.tags\.jsonl: cannot be written"):
+            add_tags(log, CONTENT, tags)
+        assert not tags_path(log).exists()
+    add_tag(log, CONTENT, Tag(9, 9, "kept"))
+    before = tags_path(log).read_bytes()
+    with files_of_at_most(len(before) + size - 1), pytest.raises(LogError, match="cannot be written"):
+        add_tags(log, CONTENT, tags)
+    assert tags_path(log).read_bytes() == before
+
+
+def link_elsewhere(path: Path) -> None:
+    (path.parent / "private.txt").write_text("a line\nhalf a line")
+    path.symlink_to(path.parent / "private.txt")
+
+
+def dangling_link(path: Path) -> None:
+    path.symlink_to(path.parent / "nothing")
+
+
+def folder(path: Path) -> None:
+    path.mkdir()
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+@pytest.mark.parametrize("make", [link_elsewhere, dangling_link, folder, pipe])
+def test_what_is_no_plain_file_is_neither_read_nor_written(log: Path, make: Callable[[Path], None]) -> None:
+    """Logs come from other people, and a link among them may lead to any file of this machine."""
+    make(tags_path(log))
+    with pytest.raises(LogError, match=r"lake\.tags\.jsonl: not a plain file"):
+        read_tags(log, CONTENT)
+    with pytest.raises(LogError, match=r"lake\.tags\.jsonl: not a plain file"):
+        add_tag(log, CONTENT, Tag(1, 2, "exclude"))
+    private = log.parent / "private.txt"
+    assert not private.exists() or private.read_text() == "a line\nhalf a line"
+    assert not (log.parent / "nothing").exists()
+
+
+ADD_MANY = """
+import sys
+from pathlib import Path
+from recorder.log.tags import Tag, add_tag
+log, content, number, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+print("ready", flush=True)
+sys.stdin.readline()
+for row in range(count):
+    add_tag(log, content, Tag(row, row, f"process {number}"))
+"""
+
+
+def test_processes_that_tag_at_once_lose_nothing(log: Path) -> None:
+    count, processes = 20, 3
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", ADD_MANY, str(log), CONTENT, str(number), str(count)],
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        for number in range(processes)
+    ]
+    try:
+        for process in started:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+        for process in started:
+            process.communicate(b"go\n", timeout=PATIENCE_S)
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+    assert [process.returncode for process in started] == [0] * processes
+    expected = [Tag(row, row, f"process {number}") for row in range(count) for number in range(processes)]
+    assert read_tags(log, CONTENT) == sorted(expected)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="locks have another name there")
+def test_a_line_that_somebody_is_writing_is_not_taken_for_one_that_was_cut_off(log: Path) -> None:
+    import fcntl
+
+    add_tag(log, CONTENT, Tag(1, 2, "first"))
+    line = json.dumps({"add": "second", "rows": [3, 4], "log": CONTENT}).encode() + b"\n"
+    with (
+        tags_path(log).open("ab", buffering=0) as stream,
+        subprocess.Popen(
+            [sys.executable, "-c", ADD_MANY, str(log), CONTENT, "0", "1"],
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as other,
+    ):
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        stream.write(line[:20])
+        assert other.stdin is not None
+        other.stdin.write(b"go\n")
+        other.stdin.flush()
+        with pytest.raises(subprocess.TimeoutExpired):  # it waits: for as long as it must
+            other.wait(1.5)
+        stream.write(line[20:])
+        fcntl.flock(stream, fcntl.LOCK_UN)
+        assert other.wait(PATIENCE_S) == 0
+    assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0", "first", "second"]
+
+
+def test_a_file_that_another_one_removes_meanwhile_is_made_anew(log: Path) -> None:
+    """Who cannot write the first tag of a log removes the empty file again, while others may wait for it."""
+    import fcntl
+
+    with (
+        tags_path(log).open("ab", buffering=0) as stream,
+        subprocess.Popen(
+            [sys.executable, "-c", ADD_MANY, str(log), CONTENT, "0", "1"],
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as other,
+    ):
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        assert other.stdin is not None
+        other.stdin.write(b"go\n")
+        other.stdin.flush()
+        with pytest.raises(subprocess.TimeoutExpired):
+            other.wait(1.5)
+        tags_path(log).unlink()
+        fcntl.flock(stream, fcntl.LOCK_UN)
+        assert other.wait(PATIENCE_S) == 0
+    assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0"]

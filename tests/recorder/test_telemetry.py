@@ -1,0 +1,331 @@
+"""Telemetry comes from outside and may be anything; the answer is always a command."""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drive.control.speed_controller import SpeedController
+from recorder.server.telemetry import (
+    MAX_IMAGE_BYTES,
+    Telemetry,
+    TelemetryError,
+    check_whole_jpeg,
+    format_command,
+    parse_telemetry,
+)
+from recorder.server.world import World
+
+PICTURE = bytes(range(256))
+
+
+def telemetry(**fields: Any) -> dict[str, Any]:
+    """What the simulator tells, with some fields replaced (or left out: ...)."""
+    told = {
+        "steering_angle": "-12.5000",
+        "throttle": "0.2500",
+        "speed": "9.0100",
+        "image": base64.b64encode(PICTURE).decode(),
+    }
+    return {name: value for name, value in {**told, **fields}.items() if value is not ...}
+
+
+def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
+    assert parse_telemetry(telemetry()) == Telemetry(-0.5, 0.25, 9.01, PICTURE, told_separator=".")
+
+
+@pytest.mark.parametrize(
+    ("told", "throttle", "speed_mph"),
+    [
+        ("0.0000", "0.0000", 0.0),
+        ("1,234.5000", "0.5000", 1234.5),
+        ("1,234,567.2500", "1.0000", 1234567.25),
+        ("-0.0100", "0.0000", -0.01),
+        ("7.8E-05", "0.0000", 7.8e-5),
+        (" 9.5 ", "0.0000", 9.5),
+        ("30", "1", 30.0),
+        ("9,0100", "0,2500", 9.01),
+        ("1.234,5000", "0,0000", 1234.5),
+        ("1.234.567,2500", "1,0000", 1234567.25),
+        ("1\u00a0234,5000", "0,0000", 1234.5),  # French
+        ("1\u202f234,5000", "0,0000", 1234.5),  # French of newer machines
+        ("1'234.5000", "0.0000", 1234.5),  # Swiss
+        (9.25, 0.25, 9.25),
+        (9, 1, 9.0),
+    ],
+)
+def test_numbers_as_every_machine_writes_them(told: object, throttle: object, speed_mph: float) -> None:
+    assert parse_telemetry(telemetry(speed=told, throttle=throttle)).speed_mph == pytest.approx(speed_mph)
+
+
+@pytest.mark.parametrize(
+    ("throttle", "separator"), [("0.2500", "."), ("0,2500", ","), ("0/2500", "/"), (0.25, "."), ("1", ".")]
+)
+def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object, separator: str) -> None:
+    assert parse_telemetry(telemetry(throttle=throttle)).decimal_separator == separator
+
+
+@pytest.mark.parametrize(
+    ("known", "throttle", "speed", "angle", "speed_mph", "degrees", "separator"),
+    [
+        (None, "0", "9,25", "-1,5", 9.25, -1.5, ","),  # C#'s ToString()
+        (None, "1", "9.25", "-1.5", 9.25, -1.5, "."),
+        (None, "0,5", "9", "0", 9.0, 0.0, ","),
+        (",", "0", "9", "0", 9.0, 0.0, ","),
+        (",", "0", "1,234", "0", 1.234, 0.0, ","),
+        (".", "0", "1,234", "0", 1234.0, 0.0, "."),
+        (None, "0", "1,234", "0", 1234.0, 0.0, "."),  # "N4" never has three decimals
+        (",", "0", "1,234", "0.5", 1234.0, 0.5, "."),  # it is told anew
+        (None, "0", "0,125", "0", 0.125, 0.0, ","),
+        (",", "0", "1,234.5000", "0", 1234.5, 0.0, "."),
+        (",", 0, "9", "-1,125", 9.0, -1.125, ","),
+        (".", "0.5000", "9,25", "0", 9.25, 0.0, "."),
+        (None, "0", "1.234.567", "0", 1234567.0, 0.0, ","),
+    ],
+)
+def test_whole_numbers_do_not_tell_the_separator_and_what_is_known_of_it_is_kept(
+    known: str | None,
+    throttle: object,
+    speed: str,
+    angle: str,
+    speed_mph: float,
+    degrees: float,
+    separator: str,
+) -> None:
+    told = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), known)
+    assert (told.speed_mph, told.decimal_separator) == (speed_mph, separator)
+    assert told.steering == pytest.approx(degrees / 25)
+
+
+# Mono's "N4" of -1234.5, of 0.25 and of -0.2167 in all its cultures, one a row, and newer .NET's in two of them
+CULTURES = [
+    ("-1,234.5000", "0.2500", "-0.2167"),  # en-US, and 75 more
+    ("-1.234,5000", "0,2500", "-0,2167"),  # de-DE
+    ("-1\u00a0234,5000", "0,2500", "-0,2167"),  # fr-FR
+    ("-1\u00a0234.5000", "0.2500", "-0.2167"),  # fr-CH
+    ("-1'234.5000", "0.2500", "-0.2167"),  # de-CH
+    ("-1\u2019234.5000", "0.2500", "-0.2167"),  # rm-CH
+    ("- 1.234,5000", "0,2500", "- 0,2167"),  # hr-HR
+    ("- 1,234.5000", "0.2500", "- 0.2167"),  # km-KH
+    ("1,234.5000-", "0.2500", "0.2167-"),  # ar-SA, and 15 more
+    ("1,234/5000-", "0/2500", "0/2167-"),  # fa-IR
+    ("\u200e\u22121\u066c234\u066b5000", "0\u066b2500", "\u200e\u22120\u066b2167"),  # fa-IR, newer .NET
+    ("\u061c-1\u066c234\u066b5000", "0\u066b2500", "\u061c-0\u066b2167"),  # ar-EG, newer .NET
+]
+
+
+@pytest.mark.parametrize(("speed", "throttle", "degrees"), CULTURES)
+def test_every_culture_is_understood_and_answered_in_kind(speed: str, throttle: str, degrees: str) -> None:
+    told = parse_telemetry(telemetry(speed=speed, throttle=throttle, steering_angle=degrees))
+    assert (told.speed_mph, told.throttle) == (-1234.5, 0.25)
+    assert told.steering == pytest.approx(-0.2167 / 25)
+    separator = throttle[1]
+    assert format_command(-0.25, 0.5, told.decimal_separator) == {
+        "steering_angle": f"-0{separator}250000",  # a minus behind is written there, and not read
+        "throttle": f"0{separator}500000",
+    }
+
+
+def test_what_is_out_of_range_is_told_as_it_came() -> None:
+    for degrees, expected in (("25.0000", 1.0), ("-25.0000", -1.0), ("26", 1.04), ("-4,000.0", -160.0)):
+        assert parse_telemetry(telemetry(steering_angle=degrees)).steering == expected
+    for throttle in ("1.5", "-0.5"):
+        assert parse_telemetry(telemetry(throttle=throttle)).throttle == float(throttle)
+
+
+@pytest.mark.parametrize(
+    ("changed", "kind", "reason"),
+    [
+        ({"speed": ...}, "speed is missing", "speed is missing (told: steering_angle, throttle, image)"),
+        (
+            {"speed": ..., "image": ..., "velocity": 3, "x" * 99: 1},
+            "speed and image are missing",
+            f"speed and image are missing (told: steering_angle, throttle, velocity, {'x' * 30}...)",
+        ),
+        ({"speed": "fast"}, "speed is not a number", "speed is not a number (fast)"),
+        ({"speed": "\u0661"}, "speed is not a number", "speed is not a number (\u0661)"),
+        ({"speed": "\x1b[2J"}, "speed is not a number", "speed is not a number (\\x1b[2J)"),
+        ({"speed": [1]}, "speed is not a number but a list", "speed is not a number but a list"),
+        (
+            {"image": "data:image/jpeg;base64,AAAA"},
+            "image begins with data:",
+            "image begins with data: (send only what comes after base64,)",
+        ),
+    ],
+)
+def test_the_reason_names_what_came_and_its_kind_does_not(
+    changed: dict[str, object], kind: str, reason: str
+) -> None:
+    with pytest.raises(TelemetryError) as found:
+        parse_telemetry(telemetry(**changed))
+    assert (found.value.kind, str(found.value)) == (kind, reason)
+
+
+@pytest.mark.parametrize(
+    ("changed", "speed_mph", "separator"),
+    [
+        ({"image": "%%%"}, 9.01, "."),
+        ({"image": ..., "speed": "9,0100", "throttle": "0,2500", "steering_angle": "0,0000"}, 9.01, ","),
+        ({"throttle": ..., "speed": "9,0100", "steering_angle": "-12,5000"}, 9.01, ","),
+        ({"speed": ...}, None, "."),
+        ({"speed": "fast", "throttle": None, "steering_angle": None}, None, None),
+    ],
+)
+def test_what_can_be_read_of_a_bad_telemetry_is_told(
+    changed: dict[str, object], speed_mph: float | None, separator: str | None
+) -> None:
+    with pytest.raises(TelemetryError) as found:
+        parse_telemetry(telemetry(world={"time_s": 1.5}, **changed))
+    assert (found.value.speed_mph, found.value.decimal_separator) == (speed_mph, separator)
+    assert found.value.world == World(time_s=1.5)
+
+
+@pytest.mark.parametrize(
+    ("picture", "kind"),
+    [
+        (b"\x89PNG\r\n", "image is a PNG, not a JPEG"),
+        (b"RIFF\0\0\0\0WEBP", "image is a WebP, not a JPEG"),
+        (b"\xff\xd8\xff", "image is a JPEG that is cut off or damaged"),
+        (b"", "image is not a JPEG"),
+        (bytes(99), "image is not a JPEG"),
+    ],
+)
+def test_a_picture_that_is_no_jpeg_is_named(picture: bytes, kind: str) -> None:
+    with pytest.raises(TelemetryError) as found:
+        check_whole_jpeg(picture)
+    assert found.value.kind == kind
+
+
+NOT_NUMBERS: tuple[object, ...] = (
+    ...,
+    None,
+    "",
+    " ",
+    "nan",
+    "NaN",
+    "inf",
+    "-Infinity",
+    math.nan,
+    math.inf,
+    -math.inf,
+    10**400,
+    "1e999",
+)
+NOT_NUMBERS += ("fast", "0x1F", "1_000", "1.2.3", "--1", "9" * 64, [9.0], {"value": 9.0}, True, "9\x00")
+
+
+@pytest.mark.parametrize("speed", [1e300, "-1e8"])
+def test_a_speed_that_no_distance_can_be_made_of_is_refused(speed: object) -> None:
+    with pytest.raises(TelemetryError, match=r"^speed is beyond"):
+        parse_telemetry(telemetry(speed=speed))
+
+
+@pytest.mark.parametrize("field", ["steering_angle", "throttle", "speed"])
+@pytest.mark.parametrize("value", NOT_NUMBERS, ids=lambda value: repr(value)[:12])
+def test_what_is_not_a_finite_number_is_refused_by_its_fields_name(field: str, value: object) -> None:
+    with pytest.raises(TelemetryError, match=f"^{field} is "):
+        parse_telemetry(telemetry(**{field: value}))
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        (..., "missing"),
+        (None, "missing"),
+        ("", "empty"),
+        (b"\xff\xd8", "not a string"),
+        (["/9j/"], "not a string"),
+        ("no*base64!", "not base64"),
+        ("/9j/4", "not base64"),
+        ("/9j/é", "not base64"),
+        ("A" * (MAX_IMAGE_BYTES + 4), "larger"),
+    ],
+    ids=lambda value: repr(value)[:12],
+)
+def test_what_is_not_a_picture_in_base64_is_refused(value: object, reason: str) -> None:
+    with pytest.raises(TelemetryError, match=f"^image is .*{reason}"):
+        parse_telemetry(telemetry(image=value))
+
+
+def test_the_largest_picture_that_is_allowed_is_taken() -> None:
+    assert len(parse_telemetry(telemetry(image="A" * MAX_IMAGE_BYTES)).jpeg) == MAX_IMAGE_BYTES * 3 // 4
+
+
+@pytest.mark.parametrize("data", [None, 1, "telemetry", [telemetry()], b"", True, {}, {"telemetry": telemetry()}])
+def test_what_is_not_an_object_with_the_fields_is_refused(data: object) -> None:
+    with pytest.raises(TelemetryError):
+        parse_telemetry(data)
+
+
+SCALARS = (
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.text("0123456789.,-eE '", max_size=12)
+)
+JSON = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3)
+)
+TOLD = st.fixed_dictionaries(
+    {}, optional={name: JSON | st.just(value) for name, value in telemetry(world={"time_s": 1.0}).items()}
+)
+
+
+@given(JSON | TOLD)
+def test_anything_is_either_a_telemetry_or_a_telemetry_error(data: object) -> None:
+    try:
+        told = parse_telemetry(data)
+    except TelemetryError:
+        return
+    assert all(math.isfinite(number) for number in (told.steering, told.throttle, told.speed_mph))
+
+
+@given(st.floats(-1, 1), st.floats(-1, 1), st.sampled_from(".,/\u066b"))
+def test_a_command_is_two_strings_that_the_clients_culture_reads(
+    steering: float, throttle: float, separator: str
+) -> None:
+    answer = format_command(steering, throttle, separator)
+    assert set(answer) == {"steering_angle", "throttle"}
+    for text, value in ((answer["steering_angle"], steering), (answer["throttle"], throttle)):
+        assert isinstance(text, str)
+        assert [character for character in text if character not in "-0123456789"] == [separator]
+        read = float(text.replace(separator, "."))  # no thousands separators: 1 at most
+        assert read == pytest.approx(value, abs=1e-6)
+        assert -1 <= read <= 1
+        assert "e" not in text
+
+
+def test_the_first_throttles_are_those_of_the_formula() -> None:
+    """0.1 a mph too slow, and 0.002 a mph summed over the telemetries so far, this one included."""
+    controller = SpeedController(9.0)
+    assert controller.throttle(4.0) == pytest.approx(0.1 * 5 + 0.002 * 5)
+    assert controller.throttle(6.0) == pytest.approx(0.1 * 3 + 0.002 * (5 + 3))
+    assert controller.throttle(10.0) == pytest.approx(0.1 * -1 + 0.002 * (5 + 3 - 1))
+
+
+@pytest.mark.parametrize("telemetries", [1_000, 10_000])
+def test_a_long_climb_does_not_wind_up_a_throttle_that_outlasts_it(telemetries: int) -> None:
+    controller = SpeedController(10.0)
+    for _ in range(telemetries):
+        throttle = controller.throttle(2.0)
+    assert throttle == 1.0
+    # 3 mph too fast takes 0.3 off at once, and 0.006 more with each telemetry, off an integral of at most 0.5
+    after = [controller.throttle(13.0) for _ in range(60)]
+    assert after[0] <= 0.5 - 0.3
+    assert after == sorted(after, reverse=True)
+    assert next(i for i, throttle in enumerate(after) if throttle < 0) <= math.ceil(0.2 / 0.006)
+
+
+def test_a_long_descent_does_not_wind_up_a_brake() -> None:
+    controller = SpeedController(10.0)
+    for _ in range(10_000):
+        controller.throttle(30.0)
+    assert next(i for i in range(200) if controller.throttle(7.0) > 0) <= math.ceil(0.2 / 0.006)
+
+
+@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=50), st.floats(0, 100))
+def test_the_throttle_stays_within_its_bounds(speeds_mph: list[float], set_speed_mph: float) -> None:
+    controller = SpeedController(set_speed_mph)
+    assert all(-1 <= controller.throttle(speed_mph) <= 1 for speed_mph in speeds_mph)

@@ -1,0 +1,532 @@
+"""The server that simulators connect to: every telemetry is answered, whoever tells it and whatever it is, in both
+modes of the server; whoever else knocks costs one line."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import itertools
+import random
+import re
+import socket
+import ssl
+import subprocess
+import sys
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from typing import Literal
+
+import pytest
+import websocket
+from websocket import ABNF
+
+from driving import PATIENCE_S, environment
+from recorder.errors import ListenError
+from recorder.server import connection_guard, eventlet_host, telemetry_server, threaded_host
+from recorder.server.engineio_connection import Connection
+from recorder.server.eventlet_host import GreenSocket
+from recorder.server.listening_socket import QuickAckSocket, listen
+from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, ServerMode, Steer, TelemetryServer
+from serving import (
+    PICTURES,
+    UNUSED,
+    Book,
+    ModernClient,
+    PollingClient,
+    RawClient,
+    Serving,
+    fields,
+    malformed,
+    steered,
+    steering,
+    tell,
+    wait_until,
+)
+from simulator.protocol.client import Answer as Command
+from simulator.protocol.client import SimulatorClient, Telemetry, Told
+
+
+def test_the_old_protocol_and_modern_clients_are_served_at_once_on_one_port(mode: ServerMode) -> None:
+    book = Book()
+    old: list[Command] = []
+    with Serving(mode, book) as serving:
+        others = [
+            threading.Thread(target=lambda: old.extend(tell(serving.port, range(40)))),
+            threading.Thread(target=tell, args=(serving.port, range(40)), kwargs={"decimal_comma": True}),
+        ]
+        for other in others:
+            other.start()
+        modern = ModernClient(serving.port)
+        answers = [modern.tell(fields(number)) for number in range(100, 140)]
+        modern.close()
+        polling = PollingClient(serving.port)
+        answers += [polling.tell(fields(number)) for number in range(140, 145)]
+        upgraded = polling.upgraded()
+        for number in range(145, 150):
+            upgraded.tell(fields(number))
+            answers.append(upgraded.command())
+        upgraded.close()
+        for other in others:
+            other.join(PATIENCE_S)
+        wait_until(lambda: book.calls.count("disconnected") == 4)
+    assert [answer.steering for answer in old if not isinstance(answer, str | None)] == [
+        pytest.approx(-steering(number), abs=1e-6) for number in range(40)
+    ]
+    assert answers == [steered(Steer(-steering(number), 0.5)) for number in range(100, 150)]
+    assert book.calls.count("telemetry") == book.calls.count("answered") == 40 + 40 + 50
+    assert book.calls.count("connected") == 4
+    assert book.overlaps == 0
+    assert serving.said == []
+
+
+def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving(mode: ServerMode) -> None:
+    book = Book()
+    has_answer = threading.Event()
+
+    class Waiting(Book):
+        def answered(self, total_ms: float) -> None:
+            assert has_answer.wait(PATIENCE_S)  # it has left, or nobody could have got it
+            has_answer.clear()
+            super().answered(total_ms)
+
+    book = Waiting()
+    with Serving(mode, book) as serving:
+        client = RawClient(serving.port)
+        for number in range(5):
+            client.tell(fields(number))
+            assert client.command() == steered(Steer(-steering(number), 0.5))
+            has_answer.set()
+            wait_until(lambda count=number + 1: len(book.answered_ms) == count)  # type: ignore[misc]
+        client.close()
+    for waited_ms, total_ms in zip(book.waited_ms, book.answered_ms, strict=True):
+        assert 0 < waited_ms < total_ms
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_QUICKACK"), reason="only Linux delays and can be told not to")
+@pytest.mark.parametrize("kind", [QuickAckSocket, GreenSocket])
+def test_what_comes_is_acknowledged_at_once_and_what_leaves_is_not_held_back(kind: type) -> None:
+    """In the middle of question and answer, where Linux by itself delays."""
+    listener = listen("127.0.0.1", 0, kind)
+    client = socket.create_connection(listener.getsockname(), PATIENCE_S)
+    server, _ = listener.accept()
+    with contextlib.closing(listener), client, contextlib.closing(server):
+        assert server.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
+        for _ in range(10):
+            client.sendall(b"telemetry")
+            assert server.recv(100) == b"telemetry"
+            assert server.getsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK) == 1
+            server.sendall(b"steer")
+            assert client.recv(100) == b"steer"
+
+
+def test_manual_is_answered_by_manual(mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        client = RawClient(serving.port)
+        client.tell(None)
+        assert client.command() == ("manual", {})
+        client.close()
+
+
+def test_a_simulator_drives_on_with_a_server_that_comes_back(mode: ServerMode) -> None:
+    answers: list[Command] = []
+    first, second = Book(), Book()
+
+    def next_telemetry(answer: Command) -> Told:
+        answers.append(answer)
+        return None if len(second.answered_ms) >= 5 else Telemetry(0.5, 0.0, 9.0, PICTURES[0])
+
+    with Serving(mode, first) as serving:
+        client = SimulatorClient(port=serving.port, wait_s=PATIENCE_S)
+        simulator = threading.Thread(target=client.run, args=(next_telemetry,))
+        simulator.start()
+        wait_until(lambda: len(first.answered_ms) >= 5)
+    with Serving(mode, second, serving.port):
+        simulator.join(PATIENCE_S)
+    assert client.connections == 2
+    assert client.bad_steers == 0
+    assert second.calls[0] == "connected"
+
+
+def test_a_client_that_never_pauses_keeps_nobody_else_out(mode: ServerMode) -> None:
+    book = Book()
+    enough = threading.Event()
+    with Serving(mode, book) as serving:
+        restless = RawClient(serving.port)
+
+        def tell_on() -> None:
+            while not enough.is_set():
+                restless.tell(1)
+
+        def hear_on() -> None:
+            with contextlib.suppress(websocket.WebSocketException, OSError):
+                while restless.websocket.recv():
+                    pass
+
+        threads = [threading.Thread(target=tell_on), threading.Thread(target=hear_on)]
+        for thread in threads:
+            thread.start()
+        wait_until(lambda: len(book.answered_ms) > 0)
+        assert len(tell(serving.port, range(5))) == 5
+        ticks = book.ticks
+        wait_until(lambda: book.ticks > ticks)
+        enough.set()
+        threads[0].join(PATIENCE_S)
+        serving.stop()
+        threads[1].join(PATIENCE_S)
+        restless.vanish()
+
+
+def test_the_tick_can_push_a_command_that_nobody_asked_for(mode: ServerMode) -> None:
+    class Pushing(Book):
+        server: TelemetryServer
+        sid = ""
+
+        def connected(self, sid: str) -> None:
+            self.sid = sid
+
+        def tick(self) -> None:
+            if self.sid:
+                self.server.push(self.sid, Steer(0.25, 0.5, ","))
+                self.server.push("nobody", Steer(0.25, 0.5, ","))
+                self.sid = ""
+
+    book = Pushing()
+    with Serving(mode, book) as serving:
+        book.server = serving.server
+        client = RawClient(serving.port, "40")
+        assert client.command() == ("steer", {"steering_angle": "0,250000", "throttle": "0,500000"})
+        client.close()
+
+
+def test_who_was_steered_gets_a_last_command_at_the_end(mode: ServerMode) -> None:
+    book = Book()
+    book.last = Steer(0.0, -0.125)
+    with Serving(mode, book) as serving:
+        driven, manual = RawClient(serving.port), RawClient(serving.port)
+        driven.tell(1)
+        manual.tell(None)
+        assert driven.command() == steered(UNUSED)
+        assert manual.command() == ("manual", {})
+        serving.stop()
+        assert driven.command() == steered(book.last)
+        for client in (driven, manual):
+            client.until_hung_up()
+    assert book.calls.count("stopping") == 1
+    assert "disconnected" not in book.calls
+
+
+def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread may be put to sleep between an answer and its sending, and the car keeps what it is sent last."""
+    is_answering, goes_on = threading.Event(), threading.Event()
+    send_now = Connection.send_now
+
+    def send_late(connection: Connection, message: str) -> bool:
+        is_answering.set()
+        assert goes_on.wait(PATIENCE_S)
+        return send_now(connection, message)
+
+    monkeypatch.setattr(Connection, "send_now", send_late)
+    monkeypatch.setattr(telemetry_server, "END_S", PATIENCE_S)
+    book = Book()
+    book.last = Steer(0.0, -0.125)
+    with Serving("threading", book) as serving:
+        client = RawClient(serving.port)
+        client.tell(1)
+        assert is_answering.wait(PATIENCE_S)
+        ender = threading.Thread(target=serving.stop)
+        ender.start()
+        ender.join(0.3)  # it cannot end yet; without the waiting, its last command has left by now
+        goes_on.set()
+        assert [client.command(), client.command()] == [steered(UNUSED), steered(book.last)]
+        client.until_hung_up()
+        ender.join(PATIENCE_S)
+    assert book.calls[-2:] == ["answered", "stopping"]
+
+
+def test_nothing_of_it_is_left_when_it_has_ended_whoever_was_connected(mode: ServerMode) -> None:
+    before = set(threading.enumerate())
+    with Serving(mode, Book()) as serving:
+        simulator = RawClient(serving.port, '42["telemetry",1]')
+        polling = PollingClient(serving.port)
+        polled: list[str] = []
+        poll = threading.Thread(target=lambda: polled.append(polling.request()))
+        poll.start()
+        silent = socket.create_connection(("127.0.0.1", serving.port))
+        half = socket.create_connection(("127.0.0.1", serving.port))
+        half.sendall(b"GET / HTT")
+        assert simulator.command() == steered(UNUSED)
+        serving.stop()
+        poll.join(PATIENCE_S)
+        assert polled == ["1"]
+        for stream in (silent, half):
+            stream.settimeout(PATIENCE_S)
+            with contextlib.suppress(ConnectionError):
+                assert stream.recv(1) == b""
+            stream.close()
+        simulator.until_hung_up()
+        assert set(threading.enumerate()) - {serving.thread} <= before
+    with socket.create_server(("127.0.0.1", serving.port)):
+        pass
+
+
+def test_clients_that_come_and_go_leave_nothing_behind(mode: ServerMode) -> None:
+    book = Book()
+
+    def connections() -> int:
+        gc.collect()
+        return sum(type(thing) is Connection for thing in gc.get_objects())
+
+    with Serving(mode, book) as serving:
+        threads = threading.active_count()
+        for number in range(20):
+            client = RawClient(serving.port, "40", '42["telemetry",1]', "2")
+            client.command()
+            if number % 2:
+                client.vanish()  # without a word
+            else:
+                client.close()
+        wait_until(lambda: book.calls.count("disconnected") == 20)
+        wait_until(lambda: threading.active_count() == threads)
+        wait_until(lambda: connections() == 0)
+
+
+@pytest.mark.parametrize("where", ["connected", "telemetry", "answered", "tick", "disconnected", "stopping"])
+def test_what_the_handler_raises_ends_the_run_and_is_raised_there(
+    where: str, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for host in (eventlet_host, threaded_host):
+        monkeypatch.setattr(host, "END_S", 0.01)  # the client that is still there need not end by itself
+
+    class DiskError(Exception):
+        pass
+
+    def fail(*arguments: object) -> None:
+        raise DiskError(where)
+
+    book = Book()
+    setattr(book, where, fail)
+    serving = Serving(mode, book)
+    with contextlib.suppress(DiskError), serving:
+        client = RawClient(serving.port, '42["telemetry",1]')
+        if where not in ("connected", "telemetry", "tick"):
+            client.command()
+        if where == "disconnected":
+            client.close()
+        if where != "stopping":
+            serving.join()
+        serving.stop()
+        client.until_hung_up()
+    assert isinstance(serving.error, DiskError)
+
+
+def test_a_port_in_use_says_what_to_do(mode: ServerMode) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ListenError, match=rf"127\.0\.0\.1:{port} .*bc-drive.*--port"):
+            TelemetryServer(Book(), port=port, mode=mode)
+
+
+@pytest.mark.parametrize("host", ["no such host", "a" * 100, "\0", "192.0.2.1"])
+def test_a_host_that_is_not_here_is_one_line(host: str, mode: ServerMode) -> None:
+    with pytest.raises(ListenError, match="cannot listen on"):
+        TelemetryServer(Book(), host=host, port=0, mode=mode)
+
+
+def test_broken_packets_are_hung_up_on_and_said_once(mode: ServerMode) -> None:
+    book = Book()
+    broken: list[str | bytes] = [
+        "42[]",
+        "42{}",
+        "42[1]",
+        "x",
+        "",
+        '42["connect",{}]',
+        "42" + "[" * 100_000,
+        b"\xff" * 100,
+        b"",
+    ]
+    with Serving(mode, book) as serving:
+        for hello, packet in itertools.product(([], ["40"]), broken):
+            client = RawClient(serving.port, *hello)
+            client.websocket.send(packet, ABNF.OPCODE_BINARY if isinstance(packet, bytes) else ABNF.OPCODE_TEXT)
+            client.until_hung_up()
+        assert tell(serving.port, range(3))
+        wait_until(lambda: book.calls.count("connected") == book.calls.count("disconnected"))
+    (line,) = serving.said
+    assert "protocol" in line
+
+
+def test_broken_frames_and_endless_messages_are_hung_up_on(mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        for _ in range(2):
+            client = RawClient(serving.port)
+            client.stream.sendall(b"\x81\x05hello")  # not masked
+            client.until_hung_up()
+            client = RawClient(serving.port)
+            with contextlib.suppress(ConnectionError):
+                for start in range(0, MAX_MESSAGE_BYTES + 2, 1 << 20):
+                    opcode = ABNF.OPCODE_CONT if start else ABNF.OPCODE_TEXT
+                    client.websocket.send_frame(ABNF.create_frame(b"4" * (1 << 20), opcode, 0))
+            client.until_hung_up()
+        assert tell(serving.port, range(3))
+    assert len(serving.said) == 2
+    assert "websocket protocol" in serving.said[0]
+    assert "too much" in serving.said[1]
+
+
+def get(port: int, path: str) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=PATIENCE_S) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read().decode()
+
+
+def send_bytes(port: int, data: bytes) -> None:
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
+        stream.sendall(data)
+        with contextlib.suppress(ConnectionError):
+            while stream.recv(1000):
+                pass
+
+
+def greet_by_tls(port: int) -> None:
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream, contextlib.suppress(OSError):
+        context.wrap_socket(stream)
+        pytest.fail("it was answered by TLS")
+
+
+def test_a_browser_is_told_what_the_port_is_for(mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        status, text = get(serving.port, "/")
+        assert (status, text.count("\n")) == (200, 1)
+        assert "autonomous mode" in text
+        assert get(serving.port, "/favicon.ico") == (404, text)
+    (line,) = serving.said
+    assert "browser" in line
+    assert "autonomous mode" in line
+
+
+OLD_PYTHON = "/socket.io/?EIO=3&transport=polling"
+KNOCKS: dict[str, tuple[Callable[[int], object], str]] = {
+    "a client of another version": (lambda port: get(port, OLD_PYTHON), "refused.*python-socketio 5"),
+    "another transport": (lambda port: get(port, "/socket.io/?EIO=4&transport=x"), "refused.*python-socketio 5"),
+    "bytes": (lambda port: send_bytes(port, b"\x00\x01SSH-2.0\r\n\r\n"), "no simulator.*another port"),
+    "a request that is none": (lambda port: send_bytes(port, b"GET\r\n\r\n"), "no simulator.*another port"),
+    "TLS": (greet_by_tls, "TLS.*ws://"),
+}
+
+
+@pytest.mark.parametrize(("knock", "line"), KNOCKS.values(), ids=KNOCKS)
+def test_who_speaks_something_else_costs_one_line_that_says_what_to_do(
+    knock: Callable[[int], object], line: str, mode: ServerMode, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Serving(mode, Book()) as serving:
+        for _ in range(3):
+            knock(serving.port)
+        wait_until(lambda: len(serving.said) > 0)
+        assert tell(serving.port, range(2))
+    assert len(serving.said) == 1
+    assert re.search(line, serving.said[0])
+    assert capfd.readouterr() == ("", "")  # no traceback either
+
+
+def test_who_says_nothing_at_all_costs_a_line(mode: ServerMode, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_guard, "REQUEST_S", 0.01)
+    monkeypatch.setattr(telemetry_server, "QUIET_S", 0.01)
+    with Serving(mode, Book()) as serving:
+        for _ in range(2):
+            with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
+                assert stream.recv(1) == b""
+        wait_until(lambda: len(serving.said) == 1)
+        assert "said nothing" in serving.said[0]
+        monkeypatch.setattr(connection_guard, "REQUEST_S", PATIENCE_S)
+        silent = RawClient(serving.port)
+        wait_until(lambda: len(serving.said) == 2)
+        assert "websocket" in serving.said[1]
+        assert "autonomous mode" in serving.said[1]
+        silent.tell(1)  # it is not hung up on: it may be in its menu
+        assert silent.command() == steered(UNUSED)
+        silent.close()
+        PollingClient(serving.port)
+        wait_until(lambda: len(serving.said) == 3)
+        assert "long polling" in serving.said[2]
+
+
+def ask(serving: Serving, count: int, seed: int) -> None:
+    """Tell `count` malformed telemetries and a good one after every ninth; every one gets one command."""
+    chance = random.Random(seed)
+    client = RawClient(serving.port)
+    for good, start in enumerate(range(0, count, 9)):
+        told = [malformed(chance) for _ in range(min(9, count - start))]
+        for data in told:
+            if chance.random() < 0.1:  # as a client sends that has bytes in its telemetry
+                client.websocket.send('451-["telemetry",' + data + ',{"_placeholder":true,"num":0}]')
+                client.websocket.send_binary(b"\xff\xd8\xff")
+            else:
+                client.websocket.send('42["telemetry",' + data + "]")
+        client.tell(fields(good))
+        for data in told:
+            name, command = client.command()
+            assert name == ("manual" if data == "null" else "steer"), data[:80]
+            assert set(command) <= {"steering_angle", "throttle"}
+        assert client.command() == steered(Steer(-steering(good), 0.5))
+    client.close()
+
+
+def test_thousands_of_malformed_telemetries_are_each_answered_once_and_good_ones_driven(mode: ServerMode) -> None:
+    with Serving(mode, Book()) as serving:
+        ask(serving, 2_000, seed=7)
+    assert serving.said == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "check"),
+    [
+        ("threading", "assert 'eventlet' not in sys.modules"),
+        (
+            "eventlet",
+            "from eventlet.patcher import is_monkey_patched as m; assert not m('socket') and not m('thread')",
+        ),
+    ],
+)
+def test_a_mode_leaves_the_rest_of_the_process_alone(mode: str, check: str) -> None:
+    code = f"""
+import sys
+from recorder.server.telemetry_server import TelemetryServer
+TelemetryServer(None, port=0, mode={mode!r}).run(lambda: True)
+{check}
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], env=environment(), capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("first", [Steer(0.0, 0.0), "manual"])
+@pytest.mark.parametrize("hello", [(), ("40",)], ids=["old client", "modern client"])
+def test_who_waits_for_a_first_command_gets_one_and_whoever_tells_at_once_none(
+    first: Steer | Literal["manual"], hello: tuple[str, ...], mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A classic server sends a steer when a client connects. For the real simulator each is one telemetry more in
+    flight for ever."""
+    monkeypatch.setattr(telemetry_server, "FIRST_S", PATIENCE_S)
+    with Serving(mode, Book(), first=first) as serving:
+        busy = RawClient(serving.port, *hello)
+        busy.tell(fields(0))
+        assert busy.command() == steered(Steer(-steering(0), 0.5))
+        monkeypatch.setattr(telemetry_server, "FIRST_S", 0.0)
+        waiting = RawClient(serving.port, *hello)
+        name, command = waiting.command()
+        assert (name, command) == (("manual", {}) if first == "manual" else steered(Steer(0.0, 0.0)))
+        waiting.tell(fields(1))
+        assert waiting.command() == steered(Steer(-steering(1), 0.5))
+        busy.tell(fields(2))
+        assert busy.command() == steered(Steer(-steering(2), 0.5))
+        for client in (busy, waiting):
+            client.close()

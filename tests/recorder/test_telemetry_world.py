@@ -1,0 +1,222 @@
+"""What any simulator may tell beside its telemetry: each member by itself, and what cannot be used is named."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drive.config import DriveConfig
+from drive.control.driver import Driver
+from driving import road_jpeg, untrained_run
+from model import Pilot, load_pilot
+from recorder.server.telemetry import parse_telemetry
+from recorder.server.world import MAX_WORLD_NUMBER, MEMBERS, World, parse_world
+from repository import ROOT
+from simulator.pose import Pose
+
+WORLD = World(12.5, -3.0, 4.25, 0.5, 1.5, -0.01, 0.02, -1.25, 0.75, 2, -0.5, 0.25)
+
+
+def world(**values: Any) -> dict[str, Any]:
+    """What the built-in simulator tells, with some values replaced (or left out: ...)."""
+    return {name: value for name, value in {**vars(WORLD), **values}.items() if value is not ...}
+
+
+def used(value: object, decimal: str = ".") -> World | None:
+    """What is used of a world with which nothing is wrong."""
+    told, problems = parse_world(value, decimal)
+    assert problems == ()
+    return told
+
+
+def problem(value: object, decimal: str = ".") -> str:
+    """The one thing that is wrong with it."""
+    (text,) = parse_world(value, decimal)[1]
+    return text
+
+
+def test_a_world_is_taken_where_it_is_told() -> None:
+    assert used(world()) == WORLD
+    assert used(world(more=["of", "it"])) == WORLD
+    assert used(None) is None
+
+
+def test_each_member_may_be_told_by_itself() -> None:
+    assert used({"time_s": 1.5}) == World(time_s=1.5)
+    assert used({"time_s": 1.5, "laps": None}) == World(time_s=1.5)
+    assert used({"laps": 0.5, "interventions": 0}) == World(laps=0.5, interventions=0)
+    pose = {name: world()[name] for name in MEMBERS[1:7]}
+    told = used(pose)
+    assert told is not None
+    assert told.pose == Pose(-3.0, 4.25, 0.5, 1.5, -0.01, 0.02)
+    assert (told.time_s, told.expert) == (None, None)
+    assert WORLD.expert == (-0.5, 0.25)
+
+
+@pytest.mark.parametrize("time_s", [-0.96, 0, 12, 1.76e9, 1e12, "12.5", " -3 ", "1e-3"])
+def test_a_clock_may_begin_before_0_and_numbers_may_stand_in_strings(time_s: float | str) -> None:
+    told = used({"time_s": time_s})
+    assert told == World(time_s=float(time_s))
+    assert told is not None
+    assert type(told.time_s) is float
+
+
+@pytest.mark.parametrize("count", [2, 2.0, "2", "2.0", "2e0"])
+def test_a_count_may_be_written_with_a_point(count: object) -> None:
+    told = used({"interventions": count})
+    assert told == World(interventions=2)
+    assert told is not None
+    assert type(told.interventions) is int
+
+
+def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
+    assert used({"offset": "-0,5"}, decimal=",") == World(offset=-0.5)
+    assert used({"offset": -0.5}, decimal=",") == World(offset=-0.5)
+    for text, decimal in (("-0,5", "."), ("0.5", ","), ("1,234.5", "."), ("1.234,5", ",")):
+        # a half, or five? nobody knows
+        assert problem({"offset": text}, decimal) == "offset is a string that is no plain number"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("time_s", True, "time_s is not a number but a bool"),
+        ("laps", [1.0], "laps is not a number but a list"),
+        ("laps", {"value": 1.0}, "laps is not a number but a dict"),
+        ("offset", "left", "offset is a string that is no plain number"),
+        ("offset", "", "offset is a string that is no plain number"),
+        ("offset", "٠", "offset is a string that is no plain number"),
+        ("time_s", math.nan, "time_s is beyond 1e+12, or no number"),
+        ("time_s", -math.inf, "time_s is beyond 1e+12, or no number"),
+        ("laps", 10**400, "laps is beyond 1e+09, or no number"),
+        ("laps", "9e99", "laps is beyond 1e+09, or no number"),
+        ("offset", 2 * MAX_WORLD_NUMBER, "offset is beyond 1e+09, or no number"),
+        ("interventions", -1, "interventions is no count: a whole number from 0 on was expected"),
+        ("interventions", 0.5, "interventions is no count: a whole number from 0 on was expected"),
+    ],
+)
+def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, said: str) -> None:
+    told, problems = parse_world(world(**{name: value}))
+    assert problems == (said,)
+    assert told == World(**world(**{name: None}))
+
+
+def test_half_a_pose_and_half_an_expert_are_none_and_what_is_missing_is_named() -> None:
+    told, problems = parse_world(world(pitch_rad=..., roll_rad=..., expert_throttle=...))
+    assert told == World(time_s=12.5, offset=-1.25, laps=0.75, interventions=2)
+    assert problems == (
+        "pitch_rad and roll_rad missing beside x_m: they go together",
+        "expert_throttle missing beside expert_steering: they go together",
+    )
+    # one that is there and wrong is not missing as well
+    told, problems = parse_world(world(x_m="far"))
+    assert problems == ("x_m is a string that is no plain number",)
+    assert told is not None
+    assert told.pose is None
+
+
+@pytest.mark.parametrize("value", [True, 1, 1.5, "world", [], [{"time_s": 1.0}]])
+def test_what_is_no_object_is_said_to_be_none(value: object) -> None:
+    assert parse_world(value)[0] is None
+    assert problem(value) == f"it is not an object but a {type(value).__name__}"
+
+
+@pytest.mark.parametrize("value", [{}, {"time": 3}, {"world": {"time_s": 1.0}}])
+def test_names_that_nobody_knows_are_told_those_that_are(value: object) -> None:
+    assert parse_world(value)[0] is None
+    assert all(name in problem(value) for name in MEMBERS)
+
+
+def test_an_experts_command_stays_within_its_bounds() -> None:
+    for told, expected in ((1.5, 1.0), (-7, -1.0), (1e8, 1.0), (-1.0, -1.0)):
+        assert used({"expert_steering": told, "expert_throttle": told}) == World(
+            expert_steering=expected, expert_throttle=expected
+        )
+
+
+SCALARS = (
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.text("0123456789.,-eE '", max_size=12)
+)
+JSON = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3)
+)
+
+
+@given(
+    JSON | st.fixed_dictionaries({}, optional={name: SCALARS | st.just(value) for name, value in world().items()}),
+    st.sampled_from(".,/\u066b"),
+)
+def test_any_world_is_one_of_finite_numbers(value: object, decimal: str) -> None:
+    told, problems = parse_world(value, decimal)
+    assert told is not None or problems or value is None or isinstance(value, dict)
+    if told is None:
+        return
+    numbers = [number for number in vars(told).values() if number is not None]
+    assert numbers
+    assert all(math.isfinite(number) for number in numbers)
+    assert (told.pose is None) == (told.x_m is None)
+    assert all(-1 <= command <= 1 for command in told.expert or ())
+
+
+# While it is driven
+
+
+@pytest.fixture(scope="module")
+def pilot(tmp_path_factory: pytest.TempPathFactory) -> Pilot:
+    return load_pilot(untrained_run(tmp_path_factory.mktemp("runs") / "run"))
+
+
+def telemetry(**more: object) -> dict[str, Any]:
+    return {
+        "steering_angle": "0.0000",
+        "throttle": "0.1000",
+        "speed": "9.0000",
+        "image": base64.b64encode(road_jpeg(1)).decode(),
+        **more,
+    }
+
+
+def test_the_telemetry_is_good_whatever_its_world_is() -> None:
+    without = parse_telemetry(telemetry())
+    values: tuple[object, ...] = (None, {}, [], "world", {"time": 1})
+    for value in values:
+        told = parse_telemetry(telemetry(world=value))
+        assert (told.jpeg, told.speed_mph, told.world) == (without.jpeg, without.speed_mph, None)
+
+
+def test_what_is_wrong_with_a_world_is_said_once_and_not_at_every_telemetry(pilot: Pilot) -> None:
+    driver = Driver(pilot, DriveConfig())
+    worlds = [{"time_s": k / 10, "laps": "half", **({"offset": True} if k > 2 else {})} for k in range(6)]
+    said = [driver.decide(telemetry(world=each), 0.0, now_s=0.0).events for each in worlds]
+    laps = "the simulator's world is not used whole: laps is a string that is no plain number"
+    offset = "the simulator's world is not used whole: offset is not a number but a bool"
+    assert said == [(laps,), (), (), (offset,), (), ()]
+
+
+def test_a_simulator_that_tells_its_time_alone_is_driven_by_it(pilot: Pilot) -> None:
+    """Steering that is smoothed over a second follows the simulator's seconds, whatever the clock shows."""
+
+    def steered(seconds_of_the_clock: float) -> list[float]:
+        driver = Driver(pilot, DriveConfig(smooth_s=1.0))
+        return [
+            driver.decide(telemetry(world={"time_s": k / 10}), 0.0, now_s=k * seconds_of_the_clock).steering
+            for k in range(5)
+        ]
+
+    assert steered(0.001) == steered(7.0)
+    assert len({*steered(7.0)}) == 5
+
+
+def test_json_says_it_as_python_does() -> None:
+    assert used(json.loads(json.dumps(world()))) == WORLD
+
+
+def test_the_docs_name_every_member() -> None:
+    page = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
+    assert [name for name in MEMBERS if f"`{name}`" not in page] == []

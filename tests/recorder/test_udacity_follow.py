@@ -1,0 +1,373 @@
+"""A recording is followed while it is written: tests append to it as the simulator does, and look at the log."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+from mcap_protobuf.decoder import DecoderFactory
+
+from driving import PATIENCE_S, Process
+from logs import read_messages
+from recorder import Imported, RecordingError, import_udacity
+from recorder.log.topics import CAMERAS
+from recorder.sources.file_tail import Tail
+from recorder.sources.udacity_follow import watch_udacity
+from udacity import jpeg, make_recording, paths, picture_name
+
+Found = dict[str, set[tuple[int, int, object]]]
+ROWS = [f"{paths(number)},{number / 100},0.5,0,{number + 0.25}" for number in range(6)]
+
+
+def row_values(numbers: Sequence[int]) -> list[tuple[int, float]]:
+    """(sequence, speed) of these lines of ROWS, as the log has them."""
+    return [(sequence, number + 0.25) for sequence, number in enumerate(numbers)]
+
+
+def picture(number: int, camera_number: int) -> bytes:
+    return jpeg(60 * camera_number + number, 10 * number + camera_number + 1)
+
+
+def contents(log: Path) -> Found:
+    """The messages of a finished log by topic: sequence, time and content, in any order."""
+    return {
+        topic: {(message.sequence, message.log_time, message.data) for message, _ in messages}
+        for topic, messages in read_messages(log).items()
+    }
+
+
+def growing(part: Path) -> dict[str, list[tuple[int, Any]]]:
+    """What can be read of an unfinished log: (sequence, content) by topic."""
+    found: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+    with part.open("rb") as stream:
+        try:
+            reader = NonSeekingReader(stream, decoder_factories=[DecoderFactory()])
+            for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+                found[channel.topic].append((message.sequence, decoded))
+        except (McapError, EOFError):  # it has no end yet
+            pass
+    return found
+
+
+class Drive:
+    """The simulator's part: steps taken in a thread while the recording is watched."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.started = threading.Event()
+        self.over = threading.Event()
+        self.part = Path()
+
+    def on_started(self, part: Path) -> None:
+        self.part = part
+        self.started.set()
+
+    def append(self, text: str) -> None:
+        self.folder.mkdir(exist_ok=True)
+        with (self.folder / "driving_log.csv").open("a", newline="") as csv:
+            csv.write(text)
+
+    def render(self, number: int, cameras: Sequence[int] = (0, 1, 2)) -> None:
+        (self.folder / "IMG").mkdir(parents=True, exist_ok=True)
+        for camera in cameras:
+            (self.folder / "IMG" / picture_name(CAMERAS[camera], number)).write_bytes(picture(number, camera))
+
+    def speeds(self) -> list[tuple[int, float]]:
+        return [(sequence, state.speed_mph) for sequence, state in growing(self.part)["/vehicle"]]
+
+    def pictures(self) -> int:
+        return sum(len(growing(self.part)[f"/camera/{camera}"]) for camera in CAMERAS)
+
+    def wait_until(self, condition: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end_s, "the log never came so far"
+            assert not self.over.is_set(), "the watch ended too early"
+            time.sleep(0.02)
+
+
+def watch(drive: Drive, log: Path, steps: Callable[[], None]) -> Imported:
+    """Watch until the steps are done; then Ctrl-C."""
+    failed: list[BaseException] = []
+
+    def run_steps() -> None:
+        try:
+            drive.wait_until(drive.started.is_set)
+            steps()
+        except BaseException as error:
+            failed.append(error)
+        finally:
+            if drive.started.is_set() and not drive.over.is_set():
+                os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=run_steps)
+    thread.start()
+    try:
+        return watch_udacity(drive.folder, log, on_started=drive.on_started)
+    finally:
+        drive.over.set()
+        thread.join(PATIENCE_S)
+        if failed:
+            raise failed[0]
+
+
+def test_a_finished_recording_gives_what_its_import_gives(tmp_path: Path) -> None:
+    header = "center,left,right,steering,throttle,brake,speed"
+    cut = f"{paths(4)},0.1"
+    comma = f"{paths(5)},-0,5,0,25,0,3,75"
+    lines = [header, ROWS[0], "", ROWS[1].replace(",", ", "), ROWS[0], cut, "junk", ROWS[3], comma, ROWS[2][:70]]
+    folder = tmp_path / "drive"
+    make_recording(folder, "\r\n".join(lines), [0, 1, 2, 3, 5, 9])
+    (folder / "IMG" / picture_name("left", 1)).unlink()
+    (folder / "IMG" / picture_name("right", 3)).write_bytes(jpeg(9)[:-100])
+    (tmp_path / "private.jpg").write_bytes(jpeg(250))
+    (folder / "IMG" / picture_name("left", 7)).symlink_to(tmp_path / "private.jpg")
+    one = import_udacity(folder, tmp_path / "imported.mcap")
+    two = watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
+    assert (one.rows, one.pictures) == (two.rows, two.pictures) == (4, 10)
+    assert sorted(one.skipped) == sorted(two.skipped)
+    assert contents(one.path) == contents(two.path)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
+def test_every_way_to_end_a_line(tmp_path: Path, end: str) -> None:
+    make_recording(tmp_path / "drive", "".join(row + end for row in ROWS), range(6))
+    one = import_udacity(tmp_path / "drive", tmp_path / "imported.mcap")
+    two = watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
+    assert (two.rows, two.pictures, len(two.skipped)) == (6, 18, 0)
+    assert contents(one.path) == contents(two.path)
+
+
+def test_rows_are_logged_when_they_are_complete_and_pictures_when_they_are_whole(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "drive")
+
+    def steps() -> None:
+        drive.append(f"{ROWS[0]}\r\n{ROWS[1]}\r\n{ROWS[2][:-2]}")
+        drive.wait_until(lambda: drive.speeds() == row_values([0, 1]))
+        drive.append(f"{ROWS[2][-2:]}\r\n")
+        drive.wait_until(lambda: drive.speeds() == row_values([0, 1, 2]))
+        assert drive.pictures() == 0
+
+        half = drive.folder / "IMG" / picture_name("center", 1)
+        half.parent.mkdir()
+        half.write_bytes(picture(1, 0)[:2000])
+        drive.render(0)
+        drive.render(1, [1, 2])
+        drive.wait_until(lambda: drive.pictures() == 5)
+        with half.open("ab") as file:
+            file.write(picture(1, 0)[2000:])
+        drive.render(3)  # before its row
+        drive.render(2)
+        drive.wait_until(lambda: drive.pictures() == 9)
+        drive.append(f"{ROWS[3]}\r\n")
+        drive.wait_until(lambda: drive.pictures() == 12)
+
+    done = watch(drive, tmp_path / "watched.mcap", steps)
+    assert (done.rows, done.pictures, list(done.skipped)) == (4, 12, [])
+    assert not drive.part.exists()
+    assert contents(done.path) == contents(import_udacity(drive.folder, tmp_path / "imported.mcap").path)
+
+
+def test_a_csv_that_begins_again_adds_only_what_is_new(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "drive")
+
+    def steps() -> None:
+        drive.append(f"{ROWS[0]}\n{ROWS[1]}\njunk\n")
+        drive.wait_until(lambda: len(drive.speeds()) == 2)
+        (drive.folder / "driving_log.csv").write_text(f"junk\n{ROWS[1]}\n{ROWS[3]}\n")
+        drive.render(3)
+        drive.wait_until(lambda: drive.speeds() == row_values([0, 1, 3]) and drive.pictures() == 3)
+
+    done = watch(drive, tmp_path / "watched.mcap", steps)
+    assert [name for reason, name in done.skipped if reason.startswith("rows")] == ["line 3"]
+    assert (done.rows, done.pictures) == (3, 3)
+
+
+def test_lines_are_given_once_each_when_they_have_their_end(tmp_path: Path) -> None:
+    csv = tmp_path / "driving_log.csv"
+    tail = Tail(csv)
+    assert tail.new_lines() == []
+    given = []
+    for text in (b"one\r", b"\n", b"two\rthr", b"ee\n\nfi", b"ve\r", b"six\n", b"two\nsev"):
+        with csv.open("ab") as stream:
+            stream.write(text)
+        given.append(tail.new_lines())
+        assert tail.new_lines() == []
+    assert given == [
+        [(1, b"one")],
+        [],
+        [(2, b"two")],
+        [(3, b"three"), (4, b"")],
+        [(5, b"five")],
+        [(6, b"six")],
+        [(7, b"two")],
+    ]
+    assert tail.rest() == [(8, b"sev")]
+
+
+def test_a_file_that_is_appended_to_is_not_read_again(tmp_path: Path) -> None:
+    csv = tmp_path / "driving_log.csv"
+    csv.write_bytes(b"".join(b"line %d\n" % number for number in range(1000)))
+    tail = Tail(csv)
+    assert len(tail.new_lines()) == 1000
+    with csv.open("r+b") as stream:
+        stream.write(b"LINE")  # whoever reads the beginning again sees a line that is new
+        stream.seek(0, os.SEEK_END)
+        stream.write(b"the last\n")
+    assert tail.new_lines() == [(1001, b"the last")]
+
+
+def test_a_long_file_that_was_replaced_is_read_again(tmp_path: Path) -> None:
+    csv = tmp_path / "driving_log.csv"
+    lines = [b"line %d\n" % number for number in range(1000)]
+    csv.write_bytes(b"".join(lines))
+    tail = Tail(csv)
+    assert len(tail.new_lines()) == 1000
+    (tmp_path / "other").write_bytes(b"".join([b"LINE 0\n", *lines[1:], b"the last\n"]))
+    (tmp_path / "other").replace(csv)
+    assert tail.new_lines() == [(1, b"LINE 0"), (1001, b"the last")]
+
+
+@pytest.mark.parametrize("text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n"])
+@pytest.mark.parametrize("way", ["written anew", "another file", "deleted first"])
+def test_of_a_file_that_begins_again_only_new_lines_are_given(tmp_path: Path, text: bytes, way: str) -> None:
+    csv = tmp_path / "driving_log.csv"
+    csv.write_bytes(b"a\nb\nc\npart")
+    tail = Tail(csv)
+    assert tail.new_lines() == [(1, b"a"), (2, b"b"), (3, b"c")]
+    if way == "another file":
+        (tmp_path / "other").write_bytes(text)
+        (tmp_path / "other").replace(csv)
+    else:
+        if way == "deleted first":
+            csv.unlink()
+            assert tail.new_lines() == []
+        csv.write_bytes(text)
+    lines = text.splitlines()
+    assert tail.new_lines() == [(lines.index(line) + 1, line) for line in lines if line not in (b"a", b"b", b"c")]
+    assert tail.rest() == []
+
+
+def test_what_never_came_is_named_and_in_the_log(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    make_recording(folder, f"{ROWS[0]}\n{ROWS[1]}\n{ROWS[2]}", [0, 8])
+    (folder / "IMG" / picture_name("left", 1)).write_bytes(jpeg(80)[:500])
+    done = watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
+    assert (done.rows, done.pictures) == (3, 3)  # the last line has no end, but all of its values
+    assert done.skipped.counts == {
+        "pictures that a row names but no folder has": 5,
+        "pictures that are not whole JPEG files": 1,
+        "pictures without a row": 3,
+    }
+    events = [event.message for _, event in read_messages(done.path)["/events"]]
+    assert sorted(events) == sorted(f"skipped {reason}: {name}" for reason, name in done.skipped)
+
+
+def test_a_last_line_that_is_cut_off_is_named(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", f"{ROWS[0]}\n{ROWS[1][:-8]}", [0])
+    done = watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
+    assert done.rows == 1
+    assert list(done.skipped) == [("rows with fewer than four values, or cut off", "line 2")]
+
+
+def test_nothing_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(RecordingError, match=r"driving_log\.csv: it never came"):
+        watch_udacity(tmp_path / "nowhere", tmp_path / "sessions" / "watched.mcap", idle_s=0)
+    assert list(tmp_path.iterdir()) == []
+    assert f"waiting for {tmp_path / 'nowhere' / 'driving_log.csv'}" in capsys.readouterr().err
+
+
+def test_no_line_could_be_used(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", "junk\n")
+    with pytest.raises(
+        RecordingError,
+        match=r"no usable row; rows with fewer than three columns of pictures, or cut off: 1 \(line 1\)",
+    ):
+        watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
+    assert [path.name for path in tmp_path.iterdir()] == ["drive"]
+
+
+def test_links_out_of_the_recording_are_not_followed(tmp_path: Path) -> None:
+    make_recording(tmp_path / "private", f"{ROWS[0]}\n", [0])
+    folder = tmp_path / "downloaded"
+    folder.mkdir()
+    (folder / "driving_log.csv").symlink_to(tmp_path / "private" / "driving_log.csv")
+    with pytest.raises(RecordingError, match="a link out of the recording"):
+        watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
+
+
+def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    make_recording(folder, "".join(f"{row}\n" for row in ROWS[:2]), [0, 1])
+    (folder / "IMG").rename(tmp_path / "disk")
+    (folder / "IMG").symlink_to(tmp_path / "disk")
+    left = tmp_path / "disk" / picture_name("left", 1)
+    left.rename(tmp_path / "private.jpg")
+    left.symlink_to(tmp_path / "private.jpg")
+    done = watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
+    assert (done.rows, done.pictures) == (2, 5)
+    assert list(done.skipped) == [("pictures that are links out of the recording", left.name)]
+
+
+def test_an_existing_log_is_refused_before_anything_is_watched(tmp_path: Path) -> None:
+    (tmp_path / "watched.mcap").write_bytes(b"somebody's work")
+    with pytest.raises(Exception, match="--force"):
+        watch_udacity(tmp_path / "nowhere", tmp_path / "watched.mcap")
+    assert (tmp_path / "watched.mcap").read_bytes() == b"somebody's work"
+
+
+def test_kill_ends_the_real_thing_and_a_killed_one_keeps_what_came(tmp_path: Path) -> None:
+    code = "import sys; from pathlib import Path; from recorder.sources.udacity_follow import watch_udacity;"
+    code += "done = watch_udacity(Path(sys.argv[1]), Path(sys.argv[2])); print(done.rows, done.pictures)"
+    drive = Drive(tmp_path / "drive")
+
+    def follow(name: str) -> Process:
+        return Process([sys.executable, "-c", code, str(drive.folder), str(tmp_path / name)])
+
+    with follow("ended.mcap") as one, follow("killed.mcap") as two:
+        one.wait_for(r"^waiting for .*driving_log\.csv$")
+        two.wait_for(r"^waiting for .*driving_log\.csv$")
+        drive.append(f"{ROWS[0]}\n{ROWS[1]}\n")
+        drive.render(0)
+        for name in ("ended", "killed"):
+            [drive.part] = tmp_path.glob(f"{name}.mcap.*.part")
+            drive.wait_until(lambda: len(drive.speeds()) == 2 and drive.pictures() == 3)
+        assert one.end(signal.SIGTERM) == 0
+        assert one.stdout == "2 3\n"
+        assert two.end(signal.SIGKILL) == -signal.SIGKILL
+    assert len(read_messages(tmp_path / "ended.mcap")["/vehicle"]) == 2
+    assert (len(drive.speeds()), drive.pictures()) == (2, 3)
+
+
+def test_a_real_recording(recordings: Path, tmp_path: Path) -> None:
+    """Its rows first, then its pictures in any order, as the simulator writes them."""
+    source = recordings / "lake_windows"
+    lines = (source / "driving_log.csv").read_text().splitlines(keepends=True)[:200]
+    drive = Drive(tmp_path / "drive")
+    names = sorted(
+        name.strip().split("\\")[-1] for line in lines for name in line.split(",")[:3]
+    )  # centre, left, right
+
+    def steps() -> None:
+        for start in range(0, 200, 50):
+            drive.append("".join(lines[start : start + 50]))
+        drive.wait_until(lambda: len(drive.speeds()) == 200)
+        (drive.folder / "IMG").mkdir()
+        for name in names:
+            shutil.copyfile(source / "IMG" / name, drive.folder / "IMG" / name)
+        drive.wait_until(lambda: drive.pictures() == 600)
+
+    done = watch(drive, tmp_path / "watched.mcap", steps)
+    assert (done.rows, done.pictures, len(done.skipped)) == (200, 600, 0)
+    assert contents(done.path) == contents(import_udacity(drive.folder, tmp_path / "imported.mcap").path)

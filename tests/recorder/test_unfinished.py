@@ -1,0 +1,517 @@
+"""A recording that was never finished: killed, with a hole in it, still growing, or met by a full disk."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
+from common import UserError
+from common.locks import is_being_written
+from disk import files_of_at_most
+from driving import Process, command, environment, road_jpeg
+from logs import START_NS, STEP_NS, write_log
+from plain_mcap import Contents, StoredChunk, contents
+from recorder import Log, LogError, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.recover import recover, recovered_name
+from recorder.log.topics import CAMERAS, Camera
+from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
+from udacity import make_recording, paths
+from waiting import PATIENCE_S, wait_until
+
+ROWS = 40
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    """As varied as a JPEG, and another one each time."""
+    return random.Random(f"{camera} {row}").randbytes(500)
+
+
+@pytest.fixture
+def killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Contents]:
+    """A log of many chunks as a kill leaves it, and what was in it."""
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 4096)
+    whole = write_log(tmp_path / "whole.mcap", [row / ROWS for row in range(ROWS)], picture)
+    original = contents(whole)
+    assert len(original.chunks) > 10
+    path = tmp_path / "drive.mcap.0a1b2c.part"
+    path.write_bytes(whole.read_bytes()[: original.chunks[-1].end])
+    return path, original
+
+
+def pictures_of(path: Path) -> set[tuple[str, int, bytes]]:
+    with Log(path) as log:
+        assert log.notice
+        return {
+            (frame["camera"], frame["row"], log.read(frame["offset"], frame["length"], frame["chunk"]))
+            for frame in log.frames().to_pylist()
+        }
+
+
+def pictures_in(chunks: list[StoredChunk]) -> set[tuple[str, int, bytes]]:
+    return {
+        (message.topic.removeprefix("/camera/"), message.sequence, CompressedImage.FromString(message.data).data)
+        for chunk in chunks
+        for message in chunk.messages
+        if message.topic.startswith("/camera/")
+    }
+
+
+# Holes
+
+
+def zero(path: Path, start: int, end: int) -> None:
+    with path.open("rb+") as stream:
+        stream.seek(start)
+        stream.write(bytes(end - start))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5], ids=["a whole chunk", "from the middle of one to that of the next"])
+def test_what_lies_behind_a_hole_is_found(killed: tuple[Path, Contents], share: float) -> None:
+    """A pulled plug leaves zeros where the disk had not written yet what came before."""
+    path, original = killed
+    five, six = original.chunks[5:7]
+    start = five.start + int(share * (five.end - five.start))
+    end = five.end if share == 0 else six.start + int(share * (six.end - six.start))
+    zero(path, start, end)
+    sound = [chunk for chunk in original.chunks if chunk.end <= start or chunk.start >= end]
+    assert len(sound) == len(original.chunks) - (1 if share == 0 else 2)
+    assert pictures_of(path) == pictures_in(sound)
+    with Log(path) as log:
+        [(lost_from, lost_to)] = log.lost
+        assert lost_from <= start
+        assert lost_to == next(chunk.start for chunk in original.chunks if chunk.start >= end)
+        assert f"{lost_to - lost_from:,} bytes before it are damaged" in log.notice
+    written = recover(path, path.with_name("recovered.mcap"))
+    lost = {m.sequence for chunk in original.chunks if chunk not in sound for m in chunk.messages}
+    last_row = max(m.sequence for m in sound[-1].messages if m.topic == "/vehicle")
+    kept = [m for chunk in sound for m in chunk.messages if m.sequence not in lost and m.sequence <= last_row]
+    assert contents(written.path).messages == kept
+    assert f"{lost_from:,} to {lost_to:,}" in [name for _, name in written.skipped]
+
+
+LENGTHS = {
+    "nothing": 0,
+    "one less": -1,
+    "one more": 1,
+    "beyond the next chunks": 9000,
+    "beyond the file": 1 << 40,
+    "into another time": 1 << 63,
+}
+
+
+@pytest.mark.parametrize("length", LENGTHS.values(), ids=LENGTHS)
+@pytest.mark.parametrize("where", ["chunk", "index", "metadata"])
+def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], where: str, length: int) -> None:
+    path, original = killed
+    data = bytearray(path.read_bytes())
+    at = {
+        "chunk": original.chunks[5].start,
+        "index": original.chunks[5].end,
+        "metadata": data.index(b"bc.session") - 13,  # before the first chunk
+    }[where]
+    told = int.from_bytes(data[at + 1 : at + 9], "little")
+    data[at + 1 : at + 9] = (told + length if abs(length) < 1 << 20 and length else length).to_bytes(8, "little")
+    path.write_bytes(data)
+    sound = [chunk for i, chunk in enumerate(original.chunks) if (i, where) != (5, "chunk")]
+    assert pictures_of(path) == pictures_in(sound)
+    with Log(path) as log:
+        assert log.lost
+
+
+def test_a_first_byte_that_turns_a_chunk_into_something_else_is_no_silent_loss(
+    killed: tuple[Path, Contents],
+) -> None:
+    """Its length is still right: whoever believes the byte steps over the chunk and misses nothing."""
+    path, original = killed
+    before = path.read_bytes()
+    five = original.chunks[5]
+    for opcode in {*range(256)} - {6}:
+        path.write_bytes(before[: five.start] + bytes([opcode]) + before[five.start + 1 :])
+        with Log(path) as log:
+            [(lost_from, lost_to)] = log.lost
+            assert lost_from <= five.start
+            assert lost_to == original.chunks[6].start
+            assert len(log.chunks) == len(original.chunks) - 1
+
+
+def test_a_topic_whose_description_is_lost_is_named(killed: tuple[Path, Contents]) -> None:
+    """It stands in the chunk of its first message; the other topics are none the worse for it."""
+    path, original = killed
+    first = original.chunks[0]
+    described = {message.topic for message in first.messages}
+    zero(path, first.start, first.end)
+    rest = [m for chunk in original.chunks[1:] for m in chunk.messages]
+    if {message.topic for message in rest} <= described:
+        with pytest.raises(LogError, match="not one whole message"):
+            recover(path, path.with_name("recovered.mcap"))
+    else:
+        written = recover(path, path.with_name("recovered.mcap"))
+        assert contents(written.path).messages == [m for m in rest if m.topic not in described]
+
+
+# Growing
+
+
+def test_a_log_is_read_while_it_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look sees all chunks that were complete when the log was opened, and goes on seeing just these."""
+    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 4096)
+    path = tmp_path / "drive.mcap"
+    looks: list[tuple[Log, set[tuple[str, int, bytes]]]] = []
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(ROWS):
+            for camera in CAMERAS:
+                writer.picture(camera, START_NS + row * STEP_NS, row, picture(camera, row))
+            writer._stream.flush()  # a live one does so twice a second
+            if row % 10 == 9:
+                found = pictures_of(writer.part)
+                assert found <= {(camera, r, picture(camera, r)) for camera in CAMERAS for r in range(row + 1)}
+                assert len(found) > 3 * (row - 5)
+                looks.append((Log(writer.part), found))
+    for log, found in looks:
+        frames = log.frames().to_pylist()
+        assert {(f["camera"], f["row"], log.read(f["offset"], f["length"], f["chunk"])) for f in frames} == found
+        log.close()
+    with Log(path) as finished:
+        assert (finished.notice, finished.frames().num_rows) == ("", 3 * ROWS)
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+
+with LogWriter(Path(sys.argv[1]), {"source": "test"}, live=True) as writer:
+    for row in range(5):
+        writer.vehicle(1000 + row, row, VehicleState(steering=row / 5))
+    while writer.bytes_written < 700:
+        writer.flush_if_due()
+        time.sleep(0.01)
+    print("written", file=sys.stderr, flush=True)
+    time.sleep(1000)
+"""
+
+
+def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path) -> None:
+    with Process([sys.executable, "-c", HOLDER, str(tmp_path / "lake.mcap")]) as recorder:
+        recorder.wait_for("written")
+        [part] = tmp_path.iterdir()
+        assert is_being_written(part)
+        with Log(part) as log:
+            assert log.problem == "unfinished: its recording is still going on"
+        with pytest.raises(LogError, match=r"lake\.mcap: the name that the recording will take"):
+            recover(part, tmp_path / "lake.mcap")
+        written = recover(part, recovered_name(part))
+        assert (written.path, written.rows) == (tmp_path / "lake.recovered.mcap", 5)
+        told = "its recording still goes on, and its end is not in lake.recovered.mcap"
+        assert written.notices == [f"{part}: {told}"]
+        recorder.end(signal.SIGKILL)
+    assert not is_being_written(part)
+    with Log(part) as log:
+        assert log.problem == "unfinished: its recording was killed, or it was cut off"
+    assert recover(part, recovered_name(part)).path == tmp_path / "lake.mcap"
+
+
+@pytest.mark.parametrize("end", [LogWriter.close, LogWriter.discard])
+@pytest.mark.parametrize("live", [True, False])
+def test_a_log_is_being_written_until_it_is_closed(
+    tmp_path: Path, live: bool, end: Callable[[LogWriter], None]
+) -> None:
+    path = tmp_path / "lake.mcap"
+    writer = LogWriter(path, {}, live=live)
+    assert [is_being_written(writer.part) for _ in range(3)] == [True] * 3  # asking changes nothing
+    assert not is_being_written(path)
+    end(writer)
+    assert not is_being_written(writer.part)
+    assert not is_being_written(path)
+
+
+def test_what_is_no_file_is_not_being_written(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")  # opening it would wait
+    assert not any(map(is_being_written, (tmp_path, tmp_path / "pipe", tmp_path / "missing")))
+
+
+# Names
+
+
+@pytest.mark.parametrize(
+    ("name", "beside", "becomes"),
+    [
+        ("lake.mcap.0a1b2c.part", "", "lake.mcap"),
+        ("lake.mcap.0a1b2c.part", "lake.mcap", "lake.recovered.mcap"),
+        ("lake.mcap", "", "lake.recovered.mcap"),
+        ("lake", "", "lake.recovered.mcap"),
+        ("a.b.mcap.ffffff.part", "", "a.b.mcap"),
+        ("lake.mcap.0A1B2C.part", "", "lake.mcap.0A1B2C.part.recovered.mcap"),
+        ("lake.part", "", "lake.part.recovered.mcap"),
+    ],
+)
+def test_what_was_being_written_is_recovered_under_the_name_it_would_have_had(
+    tmp_path: Path, name: str, beside: str, becomes: str
+) -> None:
+    if beside:
+        (tmp_path / beside).touch()
+    assert recovered_name(tmp_path / name) == tmp_path / becomes
+
+
+# Kills
+
+RECORDERS = """
+import os, sys
+from pathlib import Path
+from recorder.sources.live_telemetry import listen_for_telemetry
+
+children = []
+for log in map(Path, sys.argv[1:]):
+    child = os.fork()
+    if not child:
+        said = os.open(log.with_suffix(".txt"), os.O_WRONLY | os.O_CREAT)
+        os.dup2(said, 2)
+        listen_for_telemetry(log, port=0)
+        os._exit(1)
+    children.append(child)
+print("children", *children, file=sys.stderr, flush=True)
+for child in children:
+    os.waitpid(child, 0)
+"""
+MOST_ROWS = 200
+TOLD_EVERY_S = 0.04
+PROMISED_S = 1.0
+LEAST_PROMISED = 4
+
+
+@dataclass
+class Drive:
+    """A simulator that tells numbered pictures to a recorder, and when each one was answered."""
+
+    log: Path
+    pid: int
+    pictures: list[bytes]
+    answered_s: list[float] = field(default_factory=list)
+    is_killed: bool = False
+    told: int = 0
+
+    @property
+    def promised(self) -> int:
+        """How many rows were answered so long before one was told that was written down. By the recorder's own
+        work, not by the moment of its death: on a busy machine, it may not have run for seconds before that."""
+        answered_s = list(self.answered_s)
+        if len(answered_s) < 3:
+            return 0
+        return sum(each < answered_s[-3] - PROMISED_S for each in answered_s)
+
+    def run(self) -> None:
+        client = SimulatorClient(port=self._port(), wait_s=0.0)
+        try:
+            client.run(self._next)
+        except WaitTimeoutError:  # it was killed
+            assert client.connections == 1
+
+    def _port(self) -> int:
+        said = self.log.with_suffix(".txt")
+        wait_until(said.exists)
+        port = wait_until(lambda: re.search(r"127\.0\.0\.1:(\d+)\n", said.read_text()))
+        assert port is not None
+        return int(port[1])
+
+    def _next(self, answer: Answer) -> Told:
+        if answer is not None:
+            self.answered_s.append(time.monotonic())
+            time.sleep(TOLD_EVERY_S)
+        row = self.told
+        self.told += 1
+        if row == MOST_ROWS:
+            return None
+        return Telemetry(steering=row / MOST_ROWS, throttle=0.5, speed_mph=9.0, jpeg=self.pictures[row])
+
+
+def recorders_killed_at(moments_s: list[float], folder: Path, pictures: list[bytes]) -> list[Drive]:
+    """Record as many drives at once, and kill each so long after something of it is promised."""
+    logs = [folder / f"drive{number}.mcap" for number in range(len(moments_s))]
+    with Process([sys.executable, "-c", RECORDERS, *map(str, logs)]) as parent:
+        pids = parent.wait_for(r"^children ([\d ]+)$")[1].split()
+        drives = [Drive(log, int(pid), pictures) for log, pid in zip(logs, pids, strict=True)]
+        threads = [threading.Thread(target=drive.run) for drive in drives]
+        try:
+            for thread in threads:
+                thread.start()
+            due_s: dict[int, float] = {}
+
+            def are_killed() -> bool:
+                for number, drive in enumerate(drives):
+                    if number not in due_s and drive.promised >= LEAST_PROMISED:
+                        due_s[number] = time.monotonic() + moments_s[number]
+                    if not drive.is_killed and time.monotonic() >= due_s.get(number, math.inf):
+                        os.kill(drive.pid, signal.SIGKILL)
+                        drive.is_killed = True
+                return all(drive.is_killed for drive in drives)
+
+            wait_until(are_killed)
+        finally:
+            for drive in drives:
+                if not drive.is_killed:
+                    os.kill(drive.pid, signal.SIGKILL)
+            for thread in threads:
+                thread.join()
+    return drives
+
+
+def test_recordings_killed_at_thirty_moments_lose_no_row_of_more_than_a_second_before(tmp_path: Path) -> None:
+    pictures = [road_jpeg(row) for row in range(MOST_ROWS)]
+    chance = random.Random(7)
+    complaints = []
+    for turn in range(3):
+        folder = tmp_path / str(turn)
+        folder.mkdir()
+        moments_s = [chance.uniform(0.0, 1.3) for _ in range(10)]
+        for drive in recorders_killed_at(moments_s, folder, pictures):
+            [part] = drive.log.parent.glob(f"{drive.log.name}.*.part")
+            written = recover(part, recovered_name(part))
+            assert written.path == drive.log
+            found = contents(written.path)  # every CRC is checked
+            images = [CompressedImage.FromString(m.data).data for m in found.of("/camera/center")]
+            rows = [(m.sequence, VehicleState.FromString(m.data).steering) for m in found.of("/vehicle")]
+            promised = drive.promised
+            assert promised >= LEAST_PROMISED
+            is_whole = images[: len(rows)] == pictures[: len(rows)] and images == pictures[: len(images)]
+            is_whole &= rows == [(row, row / MOST_ROWS) for row in range(len(rows))]
+            if len(rows) < promised or not is_whole:
+                complaints.append(f"{drive.log}: {len(rows)} rows, {len(images)} pictures, {promised} promised")
+    assert complaints == []
+
+
+# A full disk
+
+DISK_BYTES = 2 << 20
+LIVE = """
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from common.command import run_command
+from recorder import LogWriter
+
+@dataclass
+class Live:
+    log: Path
+
+def record(config):
+    with LogWriter(config.log, {}, live=True) as writer:
+        for row in range(1000):
+            writer.picture("center", row, row, bytes([row % 256]) * 20_000)
+    return 0
+
+run_command("live", Live, record)
+"""
+
+
+def has_mounts() -> bool:
+    """Whether a process may mount a file system of its own; only in its own namespace, where nobody sees it."""
+    if shutil.which("unshare") is None:
+        return False
+    line = ["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
+    return subprocess.run(line, capture_output=True, check=False).returncode == 0
+
+
+def run_on_a_small_disk(line: list[str], disk: Path, left: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command that writes to `disk`, which is of 2 MB; what it leaves there is then in `left`.
+
+    Where nothing may be mounted, no file may grow above 2 MB: for the one file that is written, the same.
+    """
+    disk.mkdir()
+    left.mkdir()
+    if has_mounts():
+        shell = f'mount -t tmpfs -o size={DISK_BYTES} tmpfs "{disk}" && "$@"; code=$?; cp -R "{disk}/." "{left}"'
+        start = ["unshare", "-rm", "sh", "-c", f"{shell}; exit $code", "sh"]
+    else:
+        shell = f'(ulimit -f {DISK_BYTES // 512}; "$@"); code=$?; cp -R "{disk}/." "{left}"'
+        start = ["sh", "-c", f"{shell}; exit $code", "sh"]
+    return subprocess.run(
+        [*start, *line],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+
+
+def noise_jpeg(seed: int) -> bytes:
+    picture = np.random.default_rng(seed).integers(0, 256, (160, 320, 3), np.uint8)
+    return bytes(cv2.imencode(".jpg", picture)[1])
+
+
+def test_an_import_to_a_full_disk_says_so_and_leaves_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "recording"
+    make_recording(folder, "".join(f"{paths(number)},0,0,0,0\n" for number in range(20)), range(20))
+    for number, path in enumerate(sorted((folder / "IMG").iterdir())):
+        path.write_bytes(noise_jpeg(number))
+    disk, left = tmp_path / "disk", tmp_path / "left"
+    done = run_on_a_small_disk(
+        command("bc-record", "lake", "--from", folder, "--sessions", disk / "sessions"), disk, left
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    [line] = done.stderr.splitlines()
+    assert re.search(r"lake\.mcap: cannot be written \((No space left|File too large).*nothing was kept", line)
+    assert list(left.iterdir()) == []
+
+
+def test_a_live_recording_on_a_full_disk_is_kept_and_says_where(tmp_path: Path) -> None:
+    disk, left = tmp_path / "disk", tmp_path / "left"
+    log = disk / "lake.mcap"
+    done = run_on_a_small_disk([sys.executable, "-c", LIVE, "--log", str(log)], disk, left)
+    assert (done.returncode, done.stdout) == (1, "")
+    [line] = done.stderr.splitlines()
+    [part] = left.iterdir()
+    assert re.fullmatch(r"lake\.mcap\.[0-9a-f]{6}\.part", part.name)
+    assert f"{disk / part.name}: cannot be written any further" in line
+    assert f"bc-log recover {disk / part.name}" in line
+    written = recover(part, recovered_name(part))
+    found = [CompressedImage.FromString(message.data).data for message in contents(written.path).messages]
+    assert len(found) * 20_000 > DISK_BYTES - 2 * 256 * 1024  # all but the chunk that did not fit
+    assert found == [bytes([row % 256]) * 20_000 for row in range(len(found))]
+
+
+def test_wherever_the_disk_is_full_an_import_leaves_nothing(tmp_path: Path) -> None:
+    """Also where only the end of the log does not fit any more."""
+    size = write_log(tmp_path / "whole.mcap", [0.1] * 20, picture).stat().st_size
+    folder = tmp_path / "disk"
+    for limit in range(0, size, 1111):
+        with files_of_at_most(limit), pytest.raises(UserError, match="nothing was kept"):
+            write_log(folder / "lake.mcap", [0.1] * 20, picture)
+        assert not folder.exists()
+    with files_of_at_most(size):
+        write_log(folder / "lake.mcap", [0.1] * 20, picture)
+
+
+def test_a_live_log_whose_end_does_not_fit_is_kept(tmp_path: Path) -> None:
+    def record(path: Path) -> None:
+        with LogWriter(path, {}, live=True) as writer:
+            writer.picture("center", 1, 0, bytes(9_000))
+
+    record(tmp_path / "whole.mcap")
+    path = tmp_path / "lake.mcap"
+    limit = contents(tmp_path / "whole.mcap").chunks[0].end + 10
+    with (
+        files_of_at_most(limit),
+        pytest.raises(UserError, match=r"lake\.mcap\.[0-9a-f]{6}\.part: cannot be written any further"),
+    ):
+        record(path)
+    [part] = tmp_path.glob("lake*")
+    assert [message.sequence for message in contents(recover(part, path).path).messages] == [0]

@@ -1,0 +1,290 @@
+"""The client does on the wire what the real simulator was seen to do: checked by a bare websocket server."""
+
+from __future__ import annotations
+
+import base64
+import gc
+import json
+import socket
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from bare_server import OPEN, BareServer, Wire, steer
+from driving import road_jpeg, run
+from simulator.cli import main as sim_main
+from simulator.protocol.client import (
+    FRAME_BYTES,
+    Answer,
+    NoHostError,
+    SimulatorClient,
+    Steer,
+    Telemetry,
+    Told,
+    WaitTimeoutError,
+)
+from simulator.protocol.replay import replay
+from udacity import call
+
+
+def serve_for_ever(wire: Wire) -> None:
+    """Two telemetries come unasked, and then one for each steer."""
+    wire.say(OPEN)
+    wire.hear_telemetry()
+    wire.hear_telemetry()
+    while True:
+        wire.say(steer())
+        wire.hear_telemetry()
+
+
+def telling(told: list[Told], answers: list[Answer]) -> Callable[[Answer], Told]:
+    rest = iter(told)
+
+    def next_telemetry(answer: Answer) -> Told:
+        answers.append(answer)
+        return next(rest, None)
+
+    return next_telemetry
+
+
+def test_it_announces_no_connection_and_tells_two_telemetries_before_any_answer() -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(steer())
+        wire.hear_telemetry()
+        wire.say(steer("-0.5000", "-1.0000"))
+        wire.hear()
+        wire.hear()
+
+    answers: list[Answer] = []
+    told: list[Told] = [Telemetry(0.0, 0.0, 9.0, road_jpeg(i)) for i in range(3)]
+    with BareServer(serve) as server:
+        SimulatorClient(port=server.port).run(telling(told, answers))
+    (wire,) = server.wires
+    assert wire.request.startswith("GET /socket.io/?EIO=4&transport=websocket HTTP/1.1\r\n")
+    assert not any(message.startswith("40") for message in wire.messages)
+    assert [message[:14] for message in wire.messages if message != "2"] == ['42["telemetry"'] * 3 + ["41", "1"]
+    assert wire.messages.count("2") == 1  # its heartbeat begins at once
+    assert answers == [None, None, Steer(0.1, 0.2), Steer(-0.5, -1.0)]
+
+
+def test_a_telemetry_is_strings_with_four_decimals_in_frames_of_at_most_1016_bytes() -> None:
+    jpeg = road_jpeg(0)
+    with BareServer(serve_for_ever) as server:
+        SimulatorClient(port=server.port).run(telling([Telemetry(-0.5, 0.25, 1234.56789, jpeg)] * 3, []))
+    (wire,) = server.wires
+    name, fields = json.loads(wire.messages[0][2:])
+    assert name == "telemetry"
+    assert base64.b64decode(fields.pop("image")) == jpeg
+    assert fields == {"steering_angle": "-12.5000", "throttle": "0.2500", "speed": "1,234.5679"}
+    end = next(i for i, frame in enumerate(wire.frames) if frame.is_last)
+    message = wire.frames[: end + 1]
+    assert len(message) > 3
+    assert [frame.opcode for frame in message] == [1] + [0] * end
+    assert [len(frame.payload) for frame in message[:-1]] == [1016] * end == [FRAME_BYTES] * end
+    assert 0 < len(message[-1].payload) <= 1016
+
+
+def test_a_world_is_told_beside_the_strings_as_an_object_of_numbers() -> None:
+    jpeg = road_jpeg(0)
+    world = {"time_s": 1.5, "offset": -0.1, "interventions": 2}
+    told: list[Told] = [Telemetry(-0.5, 0.25, 9.0, jpeg), Telemetry(-0.5, 0.25, 9.0, jpeg, world)]
+    with BareServer(serve_for_ever) as server:
+        SimulatorClient(port=server.port, decimal_comma=True).run(telling(told, []))
+    plain, with_world = (m for m in server.wires[0].messages if m.startswith("42"))
+    # the same bytes to the last brace: an object is added, and nothing else is changed
+    assert plain.endswith('"}]')
+    assert with_world == plain[:-2] + ',"world":{"time_s":1.5,"offset":-0.1,"interventions":2}}]'
+
+
+def test_a_machine_with_decimal_commas_writes_and_reads_them() -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.say(steer("0,2500", "-1,0000"))
+        while True:
+            wire.hear()
+
+    answers: list[Answer] = []
+    with BareServer(serve) as server:
+        client = SimulatorClient(port=server.port, decimal_comma=True)
+        client.run(telling([Telemetry(-0.5, 0.25, 1234.5, b"\xff\xd8")] * 2, answers))
+    _, fields = json.loads(server.wires[0].messages[0][2:])
+    assert (fields["steering_angle"], fields["throttle"], fields["speed"]) == ("-12,5000", "0,2500", "1.234,5000")
+    assert answers[2] == Steer(0.25, -1.0)
+
+
+def test_nagles_algorithm_is_on_as_in_the_real_one() -> None:
+    options: list[int] = []
+
+    def next_telemetry(answer: Answer) -> Told:
+        for found in gc.get_objects():
+            if issubclass(type(found), socket.socket) and found.fileno() >= 0 and found.family == socket.AF_INET:
+                try:
+                    port = found.getpeername()[1]
+                except OSError:  # not connected
+                    continue
+                if port == server.port:
+                    options.append(found.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+        return None
+
+    with BareServer(serve_for_ever) as server:
+        SimulatorClient(port=server.port).run(next_telemetry)
+    assert options == [0]
+
+
+def test_a_servers_ping_is_answered() -> None:
+    heard: list[str] = []
+
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say("2")
+        heard.append(next(message for message in iter(wire.hear, "") if message != "2"))
+        wire.say(steer())
+        wire.hear()
+
+    with BareServer(serve) as server:
+        SimulatorClient(port=server.port).run(telling([Telemetry(0, 0, 0, b"\xff")] * 2, []))
+    assert heard == ["3"]
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    [
+        steer(0.1, 0.2),
+        steer("", "0.2"),
+        steer("nan", "0.2"),
+        steer("0.1", "inf"),
+        steer("left", "0.2"),
+        steer(None, "0.2"),
+        '42["steer",{"throttle":"0.2"}]',
+        '42["steer",{}]',
+        '42["steer",null]',
+        '42["steer"]',
+    ],
+)
+def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted(nonsense: str) -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(nonsense)  # nothing comes of it
+        wire.say(steer("0.5", "0.5"))
+        while True:
+            wire.hear()
+
+    answers: list[Answer] = []
+    with BareServer(serve) as server:
+        client = SimulatorClient(port=server.port)
+        client.run(telling([Telemetry(0, 0, 0, b"\xff")] * 2, answers))
+    assert answers == [None, None, Steer(0.5, 0.5)]
+    assert (client.steers, client.bad_steers, client.telemetries) == (1, 1, 2)
+
+
+@pytest.mark.parametrize("ignored", ["40", '40{"sid":"x"}', "43[]", "6", '42["other",{}]', "42[]", "42{", "42"])
+def test_what_is_no_command_is_ignored(ignored: str) -> None:
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(ignored)
+        wire.say("42" + json.dumps(["manual", {}]))
+        while True:
+            wire.hear()
+
+    answers: list[Answer] = []
+    with BareServer(serve) as server:
+        client = SimulatorClient(port=server.port)
+        client.run(telling([Telemetry(0, 0, 0, b"\xff"), "manual"], answers))
+    assert answers == [None, None, "manual"]
+    assert [m for m in server.wires[0].messages if m.startswith("42")][1] == '42["telemetry",null]'
+    assert (client.steers, client.manuals, client.bad_steers) == (0, 1, 0)
+
+
+def test_it_connects_again_when_the_server_dies_in_the_middle() -> None:
+    def die_after_three(wire: Wire) -> None:
+        wire.say(OPEN)
+        wire.hear_telemetry()
+        wire.hear_telemetry()
+        wire.say(steer())
+        wire.hear_telemetry()
+
+    answers: list[Answer] = []
+    told: list[Told] = [Telemetry(0, 0, 0, b"\xff")] * 8
+    with BareServer(die_after_three, serve_for_ever) as server:
+        client = SimulatorClient(port=server.port)
+        client.run(telling(told, answers))
+    assert client.connections == 2
+    assert client.telemetries == 8
+    assert answers[:5] == [None, None, Steer(0.1, 0.2), None, None]
+
+
+def test_a_replay_tells_every_picture_once_and_waits_for_the_last_answer() -> None:
+    def answer_each(wire: Wire) -> None:
+        wire.say(OPEN)
+        while True:
+            wire.hear_telemetry()
+            wire.say(steer())
+
+    pictures = [road_jpeg(i) for i in range(5)]
+    with BareServer(answer_each) as server:
+        commands = replay(SimulatorClient(port=server.port), pictures)
+    assert commands == [Steer(0.1, 0.2)] * 5
+    told = [json.loads(message[2:])[1] for message in server.wires[0].messages if message.startswith("42")]
+    assert [base64.b64decode(fields["image"]) for fields in told] == pictures
+    assert {fields["steering_angle"] for fields in told[2:]} <= {"0.0000", "2.5000"}
+    assert told[-1]["steering_angle"] == "2.5000"
+
+
+def test_it_gives_up_when_there_is_no_server() -> None:
+    with socket.socket() as nobody:
+        nobody.bind(("127.0.0.1", 0))  # taken, and not listening
+        client = SimulatorClient(port=nobody.getsockname()[1], wait_s=0.2)
+        with pytest.raises(WaitTimeoutError, match=r"within 0\.2 s"):
+            client.run(lambda answer: None)
+    assert client.connections == 0
+
+
+def test_a_name_that_no_resolver_knows_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(NoHostError, match=r"^locahost: Name or service not known$"):
+        SimulatorClient("locahost", wait_s=1e9).run(lambda answer: None)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1/", "127.0.0.1:4567", "http://127.0.0.1", "a..b", "", "x" * 300])
+def test_what_is_no_machine_is_named_at_once(
+    host: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also what would pass for one in the middle of an address: a slash ends the host there."""
+    known = socket.getaddrinfo
+
+    def numbers_only(name: str, *more: Any, **flags: Any) -> Any:
+        return known(name, *more, **{**flags, "flags": socket.AI_NUMERICHOST})  # no resolver is asked
+
+    monkeypatch.setattr(socket, "getaddrinfo", numbers_only)
+    assert call(sim_main, f"--host={host}", "--wait", 1e9, "--laps", 0.001) == 1
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last.startswith(f"bc-sim: --host {host}: ")
+    assert last.endswith("give the machine where `bc-drive` runs, such as 127.0.0.1")
+
+
+def test_an_address_in_brackets_is_one_as_well() -> None:
+    assert SimulatorClient("[::1]").url == SimulatorClient("::1").url
+
+
+@pytest.mark.parametrize(("flag", "is_told"), [("", True), ("--real-time", False), ("--tell-world", False)])
+def test_the_built_in_simulator_says_where_its_time_is_not_the_clocks(flag: str, is_told: bool) -> None:
+    with socket.socket() as nobody:
+        nobody.bind(("127.0.0.1", 0))
+        flags = [flag] if flag else []
+        done = run("bc-sim", "--port", nobody.getsockname()[1], "--wait", 0, *flags)
+    assert done.returncode == 1
+    assert ("distances and times of its log" in done.stderr) == is_told

@@ -1,0 +1,158 @@
+"""What the simulator's cameras show, checked against a pinhole camera computed here."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from simulator.pose import Pose
+from simulator.rendering.camera import Camera, Renderer
+from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster
+from simulator.rendering.terrain import CELL_M
+from simulator.rendering.world_maps import World, build_world
+from simulator.roads.road_stretches import Edge, Look, Stretch, trace
+from simulator.roads.track_names import Track, load_track, make_track
+
+LINED = Look("asphalt", Edge("line", 0.0, 0.0), Edge("line", 0.0, 0.0), 3.8, jungle=True)
+
+
+@pytest.fixture(scope="module")
+def flat() -> Track:
+    """A flat stadium whose first 120 m lead straight to the east, with white lines 0.3 m inside its edges."""
+    straight, bend = Stretch(120, 0, 0.0, LINED), Stretch(120, 180, 0.0, LINED)
+    points, index = trace([straight, bend, straight, bend])
+    return make_track("flat", points, (LINED,), np.zeros_like(index))
+
+
+@pytest.fixture(scope="module")
+def flat_world(flat: Track) -> World:
+    return build_world(flat, cache=False)
+
+
+@pytest.fixture(scope="module")
+def mountain_world() -> World:
+    return build_world(load_track("mountain"), cache=False)
+
+
+def on_road(track: Track, world: World, arc_m: float) -> Pose:
+    place = track.line.at(arc_m)
+    height = world.height_m(place.x_m, place.y_m)
+    return Pose(place.x_m, place.y_m, height, place.heading_rad, float(np.arctan(place.slope)))
+
+
+def pixel(ahead_m: float, left_m: float) -> tuple[float, float]:
+    """(row, column) of a point of level ground, from a pinhole 1.4 m up with a 60 degree vertical field of
+    view and the horizon at row 60 of 160."""
+    focal = 80 / np.tan(np.radians(30))
+    tilt = np.arctan(20 / focal)
+    depth = ahead_m * np.cos(tilt) + 1.4 * np.sin(tilt)
+    up = ahead_m * np.sin(tilt) - 1.4 * np.cos(tilt)
+    return 80 - focal * up / depth, 160 - focal * left_m / depth
+
+
+def test_a_picture_has_the_simulators_size(flat: Track, flat_world: World) -> None:
+    pictures = Renderer(flat_world).render_all(on_road(flat, flat_world, 20.0))
+    assert set(pictures) == {"center", "left", "right"}
+    for picture in pictures.values():
+        assert picture.shape == (160, 320, 3)
+        assert picture.dtype == np.uint8
+
+
+def test_the_same_pose_gives_the_same_bytes(mountain_world: World) -> None:
+    pose = on_road(load_track("mountain"), mountain_world, 130.0)
+    first, second = Renderer(mountain_world), Renderer(mountain_world)
+    picture = first.render(pose, "left")
+    first.render(replace(pose, heading_rad=1.0))  # what was rendered before does not matter
+    assert np.array_equal(picture, first.render(pose, "left"))
+    assert np.array_equal(picture, second.render(pose, "left"))
+    assert np.array_equal(picture, first.render_all(pose)["left"])
+
+
+def test_the_sky_is_above_and_the_bonnet_below(flat: Track, flat_world: World) -> None:
+    renderer = Renderer(flat_world)
+    here, there = (renderer.render(on_road(flat, flat_world, arc)) for arc in (20.0, 190.0))
+    top = here[:5].reshape(-1, 3).mean(axis=0)
+    assert top[0] > top[2] + 30  # blue
+    assert np.array_equal(here[155:, 120:200], there[155:, 120:200])  # the bonnet goes with the car
+    assert not np.array_equal(here[120:125], there[120:125])
+
+
+@pytest.mark.parametrize(("camera", "mount_left_m"), [("center", 0.0), ("left", 0.9), ("right", -0.9)])
+@pytest.mark.parametrize("ahead_m", [5.0, 8.0, 14.0])
+@pytest.mark.parametrize("line_left_m", [3.5, -3.5])
+def test_a_line_is_where_a_pinhole_camera_sees_it(
+    flat: Track, flat_world: World, camera: Camera, mount_left_m: float, ahead_m: float, line_left_m: float
+) -> None:
+    row, column = pixel(ahead_m, line_left_m - mount_left_m)
+    if not 8 < column < 312:
+        pytest.skip("outside the picture")
+    picture = Renderer(flat_world).render(on_road(flat, flat_world, 20.0), camera)
+    around = picture[round(row - 0.5), int(column) - 8 : int(column) + 9].mean(axis=1)
+    assert around.max() > np.median(around) + 30
+    assert abs(int(np.argmax(around)) - 8) <= 2
+
+
+def test_the_horizon_follows_the_nose(flat: Track, flat_world: World) -> None:
+    pose = on_road(flat, flat_world, 20.0)
+    renderer = Renderer(flat_world)
+
+    def sky_rows(picture: NDArray[np.uint8]) -> int:
+        return int((picture[:, :, 0].astype(int) > picture[:, :, 2] + 20).all(axis=1).sum())
+
+    level, up = (sky_rows(renderer.render(replace(pose, pitch_rad=pitch))) for pitch in (0.0, 0.1))
+    assert 8 <= up - level <= 20  # 138.6 px * tan(0.1) is 14
+
+
+def test_a_wall_hides_what_is_behind_it() -> None:
+    height = np.zeros((200, 400), np.float32)
+    wall = 100 + round(20.0 / CELL_M)
+    height[:, wall : wall + 10] = 3.0
+    eye = Eye(column=100.0, row=100.0, height_m=1.4, cos=1.0, sin=0.0)
+    table = RayCaster(height).inverse_distance(eye, side=(-0.1, 0.1), up=(-0.5, 0.5))
+    middle = table[:, COLUMNS // 2]
+    slope = np.linspace(-0.5, 0.5, ROWS)
+    ground = slope < -0.08
+    assert np.allclose(middle[ground], -slope[ground] / 1.4, rtol=1e-2)  # slope = -height / distance
+    face = (slope > -0.06) & (slope < 0.07)  # the wall's top: 1.6 m above the eye, 20 m away
+    assert np.allclose(1 / middle[face], 20.0, atol=0.7)
+    assert np.all(middle[slope > 0.09] == 0)
+
+
+@pytest.mark.parametrize("name", ["lake", "mountain"])
+def test_the_ground_under_the_road_is_the_road(name: str) -> None:
+    track = load_track(name)
+    world = build_world(track, cache=False)
+    for arc in np.arange(0.0, track.line.length_m, 7.0):
+        place = track.line.at(arc)
+        for left in (-3.0, 0.0, 3.0):
+            x = place.x_m - left * np.sin(place.heading_rad)
+            y = place.y_m + left * np.cos(place.heading_rad)
+            assert world.height_m(x, y) == pytest.approx(place.z_m, abs=0.06)
+
+
+def test_a_short_move_changes_the_picture_little(mountain_world: World) -> None:
+    track, renderer = load_track("mountain"), Renderer(mountain_world)
+    poses = [
+        on_road(track, mountain_world, arc) for arc in np.arange(-3.0, 3.0, 0.5)
+    ]  # across the start of the lap
+    pictures = [renderer.render(pose).astype(int) for pose in poses]
+    changes = [np.abs(b - a).mean() for a, b in itertools.pairwise(pictures)]
+    assert max(changes) < 2 * np.median(changes)
+
+
+@pytest.mark.parametrize("damage", [b"", b"no archive", None])
+def test_a_damaged_cache_is_rebuilt(
+    flat: Track, flat_world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: bytes | None
+) -> None:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    build_world(flat)
+    (file,) = (tmp_path / "cache").iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
+    again = build_world(flat)
+    assert np.array_equal(again.road, flat_world.road)
+    assert np.array_equal(again.height, flat_world.height)
+    assert [p.stat().st_size for p in (tmp_path / "cache").iterdir()] == [len(whole)]

@@ -1,0 +1,98 @@
+"""Tracks by name, and the promises that their roads keep."""
+
+import numpy as np
+import pytest
+
+from simulator.roads.track_names import Track, load_track
+
+NAMES = ["lake", "mountain", "random:7"]
+
+
+def corner(track: Track, left: bool, second_half: bool) -> float:
+    """The smallest radius, in metres, of the bends to one side in one half of the lap."""
+    half = len(track.line.curvature_per_m) // 2
+    curvature = track.line.curvature_per_m[half:] if second_half else track.line.curvature_per_m[:half]
+    return float(1.0 / max(curvature.max() if left else -curvature.min(), 1e-6))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_road_is_closed_and_even(name: str) -> None:
+    points = load_track(name).line.points_m
+    steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    assert steps.max() < 0.6  # the step from the last point to the first included
+    assert steps.min() > 0.4
+
+
+@pytest.mark.parametrize(
+    ("name", "length_m", "half_width_m", "radius_m", "slope"),
+    [
+        ("lake", (900, 1200), (4.0, 5.0), (25, 40), (0.0, 0.03)),
+        ("mountain", (900, 1200), (3.5, 4.0), (11, 14), (0.10, 0.15)),
+        ("random:7", (600, 1200), (3.5, 5.0), (14, 100), (0.0, 0.10)),
+        ("random:8", (600, 1200), (3.5, 5.0), (14, 100), (0.0, 0.10)),
+    ],
+)
+def test_a_road_has_the_promised_measures(
+    name: str,
+    length_m: tuple[float, float],
+    half_width_m: tuple[float, float],
+    radius_m: tuple[float, float],
+    slope: tuple[float, float],
+) -> None:
+    track = load_track(name)
+    assert length_m[0] <= track.line.length_m <= length_m[1]
+    assert track.half_width_m.shape == (len(track.line.points_m),)
+    assert half_width_m[0] <= track.half_width_m.min() <= track.half_width_m.max() <= half_width_m[1]
+    # The radius from three points 3 m apart: independent of the centre line's own curvature.
+    a, b, c = (np.roll(track.line.points_m[:, :2], k, axis=0) for k in (6, 0, -6))
+    (ux, uy), (vx, vy) = (b - a).T, (c - b).T
+    sides = np.hypot(ux, uy) * np.hypot(vx, vy) * np.hypot(ux + vx, uy + vy)
+    curvature = 2 * np.abs(ux * vy - uy * vx) / sides
+    assert radius_m[0] <= 1 / curvature.max() <= radius_m[1]
+    rise = np.diff(track.line.points_m[:, 2])
+    steepest = float(np.abs(rise / np.hypot(*np.diff(track.line.points_m[:, :2], axis=0).T)).max())
+    assert slope[0] <= steepest <= slope[1]
+
+
+@pytest.mark.parametrize(("name", "radius_m"), [("lake", 35.0), ("mountain", 14.0)])
+def test_each_half_has_sharp_bends_to_both_sides(name: str, radius_m: float) -> None:
+    track = load_track(name)
+    for left in (True, False):
+        for second_half in (True, False):
+            assert corner(track, left, second_half) <= radius_m, (left, second_half)
+
+
+@pytest.mark.parametrize("name", [*NAMES, "random:0", "random:3"])
+def test_a_road_keeps_its_distance_from_itself(name: str) -> None:
+    line, widest = load_track(name).line, float(load_track(name).half_width_m.max())
+    plan = line.points_m[::3, :2]
+    arc = np.arange(len(plan)) * 3 * line.step_m
+    apart = np.abs(arc[:, None] - arc[None])
+    apart = np.minimum(apart, line.length_m - apart)
+    distance = np.linalg.norm(plan[:, None] - plan[None], axis=2)
+    assert distance[apart > 60.0].min() >= 3 * 2 * widest
+
+
+def test_a_seed_is_a_road() -> None:
+    first, again, other = (load_track(name) for name in ("random:7", "random:7", "random:8"))
+    assert np.array_equal(first.line.points_m, again.line.points_m)
+    assert first.looks == again.looks
+    assert first.fingerprint() == again.fingerprint()
+    assert first.line.length_m != other.line.length_m
+    assert first.fingerprint() != other.fingerprint()
+
+
+@pytest.mark.parametrize("name", ["", "sea", "Lake", "random", "random:", "random:-1", "random:x", "random:1.5"])
+def test_an_unknown_name_is_explained(name: str) -> None:
+    with pytest.raises(ValueError, match="Choose lake, mountain or random:SEED"):
+        load_track(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("lkae", "lake"), ("Lake", "lake"), ("mountian", "mountain"), ("random7", "random:7")]
+)
+def test_a_misspelt_name_is_asked_about(name: str, meant: str) -> None:
+    with pytest.raises(ValueError, match=f"no such track; did you mean {meant}\\?"):
+        load_track(name)
+    with pytest.raises(ValueError, match=r"no such track\."):
+        load_track("sea")

@@ -1,0 +1,255 @@
+"""How a command begins: Ctrl-C is heard from the first moment, and what is in the way of the rooms is named."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_rooms import MAY_IMPORT, ROOT
+
+from driving import COMMANDS, PATIENCE_S, command, environment, run, run_code
+
+HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
+
+# Each import of a command's is followed by a signal, at the point that is counted up to on the command line.
+INTERRUPTED_IMPORT = """
+import builtins, os, signal, sys
+import behavioural_cloning_toolkit
+name, at = sys.argv.pop(1), int(sys.argv.pop(1))
+wanted, begun = [at], builtins.__import__
+def importing(*given, **named):
+    wanted[0] -= 1
+    if wanted[0] == 0:
+        os.kill(os.getpid(), signal.SIGINT)
+    return begun(*given, **named)
+command = getattr(behavioural_cloning_toolkit, name)
+builtins.__import__ = importing
+command()
+"""
+
+
+@pytest.mark.parametrize("name", ["bc-log", "bc-drive"])
+@pytest.mark.parametrize("at", [1, 30, 300])
+def test_ctrl_c_while_a_command_is_loaded_is_one_line(name: str, at: int) -> None:
+    line = [sys.executable, "-c", INTERRUPTED_IMPORT, name.replace("-", "_"), str(at), "--help"]
+    done = subprocess.run(line, env=environment(), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{name}: stopped\n")
+
+
+def test_a_command_under_nohup_does_not_hear_a_terminal_that_is_closed() -> None:
+    code = (
+        "import behavioural_cloning_toolkit, os, signal, sys\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "sys.argv[1:] = ['--help']\n"
+        "sys.meta_path.insert(0, type('', (), {'find_spec': lambda *_: os.kill(os.getpid(), signal.SIGHUP)}))\n"
+        "behavioural_cloning_toolkit.bc_log()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("what", HIDING)
+def test_what_is_in_the_way_of_a_rooms_name_is_named(what: str, tmp_path: Path) -> None:
+    """A script of a student's, and beside it something that is called as a room is."""
+    hiding = tmp_path / HIDING[what].format(room="common")
+    hiding.parent.mkdir(exist_ok=True)
+    hiding.touch()
+    script = tmp_path / "mine.py"
+    script.write_text("from recorder import Log\n")
+    found = environment()
+    if what == "a folder":  # without an __init__.py it only hides what comes after all folders of the path
+        found.pop("PYTHONPATH")
+        if subprocess.run([sys.executable, "-c", "import common"], cwd="/", env=found, check=False).returncode:
+            pytest.skip("the toolkit is not installed")
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=tmp_path, env=found, capture_output=True, text=True, check=False
+    )
+    if done.returncode == 0:
+        assert what == "a folder"  # of an installation that is no link to the sources
+        return
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: ")
+    assert str(hiding if what != "a folder" else hiding.parent) in last
+    assert "is in the way: Python takes it for this toolkit's `common`; rename it" in last
+
+
+def test_a_module_that_a_room_does_not_need_is_in_nobodys_way(tmp_path: Path) -> None:
+    (tmp_path / "model.py").write_text("mine = True\n")
+    (tmp_path / "mine.py").write_text("from recorder import Log\nfrom model import mine\n")
+    done = subprocess.run([sys.executable, str(tmp_path / "mine.py")], env=environment(), check=False)
+    assert done.returncode == 0
+
+
+def test_a_package_that_owns_a_rooms_name_is_named(tmp_path: Path) -> None:
+    (tmp_path / "common").mkdir()
+    (tmp_path / "common" / "__init__.py").touch()
+    record = tmp_path / "othertool-1.0.dist-info"
+    record.mkdir()
+    (record / "METADATA").write_text("Metadata-Version: 2.1\nName: othertool\nVersion: 1.0\n")
+    (record / "RECORD").write_text("common/__init__.py,,\nothertool-1.0.dist-info/METADATA,,\n")
+    found = environment()
+    found["PYTHONPATH"] = os.pathsep.join([str(tmp_path), found["PYTHONPATH"]])
+    done = subprocess.run(
+        command("bc-log", "--help"), cwd="/", env=found, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr == (
+        "bc-log: `common` is also a name of another installed package (othertool), which hides this toolkit's:"
+        " `pip uninstall othertool`, or install the toolkit into an environment of its own\n"
+    )
+
+
+def test_commands_do_not_mind_what_lies_in_the_working_folder(tmp_path: Path) -> None:
+    for room in MAY_IMPORT:
+        (tmp_path / f"{room}.py").write_text("raise SystemExit('the wrong one')\n")
+    # as the installed script does, whose own folder is first on the path
+    script = tmp_path / "bin" / "bc-log"
+    script.parent.mkdir()
+    script.write_text("from behavioural_cloning_toolkit import bc_log\nbc_log()\n")
+    done = subprocess.run(
+        [sys.executable, str(script), "--help"], cwd=tmp_path, env=environment(), capture_output=True, check=False
+    )
+    assert done.returncode == 0
+
+
+def test_every_room_looks_whether_those_under_it_are_ours() -> None:
+    for room, under in MAY_IMPORT.items():
+        if under:
+            assert "refuse_hidden(__name__)" in (ROOT / room / "__init__.py").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is limited so on Linux")
+def test_too_little_memory_is_said() -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (600_000_000, 600_000_000))
+
+    done = subprocess.run(
+        command("bc-log", "--help"), env=environment(), preexec_fn=limit, capture_output=True, check=False
+    )
+    assert b"bc-log: 600 MB of memory are allowed here (ulimit -v)" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        ("MemoryError()", "not enough memory; close"),
+        ("MemoryError('malloc of 5 GB failed')", "not enough memory (malloc of 5 GB failed); close"),
+        ("RuntimeError('DefaultCPUAllocator: can\\'t allocate memory: 9 bytes')", "not enough memory (Default"),
+        ("RuntimeError('CUDA out of memory. Tried')", "not enough memory (CUDA out of memory. Tried); close"),
+    ],
+)
+def test_no_memory_is_one_line(error: str, told: str) -> None:
+    done = run_action(f"raise {error}")
+    assert done.returncode == 1
+    [line] = done.stderr.splitlines()
+    assert line.startswith(f"bc-test: {told}")
+
+
+def test_bad_usage_has_an_exit_code_of_its_own() -> None:
+    usage, other = (
+        run_action(f"from common.errors import UsageError, UserError; raise {kind}('--a and --b: give one')")
+        for kind in ("UsageError", "UserError")
+    )
+    assert (usage.returncode, other.returncode) == (2, 1)
+    assert usage.stderr == other.stderr == "bc-test: --a and --b: give one\n"
+
+
+def test_a_bug_keeps_its_traceback() -> None:
+    done = run_action("raise ZeroDivisionError('a bug')")
+    assert done.returncode == 1
+    assert done.stderr.startswith("Traceback")
+    assert done.stderr.endswith("ZeroDivisionError: a bug\n")
+
+
+def run_action(body: str) -> subprocess.CompletedProcess[str]:
+    return run_code(ACTION.format(body=body))
+
+
+ACTION = """
+import os, signal, sys, time, weakref
+from dataclasses import dataclass
+from pathlib import Path
+from common.command import run_command
+from common.files import whole_file
+from common.interrupts import stop_signals, uninterrupted
+
+@dataclass
+class Nothing:
+    pass
+
+def sleep():
+    while True:  # a signal that comes just before a long sleep would be heard after it
+        time.sleep(0.01)
+
+def noted(stopped):
+    while not stopped.wait(0.01):
+        pass
+
+def begun():
+    print("begun", file=sys.stderr)
+
+def interrupted_in_a_callback():
+    thing = Nothing()
+    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT) or sleep())
+    del thing
+
+def slow(work):
+    try:
+        begun()
+        sleep()
+    finally:
+        begun()
+        work()
+
+def act(config):
+    {body}
+    return 0
+
+run_command("bc-test", Nothing, act)
+"""
+WAYS = {
+    "tidying up": "slow(lambda: sleep())",
+    "uninterrupted": "slow(lambda: uninterrupted().__enter__() or sleep())",
+    "a stop that is noted": ("with stop_signals() as stopped:\n        begun(); noted(stopped); begun(); sleep()"),
+    "a file half written": (
+        "with whole_file(Path('whole'), overwrite=False) as part:\n"
+        "        part.write_bytes(b'half'); slow(lambda: sleep())"
+    ),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_second_ctrl_c_ends_at_once_and_says_so(way: str, tmp_path: Path) -> None:
+    line = [sys.executable, "-c", ACTION.format(body=WAYS[way])]
+    with subprocess.Popen(line, cwd=tmp_path, env=environment(), stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            assert process.stderr.readline() == "begun\n"
+            process.send_signal(signal.SIGINT)
+            assert process.stderr.readline() == "begun\n"
+            process.send_signal(signal.SIGTERM)  # which comes twice by itself, and does not count
+            assert process.stderr.readline() == "bc-test: stopping; Ctrl-C again ends at once\n"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE_S) == 130
+        finally:
+            process.kill()
+        assert process.stderr.read() == "bc-test: ended at once; files that were not finished end in .part\n"
+    assert all(path.suffix == ".part" for path in tmp_path.iterdir())
+
+
+def test_a_ctrl_c_that_comes_while_python_tidies_up_is_not_lost() -> None:
+    """What is raised in a callback of a weak reference goes no further, and the command would wait for ever."""
+    done = run_action("interrupted_in_a_callback(); sleep()")
+    assert (done.returncode, done.stderr) == (130, "bc-test: stopped\n")
+
+
+def test_every_command_is_begun_here() -> None:
+    import behavioural_cloning_toolkit
+
+    assert all(callable(getattr(behavioural_cloning_toolkit, name.replace("-", "_"))) for name in COMMANDS)
+    assert run("bc-log", "--help").returncode == 0

@@ -1,0 +1,432 @@
+"""The viewer beside what goes on, and viewers that run already: what they get, what is said of those not there."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+import pytest
+import rerun as rr
+
+from common import UserError
+from common.preview import preview
+from driving import Process, command, environment
+from logs import START_NS, STEP_NS, write_log
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.topics import CAMERAS, Camera
+from rrd import arrived, contents, free_ports, lives
+from udacity import call
+from viz.cli import main
+from viz.live.follow import Follower, GoneError, feed
+from viz.live.live_messages import Shown
+from viz.live.picture_rate import PictureRate
+from viz.playback.rerun_recording import Prepared
+from viz.targets import Where, Whole
+from viz.viewer_connection import viewer_url
+from viz.viewer_process import Ports, open_viewer, viewer_program, wait_until_it_listens
+from waiting import PATIENCE_S, wait_until
+
+ROWS = 30
+
+not_on_windows = pytest.mark.skipif(sys.platform == "win32", reason="an open log cannot be renamed there")
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    """What cannot be compressed: a file is then at least as large as the pictures in it."""
+    return random.Random(f"{camera} {row}").randbytes(8000)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    steering = [row / 100 for row in range(ROWS)]
+    return write_log(tmp_path_factory.mktemp("live") / "a.mcap", steering, picture)
+
+
+@contextlib.contextmanager
+def running_viewer() -> Iterator[Ports]:
+    """A viewer that serves browsers: it needs neither a display nor a graphics driver."""
+    ports = Ports(*free_ports(2))
+    with open_viewer(ports, web=True) as viewer:
+        wait_until_it_listens(viewer, ports.data_address)
+        yield ports
+
+
+@contextlib.contextmanager
+def received(ports: Ports, rrd: Path) -> Iterator[None]:
+    """Another client of the viewer writes all that it has to a file, until the viewer is ended within."""
+    line = [str(viewer_program()), ports.data_address, "--save", str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
+    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment()) as client:
+        for camera in CAMERAS:
+            wait_until(lambda: arrived(rrd, f"/camera/{camera}", "EncodedImage:blob") >= ROWS)  # noqa: B023
+        wait_until(lambda: arrived(rrd, "/steering/recorded", "Scalars:scalars") >= ROWS)
+        yield
+        client.wait(PATIENCE_S)
+
+
+def holds_all(rrd: Path) -> bool:
+    found = contents(rrd)
+    pictures = [[bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]] for camera in CAMERAS]
+    return pictures == [[picture(camera, row) for row in range(ROWS)] for camera in CAMERAS] and [
+        value[0] for value in found["/steering/recorded"]["Scalars:scalars"] if value
+    ] == pytest.approx([row / 100 for row in range(ROWS)])
+
+
+# A viewer that runs
+
+
+def test_a_viewer_that_runs_gets_all_of_the_log(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.ExitStack() as client, running_viewer() as ports:
+        assert call(main, log, "--connect", f"127.0.0.1:{ports.data}") == 0
+        client.enter_context(received(ports, tmp_path / "got.rrd"))
+    assert holds_all(tmp_path / "got.rrd")
+    said = capsys.readouterr()
+    assert "does not tell its version" in said.err  # what serves browsers does not
+    assert len(said.err.splitlines()) == 1
+    assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
+
+
+def test_of_a_viewer_that_is_closed_too_early_it_is_not_said_that_it_has_all(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+        raise GoneError
+
+    with running_viewer() as ports:
+        shown = Whole(lambda: contextlib.nullcontext(Prepared("a.mcap", None, send, [])))
+        assert shown.show(Where(web=False, connect=str(ports.data), ports=ports)) == 1
+    said = capsys.readouterr()
+    assert "the viewer has lost its connection" in said.err.splitlines()[-1]
+    assert said.out == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one thread alone")
+def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else its progress bar would still stand where the last line is printed."""
+    monkeypatch.setattr("viz.live.follow._LAST_S", PATIENCE_S)
+    ended = []
+
+    class Slow(Follower):
+        def run(self) -> None:
+            time.sleep(0.1)
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            self.stop.wait(PATIENCE_S)
+            time.sleep(0.1)
+            ended.append(self)
+
+    with pytest.raises(KeyboardInterrupt):
+        feed(Slow(""), None)
+    assert ended
+
+
+def test_a_page_gets_all_of_the_log(log: Path, tmp_path: Path) -> None:
+    ports = Ports(*free_ports(2))
+    flags = ("--web", "--web-port", ports.web, "--port", ports.data)
+    with Process(command("bc-play", log, *flags)) as play:
+        play.wait_for("open that address in a browser")
+        wait_until(lambda: is_open(ports.data))
+        with received(ports, tmp_path / "got.rrd"):
+            assert play.end(signal.SIGINT) == 130
+    assert holds_all(tmp_path / "got.rrd")
+
+
+def is_open(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), PATIENCE_S):
+        return True
+    return False
+
+
+def test_an_address_can_be_short() -> None:
+    assert viewer_url("") == viewer_url("9876") == "rerun+http://127.0.0.1:9876/proxy"
+    assert viewer_url("other:1234") == "rerun+http://other:1234/proxy"
+    assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
+    assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
+    for wrong in ("other", "http://other:1234", "a b:1", "rerun+http://other:x/proxy", "other:123456", "-x:1 2"):
+        with pytest.raises(UserError, match=r"^--connect .*: no address of a viewer"):
+            viewer_url(wrong)
+
+
+@contextlib.contextmanager
+def answering(answer: bytes) -> Iterator[int]:
+    """The port of a server that says something else than a viewer."""
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = server.accept()
+                with connection:
+                    connection.recv(100)
+                    connection.sendall(answer)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield server.getsockname()[1]
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join(PATIENCE_S)
+
+
+def test_what_is_no_viewer_is_one_line(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said(port: object, code: int = 1) -> str:
+        assert call(main, log, "--connect", port) == code
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    (nobody,) = free_ports(1)
+    assert f"127.0.0.1:{nobody}: no viewer listens there" in said(nobody)
+    with answering(b"HTTP/1.0 400 Bad request\r\n\r\n") as port:
+        assert "is no Rerun viewer" in said(port)
+    with answering(b"") as port:
+        assert "is no Rerun viewer" in said(port)
+    with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
+        patched.setattr("viz.viewer_connection._PATIENCE_S", 0.2)
+        assert "does not answer" in said(silent.getsockname()[1])
+    assert "no address of a viewer" in said("somewhere", code=2)
+    assert "no viewer listens there" in said("99999")
+
+
+def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "viz.viewer_connection._version", lambda url: "0.7.1"
+    )  # none of so old a version is installed
+    with running_viewer() as ports:
+        assert call(main, log, "--connect", ports.data) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a viewer of version 0.7.1, but version 0." in line
+
+
+# Beside what goes on
+
+
+def test_what_is_no_place_for_a_viewer_is_refused_before_anything_begins(tmp_path: Path) -> None:
+    (tmp_path / "x.rrd").write_bytes(b"precious")
+    for where, says in (
+        ("windwo", "^--viewer windwo: neither window nor web"),
+        ("", "neither window nor web"),
+        ("--web", "neither window nor web"),
+        (str(tmp_path / "x.rrd"), "exists already"),
+    ):
+        with pytest.raises(UserError, match=says), preview(tmp_path / "a.mcap", where):
+            raise AssertionError("it has begun")
+    assert (tmp_path / "x.rrd").read_bytes() == b"precious"
+
+
+def line_from(capfd: pytest.CaptureFixture[str]) -> str:
+    """What other processes have said on stderr, as soon as that is a line."""
+    said: list[str] = []
+
+    def has_said() -> bool:
+        said.append(capfd.readouterr().err)
+        return said[-1].endswith("\n")
+
+    wait_until(has_said)
+    return "".join(said)
+
+
+def test_a_viewer_that_cannot_start_says_why_and_what_goes_on_is_not_disturbed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (nobody,) = free_ports(1)
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer:
+        with preview(writer.part, f"127.0.0.1:{nobody}"):
+            writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+            said = line_from(capfd)
+            assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens there")
+            again = f"bc-play {tmp_path / 'a.mcap'} --follow"
+            assert said.endswith(
+                f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
+            )
+        writer.vehicle(START_NS + STEP_NS, 1, VehicleState(steering=0.5))
+    assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a window can always open there")
+def test_a_window_that_cannot_open_names_a_command_and_no_flag_that_others_do_not_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Rerun's own viewer, on a display that is none: as bc-drive, bc-record and bc-train open it."""
+    monkeypatch.setenv("DISPLAY", ":77")
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, preview(writer.part):
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        said = line_from(capfd)
+    again = f"bc-play {tmp_path / 'a.mcap'} --follow"
+    assert said.startswith("viewer: the Rerun viewer ")
+    assert "give --web" not in said
+    assert said.endswith(
+        f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
+    )
+
+
+def test_a_viewer_that_runs_gets_the_end_of_the_log_before_it_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("common.preview._OTHERS_GRACE_S", PATIENCE_S)
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with contextlib.ExitStack() as client, running_viewer() as ports:
+        with preview(writer.part, f"127.0.0.1:{ports.data}", said=print):
+            for row in range(ROWS):
+                for camera in CAMERAS:
+                    writer.picture(camera, START_NS + row * STEP_NS, row, picture(camera, row))
+                writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(steering=row / 100))
+            writer.close()
+        client.enter_context(received(ports, tmp_path / "got.rrd"))
+    assert holds_all(tmp_path / "got.rrd")
+    said = capfd.readouterr().err
+    assert "a.mcap: sent to" in said or "viewer: a.mcap is finished, all of it is shown" in said
+    assert "stopped" not in said
+
+
+def test_a_viewer_that_is_stopped_by_who_started_it_says_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("common.preview._OTHERS_GRACE_S", 0.1)
+    monkeypatch.setattr("common.preview._SAID_S", 0.1)
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, running_viewer() as ports:
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        with preview(writer.part, f"127.0.0.1:{ports.data}", said=lambda text: None):
+            said = line_from(capfd)
+            assert said.startswith(f"viewer: 127.0.0.1:{ports.data}: it does not tell its version")
+        assert capfd.readouterr().err == ""
+
+
+def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> None:
+    """Also what was written when the viewer's process had not even begun to read."""
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with preview(writer.part, str(tmp_path / "a.rrd")):
+        for row in range(ROWS):
+            for camera in CAMERAS:
+                writer.picture(camera, START_NS + row * STEP_NS, row, picture(camera, row))
+            writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(steering=row / 100))
+        writer.close()
+    assert holds_all(tmp_path / "a.rrd")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system knows no lowest priority of all")
+@pytest.mark.parametrize("never_in_the_way", [False, True])
+def test_a_viewer_has_a_lower_priority_than_what_it_shows(never_in_the_way: bool, tmp_path: Path) -> None:
+    before = set(children_of(os.getpid()))
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with preview(writer.part, str(tmp_path / "a.rrd"), never_in_the_way=never_in_the_way):
+        (viewer,) = set(children_of(os.getpid())) - before
+        scheduled = os.SCHED_IDLE if never_in_the_way else os.SCHED_OTHER
+        assert os.sched_getscheduler(viewer.pid) == scheduled
+        assert os.getpriority(os.PRIO_PROCESS, viewer.pid) >= max(10, os.getpriority(os.PRIO_PROCESS, 0))
+        group = Path(f"/proc/{viewer.pid}/autogroup")
+        if group.exists():  # "/autogroup-7 nice 19"
+            assert group.read_text().split()[-1] == ("19" if never_in_the_way else "0")
+        writer.close()
+
+
+PREVIEW = """
+import sys, time
+from pathlib import Path
+from common.preview import preview
+with preview(Path(sys.argv[1]), sys.argv[2]):
+    time.sleep(1000)
+"""
+
+
+def children_of(process: int) -> list[psutil.Process]:
+    return list(psutil.Process(process).children(recursive=True))
+
+
+@not_on_windows
+def test_a_preview_ends_when_who_started_it_is_killed(tmp_path: Path) -> None:
+    """As when a terminal is closed. What lies in the working folder is not taken for our own modules."""
+    for name in ("common.py", "viz.py"):
+        (tmp_path / name).write_text("raise SystemExit('of another project')")  # not taken for ours
+    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer:
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        line = [sys.executable, "-P", "-c", PREVIEW, str(writer.part), "a.rrd"]
+        with Process(line, cwd=tmp_path) as process:
+            wait_until(lambda: list(tmp_path.glob("a.rrd.*.part")))
+            previews = children_of(process.popen.pid)
+            try:
+                process.popen.kill()
+                process.popen.wait(PATIENCE_S)
+                wait_until(lambda: not any(map(lives, previews)))
+            finally:
+                for each in previews:
+                    with contextlib.suppress(psutil.NoSuchProcess):
+                        each.kill()
+    assert len(previews) == 1
+    assert [path.name for path in tmp_path.glob("a.rrd*")] == ["a.rrd"]  # what was there by then
+
+
+@not_on_windows
+def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for grace, seconds in (("_FILE_GRACE_S", 0.2), ("_SAID_S", 0.1), ("_GRACE_S", 0.1)):
+        monkeypatch.setattr(f"common.preview.{grace}", seconds)
+    others = set(children_of(os.getpid()))
+    rrd, foreign = tmp_path / "a.rrd", tmp_path / "a.rrd.0123ab.part"
+    foreign.write_bytes(b"another's")
+    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
+    with preview(writer.part, str(rrd)):
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+        wait_until(lambda: len(list(tmp_path.glob("a.rrd.*.part"))) == 2)
+        for child in set(children_of(os.getpid())) - others:
+            child.suspend()
+        writer.close()
+    assert list(tmp_path.glob("a.rrd*")) == [foreign]
+    waits, line = capfd.readouterr().err.splitlines()
+    assert waits.startswith(f"finishing {rrd}, ")
+    assert line.startswith(f"{rrd}: not written")
+    assert f"`bc-play {tmp_path / 'a.mcap'} --save {rrd}`" in line
+
+
+# How many pictures are shown
+
+
+def pictures(count: int, topic: str = "/camera/center") -> list[Shown]:
+    return [Shown(topic, time_ns, time_ns, None) for time_ns in range(count)]
+
+
+def test_of_a_drive_faster_than_the_clock_thirty_pictures_a_second_are_shown_evenly() -> None:
+    rate = PictureRate(0.0)
+    shown = []
+    for second in range(1, 11):
+        rate.tick(float(second))
+        kept, thinned = rate.thin(pictures(300))
+        assert len(kept) + len(thinned) == 300
+        assert kept[-1].log_time_ns == 299  # the newest
+        gaps = {after.log_time_ns - before.log_time_ns for before, after in itertools.pairwise(kept)}
+        assert gaps == {10}
+        shown.append(len(kept))
+    assert shown == [30] * 10
+
+
+def test_what_is_no_picture_is_always_shown_and_each_camera_has_its_own_rate() -> None:
+    rate = PictureRate(0.0)
+    rate.tick(1.0)
+    messages = pictures(100) + pictures(1000, "/vehicle") + pictures(20, "/camera/left")
+    kept, thinned = rate.thin(messages)
+    assert [each for each in kept if each.topic == "/vehicle"] == pictures(1000, "/vehicle")
+    assert [each for each in kept if each.topic == "/camera/left"] == pictures(20, "/camera/left")
+    assert {each.topic for each in thinned} == {"/camera/center"}
+    assert len(thinned) == 70
+
+
+def test_pictures_at_the_pace_of_a_camera_are_all_shown() -> None:
+    rate = PictureRate(0.0)
+    for tick in range(1, 200):  # five pictures every 0.2 s
+        rate.tick(tick * 0.2)
+        assert rate.thin(pictures(5))[1] == []

@@ -1,0 +1,386 @@
+"""What the viewer is given: read back from the .rrd by Rerun's own reader, not by the code that wrote it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+import pytest
+
+from common import UserError
+from common.preview import has_display
+from disk import files_of_at_most
+from driving import Process, command, one_line_of, road_jpeg, run
+from recorder import Log, LogError, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.topics import PILOT_COMMAND, VEHICLE
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from rrd import contents, free_ports, listening, view_names
+from udacity import call
+from viz import save_growing, save_rrd
+from viz.cli import main
+from viz.playback.curves import frame_size
+from waiting import PATIENCE_S, wait_until
+
+ROWS = 40
+START_NS = 1_767_225_600 * 10**9
+STATE_PLOTS = {"steering, -1 left .. 1 right", "speed, mph", "throttle and brake", "frames by steering, 25 bins"}
+
+
+def write_log(path: Path, *, is_drive: bool) -> Path:
+    """A session of three cameras, or a drive of one with crops, commands and an event."""
+    with LogWriter(path, {"source": "test"}) as log:
+        for i in range(ROWS):
+            time_ns = START_NS + i * 100_000_000
+            log.picture("center", time_ns, i, road_jpeg(i))
+            if not is_drive:
+                log.picture("left", time_ns, i, road_jpeg(i + 1))
+                log.picture("right", time_ns, i, road_jpeg(i + 2))
+            log.vehicle(time_ns, i, VehicleState(steering=i / 100, throttle=0.5, brake=0.25, speed_mph=i))
+            if is_drive:
+                log.crop(time_ns, i, road_jpeg(i))
+                command = PilotCommand(
+                    predicted_steering=-i / 50, steering=-i / 60, throttle=0.1, set_speed_mph=10
+                )
+                log.command(time_ns, i, command)
+        if is_drive:
+            log.event(START_NS, "connected")
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("viz")
+
+
+@pytest.fixture(scope="module")
+def session(folder: Path) -> Path:
+    save_rrd(write_log(folder / "session.mcap", is_drive=False), folder / "session.rrd")
+    return folder / "session.rrd"
+
+
+@pytest.fixture(scope="module")
+def drive(folder: Path) -> Path:
+    save_rrd(write_log(folder / "drive.mcap", is_drive=True), folder / "drive.rrd")
+    return folder / "drive.rrd"
+
+
+def test_every_picture_of_every_camera_is_in_it(session: Path) -> None:
+    found = contents(session)
+    for camera, first in (("center", 0), ("left", 1), ("right", 2)):
+        blobs = [bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]]
+        assert blobs == [road_jpeg(i + first) for i in range(ROWS)]
+    assert "/pilot/input" not in found
+    assert "/steering/predicted" not in found
+
+
+def test_the_recorded_curves_have_the_logs_values_at_the_logs_times(session: Path) -> None:
+    found = contents(session)
+    expected = {
+        "/steering/recorded": [i / 100 for i in range(ROWS)],
+        "/speed_mph/driven": [float(i) for i in range(ROWS)],
+        "/pedals/throttle": [0.5] * ROWS,
+        "/pedals/brake": [0.25] * ROWS,
+    }
+    for entity, values in expected.items():
+        assert [value[0] for value in found[entity]["Scalars:scalars"]] == pytest.approx(values)
+        assert found[entity]["message_log_time"] == [START_NS + i * 100_000_000 for i in range(ROWS)]
+
+
+def test_a_drive_has_the_crop_and_what_was_predicted_and_sent(drive: Path) -> None:
+    found = contents(drive)
+    assert (
+        len(found["/pilot/input"]["EncodedImage:blob"])
+        == len(found["/camera/center"]["EncodedImage:blob"])
+        == ROWS
+    )
+    predicted = [value[0] for value in found["/steering/predicted"]["Scalars:scalars"]]
+    sent = [value[0] for value in found["/steering/sent"]["Scalars:scalars"]]
+    assert predicted == pytest.approx([-i / 50 for i in range(ROWS)])
+    assert sent == pytest.approx([-i / 60 for i in range(ROWS)])
+    assert [value[0] for value in found["/speed_mph/set"]["Scalars:scalars"]] == [10.0] * ROWS
+    assert found["/events"]["TextLog:text"] == [["connected"]]
+    assert "/camera/left" not in found
+
+
+def test_the_layout_has_a_view_for_what_the_log_holds_and_for_nothing_else(session: Path, drive: Path) -> None:
+    assert view_names(session) == STATE_PLOTS | {"centre camera", "left camera", "right camera"}
+    of_drive = {"centre camera", "what the network sees", "who drives", "latency, ms", "events"}
+    assert view_names(drive) == STATE_PLOTS | of_drive
+
+
+def test_an_existing_file_is_kept_unless_it_is_forced(drive: Path, tmp_path: Path) -> None:
+    log, rrd = drive.with_suffix(".mcap"), tmp_path / "x.rrd"
+    rrd.write_bytes(b"precious")
+    with pytest.raises(UserError, match="--force"):
+        save_rrd(log, rrd)
+    assert (rrd.read_bytes(), list(tmp_path.iterdir())) == (b"precious", [rrd])
+    done = run("bc-play", log, "--save", rrd, "--force")
+    assert (done.returncode, done.stdout.split(":")[0]) == (0, str(rrd)), done.stderr
+    assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == ROWS
+
+
+def unfinished(path: Path, *, messages_kept: float) -> Path:
+    """What a killed recording leaves: the log's first part, up to the middle of a chunk."""
+    whole = write_log(path.with_name("whole.mcap"), is_drive=False).read_bytes()
+    path.write_bytes(whole[: int(messages_kept * len(whole))])
+    return path
+
+
+def test_an_unfinished_log_shows_what_is_whole_in_it_and_says_so(folder: Path, tmp_path: Path) -> None:
+    log = unfinished(tmp_path / "killed.mcap.ab12cd.part", messages_kept=0.8)
+    done = run("bc-play", log, "--save", tmp_path / "x.rrd")
+    assert done.returncode == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert f"{log}: unfinished" in done.stderr
+    found, whole = contents(tmp_path / "x.rrd"), contents(folder / "session.rrd")
+    rows = len(found["/steering/recorded"]["message_log_time"])
+    assert 10 < rows < ROWS
+    assert found["/steering/recorded"]["Scalars:scalars"] == whole["/steering/recorded"]["Scalars:scalars"][:rows]
+    shown = found["/camera/center"]["EncodedImage:blob"]
+    assert shown == whole["/camera/center"]["EncodedImage:blob"][: len(shown)]
+    assert len(shown) >= rows
+    assert log.stat().st_size == int(0.8 * (tmp_path / "whole.mcap").stat().st_size)
+    assert {path.name for path in tmp_path.iterdir()} == {log.name, "whole.mcap", "x.rrd"}
+
+
+def test_an_unfinished_log_has_the_layout_and_the_name_of_its_own(tmp_path: Path) -> None:
+    log = unfinished(tmp_path / "killed.mcap", messages_kept=0.8)
+    assert "unfinished" in save_rrd(log, tmp_path / "x.rrd")
+    assert view_names(tmp_path / "x.rrd") == STATE_PLOTS | {"centre camera", "left camera", "right camera"}
+    assert contents(tmp_path / "x.rrd")["/__properties"]["RecordingInfo:name"] == [["killed.mcap"]]
+
+
+def test_a_finished_log_has_no_notice(drive: Path, tmp_path: Path) -> None:
+    assert save_rrd(drive.with_suffix(".mcap"), tmp_path / "x.rrd") == ""
+
+
+def test_a_log_of_nothing_is_shown_empty(tmp_path: Path) -> None:
+    LogWriter(tmp_path / "empty.mcap", {}).close()
+    save_rrd(tmp_path / "empty.mcap", tmp_path / "x.rrd")
+    assert not [entity for entity in contents(tmp_path / "x.rrd") if not entity.startswith("/__")]
+
+
+def test_a_log_shows_what_it_has(tmp_path: Path) -> None:
+    """Pictures without vehicle states, states without pictures."""
+    with LogWriter(tmp_path / "pictures.mcap", {}) as log:
+        log.picture("left", 1, 0, road_jpeg(0))
+    with LogWriter(tmp_path / "states.mcap", {}) as log:
+        log.vehicle(1, 0, VehicleState(steering=0.5))
+    for name in ("pictures", "states"):
+        save_rrd(tmp_path / f"{name}.mcap", tmp_path / f"{name}.rrd")
+    pictures, states = contents(tmp_path / "pictures.rrd"), contents(tmp_path / "states.rrd")
+    assert [bytes(blob[0]) for blob in pictures["/camera/left"]["EncodedImage:blob"]] == [road_jpeg(0)]
+    assert "/steering/recorded" not in pictures
+    assert states["/steering/recorded"]["Scalars:scalars"] == [[0.5]]
+    assert "left camera" in view_names(tmp_path / "pictures.rrd")
+    assert not {name for name in view_names(tmp_path / "states.rrd") if "camera" in name}
+
+
+def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:
+    log = tmp_path / "photo.mcap"
+    log.write_bytes(road_jpeg(0))
+    with pytest.raises(LogError):
+        save_rrd(log, tmp_path / "x.rrd")
+    for flags in (("--save", tmp_path / "x.rrd"), ("--web",), (log, "--web")):
+        done = run("bc-play", log, *flags)
+        assert done.returncode == 1
+        assert str(log) in one_line_of(done)  # and no page, which would show nothing
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_a_name_that_rerun_cannot_take_is_one_line(drive: Path, tmp_path: Path) -> None:
+    log = tmp_path / os.fsdecode(b"bad\xff.mcap")
+    log.write_bytes(drive.with_suffix(".mcap").read_bytes())
+    done = run("bc-play", log, "--save", tmp_path / "x.rrd")
+    assert done.returncode == 1
+    assert "UTF-8 text only; rename the log" in one_line_of(done)
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "expected"),
+    [
+        ("linux", {}, False),
+        ("linux", {"DISPLAY": ""}, False),
+        ("linux", {"DISPLAY": ":0"}, True),
+        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ("darwin", {}, True),
+        ("win32", {}, True),
+    ],
+)
+def test_there_is_a_display_where_a_window_can_open(
+    platform: str, variables: dict[str, str], expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.platform", platform)
+    assert has_display() is expected
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one process alone")
+def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_the_command(drive: Path) -> None:
+    web_port, port = free_ports(2)
+    flags = ("--web", "--web-port", web_port, "--port", port)
+    with Process(command("bc-play", drive.with_suffix(".mcap"), *flags)) as play:
+        play.wait_for("open that address in a browser")
+        command_process = psutil.Process(play.popen.pid)
+
+        def sockets() -> dict[int, str]:
+            children = command_process.children(recursive=True)
+            return {at: ip for child in children for at, ip in listening(child).items()}
+
+        wait_until(lambda: set(sockets()) >= {web_port, port})
+        assert sockets() == {web_port: "127.0.0.1", port: "127.0.0.1"}
+        children = command_process.children(recursive=True)
+        with socket.create_connection(("127.0.0.1", web_port), PATIENCE_S) as page:
+            page.sendall(b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
+            assert page.recv(12).startswith(b"HTTP/1.")
+        assert play.end(signal.SIGINT) == 130
+        assert not any(child.is_running() for child in children)
+    assert f"http://127.0.0.1:{web_port}/" in play.stdout
+    assert f"127.0.0.1:{port}" in play.stdout
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no signals there")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_viewer_that_dies_is_one_line_and_exit_code_1(drive: Path, number: signal.Signals) -> None:
+    web_port, port = free_ports(2)
+    flags = ("--web", "--web-port", web_port, "--port", port)
+    with Process(command("bc-play", drive.with_suffix(".mcap"), *flags)) as play:
+        play.wait_for("open that address in a browser")
+        (viewer,) = psutil.Process(play.popen.pid).children()
+        viewer.send_signal(number)
+        assert play.join() == 1
+    assert f"viewer was killed (signal {number.value})" in play.stderr[-1]
+    assert len(play.stderr) == 2
+
+
+@pytest.mark.parametrize("save", [save_rrd, save_growing])
+def test_wherever_the_disk_is_full_nothing_is_left_and_rerun_says_nothing(
+    drive: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    save: Callable[[Path, Path], object],
+) -> None:
+    """Also where only the end of the file does not fit any more."""
+    log, rrd = drive.with_suffix(".mcap"), tmp_path / "x.rrd"
+    save(log, rrd)
+    assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == ROWS
+    size = rrd.stat().st_size
+    rrd.unlink()
+    for limit in (0, 10, 700, 5_000, size // 2, size - 5_000, size - 1_000):
+        with (
+            files_of_at_most(limit),
+            pytest.raises(UserError, match=r"x\.rrd: cannot be written \(File too large\)"),
+        ):
+            save(log, rrd)
+        assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("flags", [("--save", "x.rrd"), ("--follow", "--save", "x.rrd")])
+def test_a_full_disk_is_one_line(
+    drive: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    flags: tuple[str, ...],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "400")
+    with files_of_at_most(20_000):
+        assert call(main, drive.with_suffix(".mcap"), *flags) == 1
+    said = capfd.readouterr()
+    (line,) = said.err.splitlines()
+    assert "cannot be written" in line
+    assert said.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_log_damaged_in_the_middle_is_one_line_and_an_end(tmp_path: Path) -> None:
+    """Rerun is not started for it: it would not end."""
+    log = record_simulated(SimulatedDrive(laps=0.01), tmp_path / "drive.mcap").path
+    with log.open("rb+") as stream:
+        stream.seek(log.stat().st_size // 2)
+        stream.write(bytes(100_000))
+    done = run("bc-play", log, "--save", tmp_path / "out.rrd")
+    assert done.returncode == 1
+    assert "damaged" in one_line_of(done)
+    assert not list(tmp_path.glob("*.rrd*"))
+
+
+def test_a_port_that_is_taken_is_one_line(drive: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = run("bc-play", drive.with_suffix(".mcap"), "--web", "--port", port, "--web-port", *free_ports(1))
+    assert done.returncode == 1
+    assert f"port {port}" in one_line_of(done)
+
+
+@pytest.mark.parametrize("flag", ["--port", "--web-port"])
+@pytest.mark.parametrize("port", [0, -1, 65536])
+def test_what_is_no_port_is_one_line(
+    drive: Path, flag: str, port: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, drive.with_suffix(".mcap"), "--web", flag, port) == 2
+    assert f"{flag} {port}: a port is" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--connect", "9911", "a b.mcap"), "bc-play 'a b.mcap' --connect 9911"),
+        (("--connect", "a b.mcap"), "bc-play 'a b.mcap' --connect"),
+        (("c.mcap", "--connect", "9911", "a b.mcap"), "bc-play c.mcap 'a b.mcap' --connect 9911"),
+        (("--connect", "9911", "nowhere.mcap"), "bc-play LOG --connect HOST:PORT"),
+    ],
+)
+def test_a_log_behind_connect_is_told_where_it_belongs(
+    words: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a b.mcap").touch()
+    assert call(main, *words) == 2
+    assert capsys.readouterr().err == f"bc-play: --connect takes one address, and stands behind the logs: {says}\n"
+
+
+def test_what_may_take_long_shows_how_far_it_is(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = drive.with_suffix(".mcap")
+    assert call(main, log, "--save", tmp_path / "silent.rrd") == 0
+    assert capsys.readouterr().err == ""  # it is no terminal
+    for name in ("TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.setenv(name, "1")
+    assert call(main, log, "--save", tmp_path / "shown.rrd") == 0
+    shown = capsys.readouterr().err
+    with Log(log) as read:
+        sent = sum(count for topic, count in read.counts.items() if topic not in (VEHICLE, PILOT_COMMAND))
+    assert f"reading {log.name}" in shown
+    assert f"reading {VEHICLE}" in shown
+    assert f"{sent}/{sent}" in shown.partition("sending messages")[2]
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 2**32 - 1, 0),
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 2**20, 2**20),
+        b"neither",
+    ],
+)
+def test_a_header_that_lies_does_not_tell_how_large_a_frame_is(picture: bytes) -> None:
+    assert frame_size(picture) is None
+    assert frame_size(road_jpeg(0)) == (320, 160)

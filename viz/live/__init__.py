@@ -1,0 +1,1 @@
+"""A log shown while it is being written."""

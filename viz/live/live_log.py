@@ -1,0 +1,180 @@
+"""A log that is being written, read by complete chunks as it grows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from google.protobuf.message import DecodeError
+from mcap.records import Channel
+
+from common import Skipped
+from common.closing import Closing
+from common.files import final_path
+from common.locks import is_being_written
+from recorder.errors import LogError
+from recorder.log.mcap_file import MAGIC, Chunk, McapFile, StoredMessage
+from recorder.log.message_index import LAST_TIME_NS
+from recorder.log.scan import Structure, has_summary, walk_on
+from viz.live.live_messages import KINDS, PICTURE_TOPICS, Shown
+
+LATE: Final = "pictures not shown, to keep up (the log has them)"
+QUIET_S: Final = 2.0
+"""Nothing new for so long, and nobody who writes (some file systems cannot tell): the recording was killed."""
+
+
+def find_log(path: Path) -> Path:
+    """Where a log is now that was at `path`, or will be: it has another name until its writer closes it."""
+    final = final_path(path)
+    for place in (path, final):
+        if place.exists():
+            return place
+    try:
+        parts = [part for part in path.parent.iterdir() if final_path(part) == path and not part.is_symlink()]
+        return max(parts, key=lambda part: part.stat().st_mtime_ns, default=path)
+    except OSError:  # no such folder, or it has just been given its final name
+        return final if final.exists() else path
+
+
+def is_finished(path: Path) -> bool:
+    """Whether there is a finished log at `path`. Raises LogError if it cannot be opened or is no log."""
+    if not _has_begun(path):
+        return False
+    file = McapFile(path)
+    try:
+        return has_summary(file)
+    finally:
+        file.close()
+
+
+class GrowingLog(Closing):
+    """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
+
+    Either `is_finished` or `notice` tells that nothing more will come: the recording was killed, says the notice.
+    Raises LogError if it cannot be opened, is no log, is deleted before it is finished, or nothing was written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.skipped = Skipped()
+        self.is_finished = False
+        self.notice = ""
+        self._quiet_since_s = time.monotonic()
+        self._file: McapFile | None = None
+        self._position = len(MAGIC)
+        self._found = Structure()
+
+    @property
+    def has_crcs(self) -> bool:
+        """Whether all that was read of it has CRCs, without which damage is not noticed."""
+        return self._file is None or self._file.have_crcs(self._found.chunks)
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[Shown]]:
+        """What has been completed since the last call, a list for each chunk.
+
+        With `pictures_of_last_s`, pictures that are older than that before the newest message are skipped.
+        """
+        path = find_log(self.path)
+        is_written = is_being_written(path)  # asked first: what was written until it died is then read
+        before = self._position, len(self._found.chunks), len(self._found.lost)
+        self._file = self._file or self._opened()
+        if self._file is not None:
+            self._walk_on(self._file)
+        if is_written or self._position > before[0]:
+            self._quiet_since_s = time.monotonic()
+        elif not self.is_finished and time.monotonic() - self._quiet_since_s >= QUIET_S:
+            self._end_without_end(path)
+        if self._file is None:
+            return
+        for start, end in self._found.lost[before[2] :]:
+            self.skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
+        chunks = self._found.chunks[before[1] :]
+        since_ns = 0
+        if pictures_of_last_s is not None and chunks:
+            since_ns = _newest_ns(self._file, chunks[-1]) - round(pictures_of_last_s * 1e9)
+        for chunk in chunks:
+            yield list(self._shown_of(self._file, chunk, since_ns))
+
+    def _walk_on(self, file: McapFile) -> None:
+        try:
+            self._position, self.is_finished = walk_on(file, self._position, self._found)
+        except LogError:
+            if find_log(self.path).exists():
+                raise
+            told = "nothing more to show: whoever recorded it kept nothing, or it was deleted"
+            raise LogError(f"{final_path(self.path)}: {told}") from None
+
+    def _end_without_end(self, path: Path) -> None:
+        if self._file is None:
+            raise LogError(f"{path}: its recording was killed before anything of it was written")
+        told = "its recording was killed; all that is whole is shown"
+        self.notice = f"{path}: {told}; `bc-log recover {path}` makes a log of it"
+        if self._position < self._file.size:
+            self._found.lost.append((self._position, self._file.size))
+
+    def _opened(self) -> McapFile | None:
+        path = find_log(self.path)
+        if not _has_begun(path):
+            return None
+        try:
+            return McapFile(path)
+        except LogError:
+            if find_log(self.path) != path:
+                return None  # it was just given its final name
+            raise
+
+    def _shown_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[Shown]:
+        records = file.records(chunk)
+        try:
+            messages = list(file.messages(records))
+        except LogError:
+            self.skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
+            return
+        for stored in messages:
+            channel = self._found.channels.get(stored.channel)
+            if channel is None:
+                self.skipped.add("messages whose description is lost", f"channel {stored.channel}")
+            elif self._can_be_shown(channel):
+                shown = self._shown(stored, channel, records, since_ns)
+                if shown is not None:
+                    yield shown
+
+    def _can_be_shown(self, channel: Channel) -> bool:
+        kind = KINDS.get(channel.topic)
+        return kind is not None and self._found.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
+
+    def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> Shown | None:
+        name = f"{channel.topic} row {stored.sequence}"
+        if channel.topic in PICTURE_TOPICS and stored.log_time_ns < since_ns:
+            self.skipped.add(LATE, name)
+            return None
+        try:
+            content = KINDS[channel.topic].FromString(records[stored.offset : stored.offset + stored.length])
+        except DecodeError:
+            self.skipped.add("messages that cannot be decoded", name)
+            return None
+        if stored.log_time_ns > LAST_TIME_NS:
+            self.skipped.add("messages of a time that cannot be", name)
+            return None
+        return Shown(channel.topic, stored.sequence, stored.log_time_ns, content)
+
+
+def _newest_ns(file: McapFile, chunk: Chunk) -> int:
+    try:
+        return max((stored.log_time_ns for stored in file.messages(file.records(chunk))), default=0)
+    except LogError:
+        return 0  # what is damaged is counted where it is read
+
+
+def _has_begun(path: Path) -> bool:
+    """A log that has just been created is empty until its first chunk is written."""
+    try:
+        return not path.is_file() or path.stat().st_size >= len(MAGIC)
+    except OSError:
+        return True  # opening it tells what is wrong

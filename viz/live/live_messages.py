@@ -1,0 +1,110 @@
+"""Messages of a log as they come, turned into the entities and curves that playback makes of a whole log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import rerun as rr
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import Message as ProtobufMessage
+
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.topics import CAMERAS, EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from viz.playback.blueprint import log_layout
+from viz.playback.curves import Drawing, frame_size
+from viz.timelines import Times, log_clock
+
+CENTER: Final = camera_topic("center")
+PICTURE_TOPICS: Final = (*map(camera_topic, CAMERAS), PILOT_INPUT)
+KINDS: Final[dict[str, type[ProtobufMessage]]] = {
+    **dict.fromkeys(PICTURE_TOPICS, CompressedImage),
+    VEHICLE: VehicleState,
+    PILOT_COMMAND: PilotCommand,
+    POSE: PoseInFrame,
+    EVENTS: LogMessage,
+}
+"""What is shown, and what it must be."""
+
+# As Rerun's MCAP reader calls them.
+_LEVELS: Final = {
+    LogMessage.Level.DEBUG: "DEBUG",
+    LogMessage.Level.INFO: "INFO",
+    LogMessage.Level.WARNING: "WARN",
+    LogMessage.Level.ERROR: "ERROR",
+    LogMessage.Level.FATAL: "CRITICAL",
+}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A message to show; `content` is of the kind that KINDS tells for its topic."""
+
+    topic: str
+    row: int
+    log_time_ns: int
+    content: Any
+
+
+class MessageSender:
+    """Sends messages to a recording, and a layout whenever there is something new to lay out."""
+
+    def __init__(self, recording: rr.RecordingStream) -> None:
+        self._recording = recording
+        self._start_ns: int | None = None
+        self._drawing = Drawing(recording, self._clock)
+        self._topics: set[str] = set()
+        self._has_size = False
+
+    def send(self, messages: Sequence[Shown]) -> None:
+        if self._start_ns is None:
+            self._start_ns = min((message.log_time_ns for message in messages), default=None)
+        by_topic: dict[str, list[Shown]] = {}
+        for message in messages:
+            by_topic.setdefault(message.topic, []).append(message)
+        self._prepare(by_topic.keys())
+        for topic in sorted(by_topic, key=lambda topic: topic not in PICTURE_TOPICS):
+            found = by_topic[topic]
+            time_ns = np.array([message.log_time_ns for message in found], np.int64)
+            contents = [message.content for message in found]
+            if KINDS[topic] is CompressedImage:
+                self._send_pictures(topic, time_ns, contents)
+            elif KINDS[topic] is LogMessage:
+                self._send_events(topic, time_ns, contents)
+            else:
+                self._drawing.send(topic, time_ns, contents)
+
+    def finish(self) -> None:
+        """Send what is drawn of all messages until now: histogram and path. To be called now and then."""
+        self._drawing.finish()
+
+    def _clock(self, time_ns: Times) -> list[rr.TimeColumn]:
+        return log_clock(self._start_ns or 0)(time_ns)
+
+    def _prepare(self, topics: Iterable[str]) -> None:
+        new = set(topics) - self._topics
+        if new - {EVENTS} or (new and not self._topics):
+            # The first event may come late, and must not change a layout that somebody has arranged meanwhile.
+            self._recording.send_blueprint(log_layout({*self._topics, *new, EVENTS}, grows=True))
+        self._topics |= new
+
+    def _send_pictures(self, topic: str, time_ns: Times, pictures: list[CompressedImage]) -> None:
+        if topic == CENTER and not self._has_size:
+            self._has_size = True
+            self._drawing.picture_size = frame_size(pictures[0].data) or self._drawing.picture_size
+        columns = rr.EncodedImage.columns(
+            blob=[picture.data for picture in pictures],
+            media_type=[f"image/{picture.format or 'jpeg'}" for picture in pictures],
+        )
+        self._recording.send_columns(topic, self._clock(time_ns), columns)
+
+    def _send_events(self, topic: str, time_ns: Times, events: list[LogMessage]) -> None:
+        columns = rr.TextLog.columns(
+            text=[event.message for event in events],
+            level=[_LEVELS.get(event.level, "INFO") for event in events],
+        )
+        self._recording.send_columns(topic, self._clock(time_ns), columns)

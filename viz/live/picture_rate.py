@@ -1,0 +1,56 @@
+"""No more pictures than an eye can follow: a drive that is faster than the clock must not drown its viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from viz.live.live_messages import PICTURE_TOPICS, Shown
+
+PICTURES_PER_S: Final = 30.0
+"""Of each camera, by the clock on the wall."""
+THINNED: Final = f"pictures not shown, of more than {PICTURES_PER_S:g} a second (the log has them)"
+
+_SAVED_UP_S: Final = 1.0  # a log grows in bursts
+
+
+class PictureRate:
+    """Lets through as many pictures of each topic as time has passed for, evenly chosen, always the newest."""
+
+    def __init__(self, now_s: float) -> None:
+        self._now_s = now_s
+        self._allowed: dict[str, float] = {}
+        self._last_s: dict[str, float] = {}
+
+    def tick(self, now_s: float) -> None:
+        """Tell the time: seconds of a clock that does not go back."""
+        self._now_s = now_s
+
+    def thin(self, messages: Sequence[Shown]) -> tuple[list[Shown], list[Shown]]:
+        """What to show, in its order, and what not."""
+        counts: dict[str, int] = {}
+        for message in messages:
+            counts[message.topic] = counts.get(message.topic, 0) + 1
+        keep = {topic: self._take(topic, count) for topic, count in counts.items() if topic in PICTURE_TOPICS}
+        shown: list[Shown] = []
+        thinned: list[Shown] = []
+        seen: dict[str, int] = {}
+        for message in messages:
+            number = seen[message.topic] = seen.get(message.topic, 0) + 1
+            is_shown = message.topic not in keep or _is_kept(number, counts[message.topic], keep[message.topic])
+            (shown if is_shown else thinned).append(message)
+        return shown, thinned
+
+    def _take(self, topic: str, count: int) -> int:
+        passed_s = self._now_s - self._last_s.get(topic, self._now_s - _SAVED_UP_S)
+        self._last_s[topic] = self._now_s
+        most = PICTURES_PER_S * _SAVED_UP_S
+        allowed = min(self._allowed.get(topic, 0.0) + PICTURES_PER_S * passed_s, most)
+        taken = min(count, int(allowed))
+        self._allowed[topic] = allowed - taken
+        return taken
+
+
+def _is_kept(number: int, count: int, kept: int) -> bool:
+    """Whether the picture of this number (1..count) is one of `kept`, evenly spread, the last one among them."""
+    return number * kept // count > (number - 1) * kept // count

@@ -1,0 +1,1 @@
+"""Logs as Rerun recordings: pictures, curves, predictions, and the layout that fits them."""

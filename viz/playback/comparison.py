@@ -1,0 +1,141 @@
+"""Several logs beside each other on one time line: by time since each one's start, or by place along the track."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+from rerun.chunk import Chunk
+
+from common import UserError
+from recorder import Log
+from recorder.log.topics import POSE
+from viz.playback.along_track import along
+from viz.playback.blueprint import LOG_COLORS, comparison_layout, log_entity
+from viz.playback.curves import Drawing
+from viz.playback.rerun_recording import (
+    Drawn,
+    Prepared,
+    chunks_of,
+    draw,
+    predicted_curves,
+    read_drawn,
+    refuse_beyond,
+    send_chunks,
+    sound_log,
+    topics_of,
+)
+from viz.timelines import SINCE_START, Clock, Times, on_clock, start_clock
+
+By = Literal["time", "place"]
+
+PLACE: Final = "place_cm"
+"""Centimetres along the way of the first log: of Rerun's time lines, only whole numbers may be no times."""
+
+MOST_LOGS: Final = 6
+_LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture would have if its log were alone
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """One of several logs."""
+
+    name: str
+    log: Log
+    drawn: Drawn
+    clock: Clock
+
+
+@contextlib.contextmanager
+def prepared_comparison(paths: Sequence[Path], by: By = "time", at_s: float | None = None) -> Iterator[Prepared]:
+    """The logs at `paths` beside each other; by time, it opens `at_s` seconds after their starts.
+
+    Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
+    """
+    if len(paths) > MOST_LOGS:
+        raise UserError(f"{len(paths)} logs: at most {MOST_LOGS} can be shown beside each other")
+    with contextlib.ExitStack() as stack:
+        opened = [stack.enter_context(sound_log(path)) for path in paths]
+        refuse_beyond(at_s, zip(paths, (log for log, _ in opened), strict=True))
+        drawn = [read_drawn(log) for log, _ in opened]
+        by_time = [start_clock(log.time_range_ns[0]) for log, _ in opened]
+        clocks = _by_place(paths, drawn) if by == "place" else by_time
+        logs = [
+            _Beside(name, log, found, clock)
+            for name, (log, _), found, clock in zip(names_of(paths), opened, drawn, clocks, strict=True)
+        ]
+        topics = {each.name: topics_of(each.log) for each in logs}
+        layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START, at_s=at_s)
+        notices = [notice for _, notice in opened if notice]
+        name = " | ".join(topics)
+        yield Prepared(name, layout, lambda recording, flush: _send(logs, recording, flush), notices, at_s=at_s)
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """A name for each log: its file's, and its folder's or a number where two would have the same."""
+    names: list[str] = []
+    stems = [path.name.removesuffix(".mcap") for path in paths]
+    for path, stem in zip(paths, stems, strict=True):
+        name = stem if stems.count(stem) == 1 else f"{path.absolute().parent.name}/{stem}"
+        numbers = iter(range(2, len(paths) + 2))
+        unique = name
+        while unique in names:
+            unique = f"{name} ({next(numbers)})"
+        names.append(unique)
+    return names
+
+
+def _by_place(paths: Sequence[Path], drawn: Sequence[Drawn]) -> list[Clock]:
+    """Raises UserError if there is a log without poses, or one of another track."""
+    ways = [_way(path, found) for path, found in zip(paths, drawn, strict=True)]
+    first = ways[0][1]
+    clocks = []
+    for path, (time_ns, way) in zip(paths, ways, strict=True):
+        placed_m = along(first, way)
+        if placed_m is None:
+            raise UserError(f"{path}: not on the road of {paths[0]}: compare them by time, without --by place")
+        clocks.append(_place_clock(time_ns, placed_m))
+    return clocks
+
+
+def _place_clock(pose_ns: Times, placed_m: NDArray[np.float64]) -> Clock:
+    def columns(time_ns: Times) -> list[rr.TimeColumn]:
+        place_m = np.interp((time_ns - pose_ns[0]) * 1e-9, (pose_ns - pose_ns[0]) * 1e-9, placed_m)
+        return [rr.TimeColumn(PLACE, sequence=np.round(100 * place_m).astype(np.int64))]
+
+    return columns
+
+
+def _way(path: Path, drawn: Drawn) -> tuple[Times, NDArray[np.float64]]:
+    time_ns, poses = drawn.messages.get(POSE, (np.zeros(0, np.int64), []))
+    way = np.array([(each.pose.position.x, each.pose.position.y) for each in poses], np.float64).reshape(-1, 2)
+    known = np.isfinite(way).all(axis=1)
+    order = np.argsort(time_ns[known], kind="stable")
+    if not known.any():
+        raise UserError(f"{path}: has no poses, so no place: compare by time, without --by place")
+    return time_ns[known][order], way[known][order]
+
+
+def _send(logs: Sequence[_Beside], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    for number, each in enumerate(logs):
+        color = LOG_COLORS[number % len(LOG_COLORS)]
+        drawing = Drawing(recording, each.clock, log_entity(each.name), each.name, color)
+        draw(each.drawn, drawing)
+        for curve, time_ns, values in predicted_curves(each.log):
+            drawing.curve(curve, time_ns, values)
+    for each in logs:
+        send_chunks(_moved(each), recording, flush)
+
+
+def _moved(one: _Beside) -> Generator[Chunk]:
+    """What Rerun's reader makes of a log, under the log's own entity and on the time line of all of them."""
+    chunks = chunks_of(one.log)
+    with contextlib.closing(chunks):
+        for chunk in on_clock((chunk for chunk in chunks if not chunk.is_static), one.clock, left_out=_LEFT_OUT):
+            yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)

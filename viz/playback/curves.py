@@ -1,0 +1,205 @@
+"""What is drawn of a log beside its pictures: curves, arcs over the frame, histogram, path, who drives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+
+from dataset.index.balance import bin_of
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.topics import PILOT_COMMAND, POSE, VEHICLE
+from recorder.pictures.picture_size import can_be_decoded, width_and_height
+from viz.playback.blueprint import ARCS, CAR, CURVES, DRIVER, DRIVERS, HISTOGRAM, PATH, SPEED, Curve
+from viz.playback.trail import Trail
+from viz.timelines import Clock, Times
+
+BINS: Final = 25  # as the index has by default
+
+Values = NDArray[np.float64]
+
+_FRAME: Final = (320, 160)  # width and height of the simulator's pictures
+_ALONG: Final = np.linspace(0, 1, 9)  # along an arc
+_STRIPS: Final = pa.list_(
+    pa.field("item", pa.list_(pa.field("item", pa.float32(), nullable=False), 2), nullable=False)
+)
+_CAR_M: Final = 8.0  # length of the arrow that is the car, seen from above
+_PATH_COLOR: Final = (110, 150, 110)
+
+
+class Drawing:
+    """Sends to a recording what is drawn of messages, a row a message: of all of a log at once, or as they come.
+
+    Call `finish` at the end, or from time to time, for what is drawn of all messages until then.
+    """
+
+    def __init__(
+        self,
+        recording: rr.RecordingStream,
+        clock: Clock,
+        prefix: str = "",
+        name: str = "",
+        color: tuple[int, int, int] | None = None,
+    ) -> None:
+        """Entities get `prefix` before their paths. Where several logs are shown, their speeds share a view, and
+        so do their paths: there, `name` and `color` tell them apart."""
+        self.picture_size = _FRAME
+        self._recording = recording
+        self._prefix = prefix
+        self.clock = clock
+        self._name = name
+        self._color = color
+        self._styled: set[str] = set()
+        self._counts = np.zeros(BINS, np.int64)
+        self._trail = Trail()
+        self._driver: int | None = None
+        self._has_new = False
+
+    def send(self, topic: str, time_ns: Times, contents: Sequence[Any]) -> None:
+        """Messages on one topic: log times (N,) in ns, and N contents."""
+        for curve, curve_ns, values in curve_values(topic, time_ns, contents):
+            self.curve(curve, curve_ns, values)
+            if curve.entity in ARCS:
+                self.arcs(curve, curve_ns, values)
+        if topic == VEHICLE:
+            self._count(np.array([state.steering for state in contents], np.float64))
+        elif topic == PILOT_COMMAND:
+            self._drivers(time_ns, np.array([command.driver for command in contents], np.int64))
+        elif topic == POSE:
+            self._poses(time_ns, contents)
+
+    def curve(self, curve: Curve, time_ns: Times, values: Values) -> None:
+        """One line of a plot, also one that is not of the log: log times (N,) in ns, values (N,)."""
+        entity = self._prefix + curve.entity
+        if self._is_new(entity):
+            name, color = curve.name, curve.color
+            if self._color is not None and curve.entity == SPEED:
+                name, color = self._name, self._color
+            style = rr.SeriesLines(names=name, colors=[color], widths=1.5)
+            self._recording.log(entity, style, static=True)
+        self._send(entity, time_ns, rr.Scalars.columns(scalars=values))
+
+    def arcs(self, curve: Curve, time_ns: Times, values: Values) -> None:
+        """Steering as arcs over the frame: log times (N,) in ns, steering (N,), -1..1."""
+        entity = f"{self._prefix}/camera/center{curve.entity}"
+        if self._is_new(entity):
+            width = ARCS.get(curve.entity, 1.5)
+            style = rr.LineStrips2D.from_fields(colors=[curve.color], radii=[-width], draw_order=60 - width)
+            self._recording.log(entity, style, static=True)
+        self._send(entity, time_ns, rr.LineStrips2D.columns(strips=strips(arcs(values, self.picture_size))))
+
+    def finish(self) -> None:
+        """Histogram and path, as far as they have come: they hold for all times."""
+        if not self._has_new:
+            return
+        self._has_new = False
+        if self._counts.any():
+            self._recording.log(self._prefix + HISTOGRAM, histogram(self._counts), static=True)
+        if self._trail.points:
+            strip = np.array(self._trail.points, np.float32)
+            way = rr.LineStrips2D([strip], colors=[self._color or _PATH_COLOR], radii=[-1.5])
+            self._recording.log(self._prefix + PATH, way, static=True)
+
+    def _count(self, steering: Values) -> None:
+        known = np.clip(steering[np.isfinite(steering)], -1.0, 1.0)
+        self._counts += np.bincount(bin_of(known, BINS), minlength=BINS)
+        self._has_new = True
+
+    def _drivers(self, time_ns: Times, drivers: Times) -> None:
+        """Who drives, where that changes."""
+        before = np.concatenate([[-1 if self._driver is None else self._driver], drivers[:-1]])
+        changes = np.flatnonzero(drivers != before)
+        entity = self._prefix + DRIVER
+        if self._is_new(entity):
+            names, colors = zip(*DRIVERS.values(), strict=True)
+            self._recording.log(entity, rr.StateConfiguration(values=names, colors=colors), static=True)
+        if len(changes):
+            states = [DRIVERS.get(drivers[at], DRIVERS[0])[0] for at in changes]
+            self._send(entity, time_ns[changes], rr.StateChange.columns(state=states))
+        self._driver = int(drivers[-1]) if len(drivers) else self._driver
+
+    def _poses(self, time_ns: Times, poses: Sequence[Any]) -> None:
+        placed = np.array([_place(message.pose) for message in poses], np.float64).reshape(-1, 3)
+        known = np.isfinite(placed).all(axis=1) & (np.abs(placed) < 1e6).all(axis=1)
+        placed = placed[known]
+        points = placed[:, :2] * (1, -1)  # in a picture, y points down
+        self._trail.add(points)
+        entity = self._prefix + CAR
+        if self._is_new(entity):
+            style = rr.Arrows2D.from_fields(colors=[(255, 255, 255)], radii=[-3.0], draw_order=50.0)
+            self._recording.log(entity, style, static=True)
+        ahead = _CAR_M * np.stack([np.cos(placed[:, 2]), -np.sin(placed[:, 2])], axis=1)
+        self._send(entity, time_ns[known], rr.Arrows2D.columns(origins=points, vectors=ahead))
+        self._has_new = True
+
+    def _is_new(self, entity: str) -> bool:
+        is_new = entity not in self._styled
+        self._styled.add(entity)
+        return is_new
+
+    def _send(self, entity: str, time_ns: Times, columns: Any) -> None:
+        if len(time_ns):
+            self._recording.send_columns(entity, self.clock(time_ns), columns)
+
+
+def curve_values(
+    topic: str, time_ns: Times, contents: Sequence[VehicleState | PilotCommand]
+) -> Iterator[tuple[Curve, Times, Values]]:
+    """The lines that are drawn of N messages on `topic`: which, log times and values; a field that a message may
+    lack has no value there."""
+    for curve in CURVES:
+        if curve.topic != topic:
+            continue
+        if not curve.is_optional:
+            yield curve, time_ns, np.array([getattr(content, curve.field) for content in contents], np.float64)
+            continue
+        known = np.array([content.HasField(curve.field) for content in contents], np.bool_)
+        if known.any():
+            values = [
+                getattr(content, curve.field)
+                for content, is_known in zip(contents, known, strict=True)
+                if is_known
+            ]
+            yield curve, time_ns[known], np.array(values, np.float64)
+
+
+def arcs(steering: Values, size: tuple[int, int]) -> NDArray[np.float32]:
+    """Where a car with this steering (N,) goes, as an arc over its picture of `size` (width, height): N times nine
+    points x, y in pixels. Not to scale: from the middle of the bottom, half a picture up, aside by as much as half
+    its width at full lock."""
+    width, height = size
+    bend = np.clip(np.nan_to_num(steering), -1.0, 1.0)[:, None] * (_ALONG**2)
+    x = width * (0.5 + 0.45 * bend)
+    y = np.broadcast_to(height * (0.95 - 0.5 * _ALONG), x.shape)
+    return np.stack([x, y], axis=2).astype(np.float32)
+
+
+def strips(points: NDArray[np.float32]) -> pa.Array:
+    """Lines of M points each (N, M, 2) as Rerun stores them; it would convert them one by one."""
+    inner = pa.FixedSizeListArray.from_arrays(pa.array(points.reshape(-1)), type=_STRIPS.value_type)
+    offsets = np.arange(0, len(points) * points.shape[1] + 1, points.shape[1], dtype=np.int32)
+    return pa.ListArray.from_arrays(pa.array(offsets), inner, type=_STRIPS)
+
+
+def frame_size(picture: bytes) -> tuple[int, int] | None:
+    """Width and height of a JPEG or PNG; None if it is neither, or too large to be shown."""
+    return width_and_height(picture) if can_be_decoded(picture) else None
+
+
+def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
+    """Frames by steering, in equal bins over -1..1."""
+    bins = len(counts)
+    middles = (np.arange(bins) + 0.5) * 2 / bins - 1
+    widths = np.full(bins, 0.9 * 2 / bins, np.float32)
+    return rr.BarChart(counts, abscissa=middles, widths=widths, color=(120, 160, 255))
+
+
+def _place(pose: Any) -> tuple[float, float, float]:
+    """x and y in m, and the heading: radians from x towards y."""
+    q = pose.orientation
+    heading = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+    return pose.position.x, pose.position.y, float(heading)

@@ -1,0 +1,63 @@
+"""A log with what networks say of it, as a Rerun recording."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from dataset.preprocess import Image
+from model.evaluation.log_predictions import LogPredictions
+from model.evaluation.predict_log import predict_log, run_names
+from viz.playback.attention_overlay import send_overlays
+from viz.playback.blueprint import attention_entity, entity_part
+from viz.playback.curves import Drawing
+from viz.playback.prediction_curves import prediction_curves
+from viz.playback.rerun_recording import Beside, Prepared, prepared_log
+
+
+@contextlib.contextmanager
+def prepared_predictions(
+    path: Path,
+    runs: Sequence[Path],
+    on_found: Callable[[LogPredictions], object],
+    *,
+    attention: bool = False,
+    at_s: float | None = None,
+) -> Iterator[Prepared]:
+    """The log at `path` and, when that is sent, what the networks of `runs` say of it: steering, errors, the worst
+    moments as events, and with `attention` where they look. `on_found` is told all that they say.
+
+    `at_s` is as in `prepared_log`. Raises LogError if the log cannot be read, RunError if a run is given twice;
+    sending raises what `predict_log` does.
+    """
+
+    def send(recording: rr.RecordingStream, drawing: Drawing, flush: Callable[[], object]) -> None:
+        def on_look(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
+            send_overlays(recording, attention_entity(run), drawing.clock, time_ns, crops, maps)
+
+        found = predict_log(path, runs, on_look if attention else None, flush)
+        _draw(found, recording, drawing)
+        flush()
+        on_found(found)
+
+    with prepared_log(path, Beside(run_names(runs), attention, send), at_s) as prepared:
+        yield prepared
+
+
+def _draw(found: LogPredictions, recording: rr.RecordingStream, drawing: Drawing) -> None:
+    for curve, time_ns, values in prediction_curves(found):
+        drawing.curve(curve, time_ns, values)
+        if curve.field == "steering":
+            drawing.arcs(curve, time_ns, values)
+    for run in found.predicted:
+        if moments := found.worst_moments(run):
+            times, texts = zip(*moments, strict=True)
+            columns = rr.TextLog.columns(text=texts, level=["WARN"] * len(texts))
+            recording.send_columns(
+                f"/events/worst/{entity_part(run)}", drawing.clock(np.array(times, np.int64)), columns
+            )

@@ -1,0 +1,29 @@
+"""What networks say of a log, as lines: their steering beside what happened, and how far that is off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.evaluation.log_predictions import LogPredictions
+from recorder.log.topics import prediction_topic
+from viz.playback.blueprint import ERRORS, Curve, entity_part
+
+COLORS: Final = ((240, 90, 190), (240, 220, 90), (90, 220, 220), (170, 120, 240), (230, 90, 90), (150, 200, 80))
+
+
+def prediction_curves(
+    found: LogPredictions, first: int = 0
+) -> Iterator[tuple[Curve, NDArray[np.int64], NDArray[np.float64]]]:
+    """The lines of each run: which, log times (N,) in ns, values (N,). `first` is the first run's number, by which
+    runs are told apart. There is no error where nothing was recorded."""
+    known = np.isfinite(found.recorded)
+    for number, (run, steering) in enumerate(found.predicted.items(), first):
+        color, topic, part = COLORS[number % len(COLORS)], prediction_topic(run), entity_part(run)
+        yield Curve(f"/steering/predicted_by/{part}", run, color, topic, "steering"), found.log_time_ns, steering
+        if known.any():
+            error = Curve(f"{ERRORS}/{part}", run, color, topic, "error")
+            yield error, found.log_time_ns[known], found.error_deg(run)[known]

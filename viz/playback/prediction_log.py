@@ -1,0 +1,62 @@
+"""What networks say of a recorded log, kept as a log of its own, with a topic for each run."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from dataset.index.frames import session_name
+from dataset.preprocess import DESCRIPTION
+from model.evaluation.log_predictions import LogPredictions
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import Prediction
+from recorder.log.topics import PREDICTIONS
+
+
+def write_predictions(found: LogPredictions, path: Path, *, overwrite: bool = False) -> None:
+    """Keep predictions as a new log: a topic for each run, and the worst moments as events.
+
+    Raises UserError if `path` exists and may not be overwritten, or cannot be written.
+    """
+    preprocessing = {f"preprocessing.{name}": value for name, value in DESCRIPTION.items()}
+    with LogWriter(path, {"source": "prediction", **found.about, **preprocessing}, overwrite=overwrite) as writer:
+        columns = (found.row, found.log_time_ns, found.recorded, *found.predicted.values())
+        for row, time_ns, recorded, *predicted in zip(*(column.tolist() for column in columns), strict=True):
+            for run, steering in zip(found.predicted, predicted, strict=True):
+                prediction = Prediction(steering=steering)
+                if math.isfinite(recorded):
+                    prediction.recorded_steering = recorded
+                writer.prediction(run, time_ns, row, prediction)
+        for run in found.predicted:
+            for time_ns, text in found.worst_moments(run):
+                writer.event(time_ns, text, "WARNING", "prediction")
+
+
+def prediction_topics(log: Log) -> list[str]:
+    """The topics with predictions in an open log, one for each run."""
+    kind = Prediction.DESCRIPTOR.full_name
+    return [topic for topic, schema in sorted(log.schemas.items())
+            if topic.startswith(PREDICTIONS) and schema == kind]  # fmt: skip
+
+
+def read_predictions(log: Log) -> Iterator[LogPredictions]:
+    """The predictions that an open log holds, each run's by itself. Raises LogError for a damaged log."""
+    for topic in prediction_topics(log):
+        run = topic.removeprefix(PREDICTIONS)
+        rows, times_ns, recorded, predicted = array("q"), array("q"), array("d"), array("d")
+        for message, found in log.predictions(run):
+            rows.append(message.sequence)
+            times_ns.append(message.log_time_ns)
+            recorded.append(found.recorded_steering if found.HasField("recorded_steering") else math.nan)
+            predicted.append(found.steering)
+        yield LogPredictions(
+            session_name(log.path),
+            np.array(rows, np.int64),
+            np.array(times_ns, np.int64),
+            np.array(recorded, np.float64),
+            {run: np.array(predicted, np.float64)},
+        )

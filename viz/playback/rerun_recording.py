@@ -1,0 +1,238 @@
+"""A log as a Rerun recording: pictures through Rerun's own MCAP reader, all that is drawn as columns."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import tempfile
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import DecodeError
+from google.protobuf.message import Message as ProtobufMessage
+from rerun.chunk import Chunk, McapReader
+
+from common import UserError
+from common.errors import shown
+from common.files import refuse_existing
+from common.progress import progress_bar, track
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.recover import recover
+from recorder.log.topics import PILOT_COMMAND, POSE, VEHICLE, camera_topic
+from viz.playback.blueprint import Curve, log_layout
+from viz.playback.curves import Drawing, Values, curve_values, frame_size
+from viz.playback.prediction_curves import prediction_curves
+from viz.playback.prediction_log import prediction_topics, read_predictions
+from viz.rrd_file import rrd_file
+from viz.timelines import Times, log_clock, on_clock
+
+KINDS: Final[dict[str, type[ProtobufMessage]]] = {
+    VEHICLE: VehicleState,
+    PILOT_COMMAND: PilotCommand,
+    POSE: PoseInFrame,
+}
+"""What the messages on a topic must be for it to be drawn."""
+
+_ROWS_AT_ONCE: Final = 500  # pictures on their way to a viewer, some megabytes: more would only pile up here
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What is shown beside a log: what networks say of it."""
+
+    runs: Sequence[str]  # their names
+    attention: bool  # whether it is shown where they look
+    send: Callable[[rr.RecordingStream, Drawing, Callable[[], object]], object]
+    """To a recording, or as what is drawn there. The third argument is the second of `Prepared.send`."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A log's messages that are drawn: log times (N,) in ns and N contents, by topic."""
+
+    messages: dict[str, tuple[Times, list[Any]]]
+    picture_size: tuple[int, int] | None  # width, height of the centre camera's first picture
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What is ready to be shown: read, and found sound."""
+
+    name: str
+    layout: rrb.Blueprint | None  # None: `send` sends one
+    send: Callable[[rr.RecordingStream, Callable[[], object]], object]
+    """To a recording. The second argument waits until what was sent is taken, and may raise what ends it."""
+    notices: Sequence[str]  # of logs that were never finished
+    recording_id: str | None = None  # in a file: the same log, the same recording
+    at_s: float | None = None  # where it opens, in seconds since the start; None: at the start
+
+
+def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
+    """Write the log at `path`, its curves and its layout to the file `rrd`, without a window.
+
+    Of a log that was never finished, what is whole is taken. The log's notice, empty for a finished one.
+    Raises LogError if the log cannot be read, UserError if `rrd` exists and may not be overwritten, or where the
+    disk is full.
+    """
+    refuse_existing(rrd, overwrite)
+    with prepared_log(path) as prepared:
+        save_prepared(prepared, rrd, overwrite=overwrite)
+        return "".join(prepared.notices)
+
+
+def save_prepared(prepared: Prepared, rrd: Path, *, overwrite: bool) -> None:
+    """Write it to the file `rrd`. Raises UserError as `save_rrd` does."""
+    named = prepared.recording_id
+    with rrd_file(rrd, overwrite=overwrite, recording_id=named, layout=prepared.layout) as file:
+        file.recording.send_recording_name(prepared.name)
+        prepared.send(file.recording, file.recording.flush)
+
+
+@contextlib.contextmanager
+def prepared_log(path: Path, beside: Beside | None = None, at_s: float | None = None) -> Iterator[Prepared]:
+    """The log at `path`: first what is drawn of it is sent, then its pictures, then what stands beside it. It
+    opens `at_s` seconds after its start.
+
+    Raises LogError for a bad log, UserError if it is shorter than `at_s`.
+    """
+    with sound_log(path) as (log, notice):
+        refuse_beyond(at_s, [(path, log)])
+        drawn = read_drawn(log)  # before Rerun starts: it must not be given damage
+
+        def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+            clock = log_clock(log.time_range_ns[0])
+            drawing = Drawing(recording, clock)
+            draw(drawn, drawing)
+            for curve, time_ns, values in predicted_curves(log):
+                drawing.curve(curve, time_ns, values)
+            with contextlib.closing(chunks_of(log)) as chunks:
+                send_chunks(on_clock(chunks, clock), recording, flush)
+            if beside is not None:
+                beside.send(recording, drawing, flush)
+
+        recording_id = f"{path.name}-{log.fingerprint[:12]}"
+        yield Prepared(path.name, _layout(log, beside, at_s), send, [notice] if notice else [], recording_id, at_s)
+
+
+@contextlib.contextmanager
+def sound_log(path: Path) -> Iterator[tuple[Log, str]]:
+    """The log at `path`, or what is whole in it where it was never finished, and its notice.
+
+    Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read, UserError for a name
+    that Rerun cannot take.
+    """
+    if shown(str(path)) != str(path):
+        raise UserError(f"{path}: Rerun opens names of plain UTF-8 text only; rename the log")
+    with Log(path, shows_progress=True) as log:
+        if not log.problem:
+            yield log, ""
+            return
+        with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
+            whole = recover(path, Path(folder) / "whole.mcap").path
+            with Log(whole) as recovered:
+                yield recovered, log.notice
+
+
+def read_drawn(log: Log) -> Drawn:
+    """What is drawn of a log; topics of these names that hold another program's messages are not. Raises LogError
+    where it is damaged."""
+    found: dict[str, tuple[Times, list[Any]]] = {}
+    log.messages(VEHICLE)  # the pass over the file, with a bar of its own
+    for topic, messages in ((VEHICLE, log.vehicle_states()), (PILOT_COMMAND, log.commands()), (POSE, _poses(log))):
+        pairs = list(track(messages, f"reading {topic}", log.counts[topic])) if _is_ours(log, topic) else []
+        if pairs:
+            time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
+            found[topic] = time_ns, [content for _, content in pairs]
+    return Drawn(found, _picture_size(log))
+
+
+def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
+    """The lines that a log has: which, log times (N,) in ns, values (N,)."""
+    for topic, (time_ns, contents) in read_drawn(log).messages.items():
+        yield from curve_values(topic, time_ns, contents)
+    yield from predicted_curves(log)
+
+
+def draw(drawn: Drawn, drawing: Drawing) -> None:
+    """Send what is drawn of a whole log."""
+    drawing.picture_size = drawn.picture_size or drawing.picture_size
+    for topic, (time_ns, contents) in drawn.messages.items():
+        drawing.send(topic, time_ns, contents)
+    drawing.finish()
+
+
+def topics_of(log: Log) -> list[str]:
+    """The topics on which there is a message."""
+    return [topic for topic, count in log.counts.items() if count]
+
+
+def chunks_of(log: Log) -> Generator[Chunk]:
+    """What Rerun's own reader makes of a log, as far as it is not drawn; with a progress bar."""
+    drawn = [topic for topic in (VEHICLE, PILOT_COMMAND) if _is_ours(log, topic)] + prediction_topics(log)
+    others = sum(count for topic, count in log.counts.items() if topic not in drawn)
+    with progress_bar() as bar:
+        task = bar.add_task("sending messages", total=others, note="")
+        for chunk in McapReader(log.path, exclude_topic_regex=[f"^{re.escape(each)}$" for each in drawn]).stream():
+            yield chunk
+            bar.advance(task, 0 if chunk.is_static else len(chunk))
+
+
+def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    """Send chunks no faster than they are taken, so that they do not pile up in this process."""
+    rows = 0
+    with contextlib.closing(chunks):  # and their progress bar, before anybody says why it ends
+        for chunk in chunks:
+            recording.send_chunks(chunk)
+            rows += len(chunk)
+            if rows >= _ROWS_AT_ONCE:
+                flush()
+                rows = 0
+        flush()
+
+
+def refuse_beyond(at_s: float | None, logs: Iterable[tuple[Path, Log]]) -> None:
+    """Raise UserError if none of these logs is so long."""
+    if at_s is None:
+        return
+    lengths = {path: 1e-9 * (log.time_range_ns[1] - log.time_range_ns[0]) for path, log in logs}
+    longest = max(lengths, key=lengths.__getitem__)
+    if at_s > lengths[longest]:
+        raise UserError(f"--at {at_s:g}: {longest} is {lengths[longest]:.1f} s long; give fewer seconds")
+
+
+def _layout(log: Log, beside: Beside | None, at_s: float | None) -> rrb.Blueprint:
+    runs = beside.runs if beside is not None else ()
+    looks = runs if beside is not None and beside.attention else ()
+    return log_layout(topics_of(log), runs, looks, at_s=at_s)
+
+
+def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
+    """The lines of what networks say, where a log holds that. Raises LogError where it is damaged."""
+    for number, predictions in enumerate(read_predictions(log)):
+        yield from prediction_curves(predictions, number)
+
+
+def _is_ours(log: Log, topic: str) -> bool:
+    return log.schemas.get(topic, "") == str(KINDS[topic].DESCRIPTOR.full_name)
+
+
+def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
+    for message in log.messages(POSE):
+        with contextlib.suppress(DecodeError):  # a path with a gap; `bc-log check` tells
+            yield message, PoseInFrame.FromString(log.read(message.offset, message.length, message.chunk))
+
+
+def _picture_size(log: Log) -> tuple[int, int] | None:
+    topic = camera_topic("center")
+    if topic not in topics_of(log) or log.schemas[topic] != CompressedImage.DESCRIPTOR.full_name:
+        return None
+    found = log.pictures(topic)
+    return frame_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))

@@ -1,0 +1,44 @@
+"""`bc-play` as `common.preview` starts it: it ends when who started it has ended, however that was."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import sys
+import threading
+
+from common import UserError
+from common.command import INTERRUPTED, run_command
+from common.files import final_path
+from viz.cli import Play, play
+from viz.console import speak_as
+
+_NAME = "viewer"  # nobody has called bc-play
+
+
+def _end_with_parent() -> None:
+    """Who started it holds the other end of stdin, and writes nothing: its end is the end of that process."""
+    while os.read(0, 1024):
+        pass
+    if sys.platform != "win32":
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # it is waiting for the viewer
+
+
+def _show(config: Play) -> int:
+    try:
+        return play(config)
+    except KeyboardInterrupt:  # who started it needs it no more: nothing to tell anybody
+        return INTERRUPTED
+    except UserError as error:
+        if config.save is not None:
+            raise
+        again = f"bc-play {shlex.quote(str(final_path(config.log)))} --follow"
+        another = f"`{again}` opens another one, `{again} --web` in a browser"
+        raise UserError(f"{error}; all else goes on without it; {another}") from None
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    speak_as(_NAME)
+    run_command(_NAME, Play, _show)

@@ -1,0 +1,273 @@
+"""A run's training in the viewer: losses, errors beside those of constant predictors, and errors by steering."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from common import UserError
+from common.locks import is_being_written
+from dataset import MAX_STEERING_DEG
+from model.metrics import Errors
+from model.runs.history import History, HistoryReader, read_history
+from model.runs.training_progress import METRICS, STEPS, Epoch, Step
+from viz.console import complain, say, say_skipped
+from viz.live.follow import POLL_S, Follower, GoneError, feed
+from viz.playback.rerun_recording import Prepared
+from viz.viewer_process import Viewer
+from viz.worst_frames import send_worst, worst_views
+
+SAMPLES: Final = "samples"  # learnt from since the run began: what all curves are drawn over
+EPOCH: Final = "epoch"
+
+_MOST_NAMES: Final = 5  # in an error
+
+_BLUE, _ORANGE, _GREEN, _GREY, _DARK = (
+    (120, 160, 255),
+    (255, 160, 60),
+    (110, 210, 110),
+    (160, 160, 160),
+    (100,) * 3,
+)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One line of a plot: a value of every epoch."""
+
+    entity: str
+    name: str
+    color: tuple[int, int, int]
+    value: Callable[[Epoch], float]
+
+
+def _squared(errors: Errors) -> float:
+    """The mean squared error of steering (-1..1) for a root in degrees."""
+    return (errors.rmse_deg / MAX_STEERING_DEG) ** 2
+
+
+_LINES: Final = (
+    _Line("/loss/training", "training", _BLUE, lambda epoch: epoch.training_loss),
+    _Line("/loss/validation", "validation", _ORANGE, lambda epoch: epoch.validation_loss),
+    _Line("/loss/mean", "always the mean", _GREY, lambda epoch: _squared(epoch.measures.mean)),
+    _Line("/loss/zero", "always zero", _DARK, lambda epoch: _squared(epoch.measures.zero)),
+    _Line("/rmse_deg/network", "network", _ORANGE, lambda epoch: epoch.measures.network.rmse_deg),
+    _Line("/rmse_deg/balanced", "balanced", _GREEN, lambda epoch: epoch.measures.balanced_rmse_deg),
+    _Line("/rmse_deg/mean", "always the mean", _GREY, lambda epoch: epoch.measures.mean.rmse_deg),
+    _Line("/rmse_deg/zero", "always zero", _DARK, lambda epoch: epoch.measures.zero.rmse_deg),
+    _Line("/turning_mae_deg/network", "network", _ORANGE, lambda epoch: epoch.measures.network.turning_mae_deg),
+    _Line("/turning_mae_deg/mean", "always the mean", _GREY, lambda epoch: epoch.measures.mean.turning_mae_deg),
+    _Line("/turning_mae_deg/zero", "always zero", _DARK, lambda epoch: epoch.measures.zero.turning_mae_deg),
+)
+_STEPS: Final = "/loss/steps"
+_BEST: Final = "/rmse_deg/best"
+
+
+def refuse_no_training(folder: Path, *, is_awaited: bool) -> None:
+    """Raise UserError for a folder in which nothing was trained, before a viewer opens to show it. `is_awaited`: a
+    training in it may begin yet."""
+    if not folder.is_dir() or _is_trained(folder):
+        return
+    within = sorted(folder.iterdir())
+    found = [str(path) for path in within if path.suffix == ".mcap" or _is_trained(path)]
+    if found:
+        some = ", ".join(found[:_MOST_NAMES]) + (", ..." if len(found) > _MOST_NAMES else "")
+        raise UserError(f"{folder}: no training in it, but logs or runs: give one of them, {some}")
+    if not is_awaited:
+        read_history(folder)
+
+
+def _is_trained(folder: Path) -> bool:
+    return any((folder / name).exists() for name in (METRICS, STEPS))
+
+
+@contextlib.contextmanager
+def prepared_training(run: Path) -> Iterator[Prepared]:
+    """How the training of `run` went by now. Raises RunError if `run` holds no training."""
+    history, skipped = read_history(run)
+    notices = [f"skipped {line}" for line in skipped.lines()]
+    yield Prepared(_name(run), None, lambda recording, flush: _send_whole(history, recording, flush), notices)
+
+
+def _send_whole(history: History, recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    TrainingSender(recording).send(history)
+    flush()
+
+
+def wait_until_trained(run: Path) -> None:
+    """Return when no process of this machine trains `run` (any more)."""
+    while is_being_written(run / "last" / ".lock"):
+        time.sleep(POLL_S)
+
+
+def follow_training(run: Path, url: str, viewer: Viewer | None) -> int:
+    """Show the training of `run` as it goes on in the viewer at `url`, until that is closed; the exit code.
+
+    Without its process (`viewer`), the viewer is another's.
+
+    What goes wrong with the run is told on stderr when it happens, and the viewer stays open. Raises UserError if
+    the viewer does not start, or dies.
+    """
+    return feed(_TrainingFollower(run, url), viewer)
+
+
+def training_layout(*, has_errors: bool) -> rrb.Blueprint:
+    """The layout for a training; where nothing was held out, there is no view for errors."""
+    loss = _plot("/loss", "loss: mean squared error of steering -1 .. 1")
+    errors = (
+        _plot("/rmse_deg", "frames held out: RMSE, degrees"),
+        _plot("/turning_mae_deg", "turning frames held out: MAE, degrees"),
+    )
+    bins = (
+        rrb.BarChartView(origin="/bins/rmse_deg", name="RMSE in degrees by steering, -1 left .. 1 right"),
+        rrb.BarChartView(origin="/bins/frames", name="frames held out by steering"),
+    )
+    looks = rrb.Vertical(*bins, worst_views(), row_shares=[1, 1, 2])
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Vertical(loss, *errors), looks, column_shares=[3, 2]) if has_errors else
+        loss,
+        rrb.TimePanel(state="collapsed", timeline=SAMPLES, play_state="following"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )  # fmt: skip
+
+
+class TrainingSender:
+    """Sends a training to a recording, as far as it has come, with its layout."""
+
+    def __init__(self, recording: rr.RecordingStream) -> None:
+        self._recording = recording
+        self._has_errors: bool | None = None  # as laid out; None: not yet
+        self._has_epochs = False
+        self._ends: dict[int, int] = {}  # of each epoch, in samples
+
+    def send(self, history: History) -> None:
+        """What is new of a training; the steps of its epochs come with them, or came before."""
+        has_errors = not history.epochs or any(epoch.measures.bins for epoch in history.epochs)
+        # The first epoch tells; a later one must not change a layout that somebody has arranged meanwhile.
+        if self._has_errors is None or (not self._has_epochs and has_errors != self._has_errors):
+            self._prepare(has_errors=has_errors)
+        self._has_epochs = self._has_epochs or bool(history.epochs)
+        self._send_steps(history.steps)
+        self._ends.update((step.epoch, step.samples) for step in history.steps)
+        # without its steps, an epoch is drawn at its number
+        self._send_epochs(history.epochs, [self._ends.get(epoch.epoch, epoch.epoch) for epoch in history.epochs])
+        for worst in history.worst:
+            send_worst(
+                self._recording, worst, [(SAMPLES, self._ends.get(worst.epoch, worst.epoch)), (EPOCH, worst.epoch)]
+            )
+
+    def _prepare(self, *, has_errors: bool) -> None:
+        self._has_errors = has_errors
+        for line in _LINES:
+            style = rr.SeriesLines(names=line.name, colors=[line.color], widths=1.5)
+            self._recording.log(line.entity, style, static=True)
+        steps = rr.SeriesLines(names="training, last batches", colors=[(*_BLUE, 110)], widths=1.0)
+        self._recording.log(_STEPS, steps, static=True)
+        best = rr.SeriesPoints(names="best so far", colors=[_GREEN], markers="circle", marker_sizes=4.0)
+        self._recording.log(_BEST, best, static=True)
+        self._recording.send_blueprint(training_layout(has_errors=has_errors))
+
+    def _send_steps(self, steps: Iterable[Step]) -> None:
+        found = [(step.samples, step.training_loss) for step in steps if math.isfinite(step.training_loss)]
+        if found:
+            samples, losses = zip(*found, strict=True)
+            times = rr.TimeColumn(SAMPLES, sequence=samples)
+            self._recording.send_columns(_STEPS, [times], rr.Scalars.columns(scalars=losses))
+
+    def _send_epochs(self, epochs: Iterable[Epoch], samples: Iterable[int]) -> None:
+        placed = list(zip(samples, epochs, strict=True))
+        best = _Line(_BEST, "", _GREEN, lambda epoch: epoch.measures.balanced_rmse_deg)
+        for line in _LINES:
+            self._send_line(line, placed)
+        self._send_line(best, [(at, epoch) for at, epoch in placed if epoch.is_best])
+        for at, epoch in placed:
+            self._send_bins(at, epoch)
+
+    def _send_line(self, line: _Line, placed: Iterable[tuple[int, Epoch]]) -> None:
+        points = [(at, epoch.epoch, line.value(epoch)) for at, epoch in placed]
+        points = [point for point in points if math.isfinite(point[2])]
+        if points:
+            samples, epochs, values = zip(*points, strict=True)
+            times = [rr.TimeColumn(SAMPLES, sequence=samples), rr.TimeColumn(EPOCH, sequence=epochs)]
+            self._recording.send_columns(line.entity, times, rr.Scalars.columns(scalars=values))
+
+    def _send_bins(self, samples: int, epoch: Epoch) -> None:
+        bins = epoch.measures.bins
+        if not bins:
+            return
+        middles = np.array([(part.low + part.high) / 2 for part in bins])
+        widths = np.array([0.9 * (part.high - part.low) for part in bins], np.float32)
+        for name, values in (
+            ("rmse_deg", np.array([part.rmse_deg for part in bins])),
+            ("frames", np.array([part.frames for part in bins])),
+        ):
+            chart = rr.BarChart(
+                values, abscissa=middles, widths=widths, color=_ORANGE if name == "rmse_deg" else _GREY
+            )
+            self._recording.set_time(SAMPLES, sequence=samples)
+            self._recording.set_time(EPOCH, sequence=epoch.epoch)
+            self._recording.log(f"/bins/{name}", chart)
+
+
+class _TrainingFollower(Follower):
+    """Sends a training. When it is resumed, its files are replaced: all is shown anew, as another recording."""
+
+    def __init__(self, run: Path, url: str) -> None:
+        super().__init__(url)
+        self._run = run
+
+    def run(self) -> None:
+        reader = HistoryReader(self._run)
+        self._recording = self._connected(_name(self._run))
+        if not self._run.is_dir():  # bc-train makes it when it has read its index
+            say(f"waits until {self._run} is trained")
+        while not self._run.is_dir() and not self.stop.is_set():
+            self.stop.wait(POLL_S)
+        try:
+            self._send(reader)
+        except UserError as error:
+            self.code = complain(error)
+        skipped = say_skipped(reader.skipped)
+        self.code = self.code or skipped
+        self._disconnect(self._recording)
+
+    def _send(self, reader: HistoryReader) -> None:
+        sender = TrainingSender(self._recording)
+        while not self.stop.is_set():
+            history, is_replaced = reader.read()
+            if is_replaced:
+                self._recording.disconnect()
+                self._recording = self._connected(_name(self._run))
+                sender = TrainingSender(self._recording)
+            sender.send(history)
+            try:
+                self._flush(self._recording)
+            except GoneError:
+                self._refuse_silence()
+                return
+            self.stop.wait(POLL_S)
+
+
+def _plot(origin: str, name: str) -> rrb.View:
+    """All of a training: by itself, a viewer that follows shows only the last few samples."""
+    whole = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=whole),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    )
+
+
+def _name(run: Path) -> str:
+    return run.resolve().name

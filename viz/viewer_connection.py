@@ -1,0 +1,111 @@
+"""Another viewer, which runs already: whether one listens at an address, and of which version it is."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import threading
+from typing import Final
+from urllib.parse import urlsplit
+
+import rerun as rr
+
+from common import UserError
+from common.errors import UsageError
+from viz.timelines import SINCE_START
+from viz.viewer_process import LOCAL
+
+DEFAULT_PORT: Final = 9876
+"""On which Rerun's viewer listens."""
+
+_PATIENCE_S: Final = 10.0  # a machine may be slow, and busy
+_POLL_S: Final = 0.1
+_PORT: Final = re.compile(r"\d{1,5}")
+_PLACE: Final = re.compile(r"(?P<host>[\w.-]+|\[[\da-fA-F:]+\]):(?P<port>\d{1,5})")
+# How every gRPC connection begins: HTTP/2's preface and empty settings (RFC 9113, 3.4); so does its answer.
+_HELLO: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+_SETTINGS: Final = 4
+
+
+def viewer_url(address: str) -> str:
+    """What Rerun calls a viewer at "PORT", "HOST:PORT" or a URL of Rerun's own; empty: on its own port, here.
+
+    Raises UsageError for what is no such address.
+    """
+    if not address or _PORT.fullmatch(address):
+        return f"rerun+http://{LOCAL}:{address or DEFAULT_PORT}/proxy"
+    if _PLACE.fullmatch(address):
+        return f"rerun+http://{address}/proxy"
+    with contextlib.suppress(ValueError):
+        url = urlsplit(address)
+        if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
+            return address
+    raise UsageError(
+        f"--connect {address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
+        f" {LOCAL}:{DEFAULT_PORT}"
+    )
+
+
+def check_viewer(url: str) -> str:
+    """Make sure that a Rerun viewer of our version listens at `url`; what to tell a person if it does not say its
+    version, else "". Rerun itself would wait for five seconds, and find out nothing.
+
+    Raises UserError otherwise.
+    """
+    where = urlsplit(url).netloc
+    _refuse_others(url, where)
+    needed = f"version {rr.__version__} is needed: open it with `rerun` of the environment that bc-play is in"
+    try:
+        version = _version(url)
+    except (OSError, RuntimeError) as error:  # a ConnectionError or a TimeoutError, both of OSError
+        if "Unimplemented" not in str(error):
+            raise UserError(f"{where}: the viewer does not answer; open another one with `rerun`") from None
+        # servers of `rerun --serve-web`, and viewers of long ago
+        return f"{where}: it does not tell its version; {needed}"
+    if version is not None and version.split(".")[:2] != rr.__version__.split(".")[:2]:
+        raise UserError(f"{where}: a viewer of version {version}, but {needed}")
+    return ""
+
+
+def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threading.Event) -> None:
+    """Put the time cursor of the viewer at `url` to `at_s` seconds after the start of what was sent and hold it
+    there, as soon as the viewer has got that; not if `stop` is set before. What serves browsers cannot be told: it
+    plays what the layout says."""
+    from rerun.experimental import ViewerClient
+
+    client = ViewerClient.connect(url)
+    name = recording.get_recording_id()
+    try:
+        while not stop.wait(_POLL_S):
+            for known in client.get_state().recordings:
+                times = [line.name for line in known.timelines]
+                if name is not None and known.store_id.endswith(name) and SINCE_START in times:
+                    client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=known.store_id)
+                    return
+    except (OSError, RuntimeError):  # it cannot be told, or is closed
+        return
+
+
+def _version(url: str) -> str | None:
+    from rerun.experimental import ViewerClient
+
+    return ViewerClient.connect(url).get_state().viewer_version
+
+
+def _refuse_others(url: str, where: str) -> None:
+    place = urlsplit(url)
+    try:
+        connection = socket.create_connection((place.hostname or LOCAL, place.port or DEFAULT_PORT), _PATIENCE_S)
+    except (OSError, OverflowError, ValueError):
+        raise UserError(f"{where}: no viewer listens there; open one with `rerun --port PORT`") from None
+    with connection:
+        try:
+            connection.sendall(_HELLO)
+            answer = connection.recv(9)
+        except TimeoutError:
+            raise UserError(f"{where}: what listens there does not answer: a frozen viewer, or none") from None
+        except OSError:
+            answer = b""
+    if len(answer) < 4 or answer[3] != _SETTINGS:
+        raise UserError(f"{where}: what listens there is no Rerun viewer; open one with `rerun --port PORT`")

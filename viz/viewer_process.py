@@ -1,0 +1,169 @@
+"""The Rerun viewer as a process of its own, listening on this machine only."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+import rerun_cli
+
+from common import UserError
+from common.interrupts import leave_signals_to_main_thread
+from common.output import print_message
+from viz.console import or_in_a_browser
+
+LOCAL: Final = "127.0.0.1"
+SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
+"""What Rerun may print where data is sent: a viewer that is closed while it gets some is no error."""
+
+_PATIENCE_S: Final = 120.0  # for a window to open on a slow and busy machine
+_GRACE_S: Final = 1.0  # a frozen process does not hear that it shall end
+_LAST_WORDS_S: Final = 5.0  # for what has ended to be read; children of it may still hold its stderr
+# What the viewer says before it ends because there is nothing to draw with, or nowhere.
+_NO_GRAPHICS: Final = re.compile(rb"wgpu error|graphics adapter|surface for any enabled backend", re.IGNORECASE)
+_NO_WINDOW: Final = re.compile(rb"EventLoopError")
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Where the viewer is found on this machine."""
+
+    web: int  # of the page
+    data: int
+
+    @property
+    def data_address(self) -> str:
+        return f"rerun+http://{LOCAL}:{self.data}/proxy"
+
+    @property
+    def web_address(self) -> str:
+        """What to open in a browser."""
+        return f"http://{LOCAL}:{self.web}/?url=rerun%2Bhttp://{LOCAL}:{self.data}/proxy"
+
+
+def viewer_program() -> Path:
+    """The viewer itself. `rerun` is a Python wrapper, and killing that would leave the viewer alone."""
+    name = "rerun.exe" if sys.platform == "win32" else "rerun"
+    return Path(rerun_cli.__file__).parent / name
+
+
+def free_port() -> int:
+    with socket.create_server((LOCAL, 0)) as server:
+        port: int = server.getsockname()[1]
+        return port
+
+
+class Viewer(subprocess.Popen[bytes]):
+    """The process of a viewer. What it prints is printed, except why it cannot draw: that is told in our words."""
+
+    def __init__(self, line: list[str], environment: dict[str, str]) -> None:
+        super().__init__(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment)
+        self._trouble = ""
+        self._reader = threading.Thread(target=self._read, name="viewer", daemon=True)
+        self._reader.start()
+
+    def trouble(self) -> str:
+        """Why it could not draw, and what helps, once it has ended; empty if it was something else."""
+        self._reader.join(_LAST_WORDS_S)
+        return self._trouble
+
+    def _read(self) -> None:
+        leave_signals_to_main_thread()
+        assert self.stderr is not None  # noqa: S101
+        with self.stderr as lines:
+            for line in lines:
+                if _NO_GRAPHICS.search(line):
+                    self._trouble = (
+                        "finds no graphics driver to draw with; without a graphics card, Debian's and Ubuntu's"
+                        " package mesa-vulkan-drivers draws in software (`sudo apt install mesa-vulkan-drivers`)"
+                    )
+                elif _NO_WINDOW.search(line):
+                    self._trouble = self._trouble or "cannot open a window on this display"
+                else:
+                    print_message(line.decode("utf-8", "replace").rstrip("\r\n"))
+
+
+@contextlib.contextmanager
+def open_viewer(
+    ports: Ports,
+    *,
+    web: bool,
+    memory: str | None = None,
+    server_memory: str | None = None,
+) -> Iterator[Viewer]:
+    """Open an empty viewer in a window, or serve it to browsers on this machine.
+
+    The viewer ends with the context. `memory` limits what it holds ("1GB"), `server_memory` what it holds for
+    pages that are opened later. Raises UserError if a port is taken.
+    """
+    for port in (ports.web, ports.data) if web else (ports.data,):
+        _refuse_taken(port)
+    command = [str(viewer_program()), "--bind", LOCAL, "--port", str(ports.data)]
+    if web:
+        command += ["--serve-web", "--web-viewer-port", str(ports.web)]
+    if memory is not None:
+        command += ["--memory-limit", memory]
+    if server_memory is not None:
+        command += ["--server-memory-limit", server_memory]
+    wanted = os.environ.get("RUST_LOG", SENDER_LOG)
+    environment = {**os.environ, "RUST_LOG": "error" if wanted == SENDER_LOG else wanted}
+    viewer = Viewer(command, environment)
+    try:
+        yield viewer
+    finally:
+        end_viewer(viewer)
+
+
+def end_viewer(viewer: subprocess.Popen[bytes]) -> None:
+    """End the viewer, also one that is frozen; one that has ended stays so."""
+    viewer.terminate()
+    try:
+        viewer.wait(_GRACE_S)
+    except subprocess.TimeoutExpired:
+        viewer.kill()
+        viewer.wait()
+
+
+def wait_until_it_listens(viewer: Viewer, url: str) -> None:
+    """Until data can be sent to it; before that, Rerun waits seconds. Raises UserError if it does not start."""
+    port = urlsplit(url).port
+    deadline_s = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < deadline_s:
+        if viewer.poll() is not None:
+            wait_until_closed(viewer)  # tells how it ended
+            break
+        with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), _PATIENCE_S):
+            return
+        time.sleep(0.05)
+    raise UserError(f"the Rerun viewer did not start{or_in_a_browser()}")
+
+
+def wait_until_closed(viewer: Viewer) -> None:
+    """Raises UserError if the viewer ends otherwise than by being closed."""
+    code = viewer.wait()
+    if code:
+        how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
+        if trouble := viewer.trouble():
+            how = trouble
+        raise UserError(f"the Rerun viewer {how}{or_in_a_browser()}")
+
+
+def _refuse_taken(port: int) -> None:
+    try:
+        socket.create_server((LOCAL, port)).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(
+            f"port {port} cannot be listened on ({error}): end what has it, perhaps a viewer, or give bc-play"
+            " others: --port, --web-port"
+        ) from None
