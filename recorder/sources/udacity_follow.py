@@ -15,12 +15,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from common.car import Camera
 from common.errors import counted
 from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
-from recorder.log.topics import CAMERAS, Camera
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.file_tail import Tail
@@ -34,7 +34,7 @@ from recorder.sources.import_recording import (
     udacity_metadata,
     vehicle_state,
 )
-from recorder.sources.udacity_csv import RowReader
+from recorder.sources.udacity_csv import COLUMNS, RowReader
 from recorder.sources.udacity_recording import (
     CSV_NAME,
     MOST_PICTURE_BYTES,
@@ -189,7 +189,7 @@ class _Watched:
             self._last_ns = row.time_ns
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
-            for camera, name in zip(CAMERAS, row.names, strict=True):
+            for camera, name in zip(COLUMNS, row.names, strict=True):
                 if not name:
                     continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
