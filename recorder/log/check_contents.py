@@ -21,7 +21,7 @@ from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_f
 from recorder.log.scan import Structure
 from recorder.log.topics import camera_topic
 from recorder.pictures.image_check import Look, Seen
-from recorder.pictures.picture_size import PictureSizes
+from recorder.pictures.picture_size import PictureSizes, width_and_height
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "gap": "gaps in time",
@@ -99,7 +99,7 @@ class Contents:
             self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
             return
         picture = records[at : at + length]
-        self._sizes.add(topic, message.sequence, picture)
+        self._sizes.add(topic, message.sequence, width_and_height(picture))
         self._look.take(topic, message.sequence, message.log_time_ns, picture)
 
     def _take_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
