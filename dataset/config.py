@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
-from common.flags import arg
+from tyro.conf import arg
+
 from dataset.augment import Alteration
 from recorder.log.topics import Camera
 
