@@ -15,13 +15,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from common.car import Camera
 from common.errors import counted
 from common.file_tail import FileTail
 from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
-from recorder.log.topics import CAMERAS, Camera
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.find_recording import did_you_mean
@@ -34,7 +34,7 @@ from recorder.sources.import_recording import (
     udacity_metadata,
     vehicle_state,
 )
-from recorder.sources.udacity_csv import MOST_LINE_BYTES, RowReader
+from recorder.sources.udacity_csv import COLUMNS, MOST_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import (
     CSV_NAME,
     MOST_PICTURE_BYTES,
@@ -194,7 +194,7 @@ class _Watched:
             self._last_ns = row.time_ns
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
-            for camera, name in zip(CAMERAS, row.names, strict=True):
+            for camera, name in zip(COLUMNS, row.names, strict=True):
                 if not name:
                     continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))

@@ -18,10 +18,10 @@ from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from common.car import CAMERAS
 from driving import PATIENCE_S, Process
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
-from recorder.log.topics import CAMERAS
 from recorder.sources.udacity_follow import watch_udacity
 from udacity import jpeg, make_recording, paths, picture_name
 
