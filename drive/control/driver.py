@@ -44,6 +44,7 @@ class Decision:
     driver: Literal["pilot", "expert", "brake"] = "pilot"  # whose throttle was sent
     speed_mph: float | None = None  # as told, also where nothing else of the telemetry could be used
     telemetry: Telemetry | None = None
+    picture_size: tuple[int, int] | None = None  # width, height; None where the telemetry could not be used
     crop: Image | None = None
     predicted_steering: float = 0.0  # the network's, whoever drives; not clamped, NaN if it gave no number
     parse_ms: float = 0.0  # from the telemetry's last byte until its numbers are read
@@ -132,7 +133,7 @@ class Driver:
     def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
         """The answer to a telemetry; whether its picture can be used is found out here."""
         try:
-            picture = camera_picture(told.jpeg)
+            picture, size = camera_picture(told.jpeg)
         except TelemetryError as error:
             return self._without(error, time_s)
         crop = self._pilot.crop(picture)
@@ -151,6 +152,7 @@ class Driver:
         return replace(
             decision,
             telemetry=told,
+            picture_size=size,
             crop=crop,
             predicted_steering=predicted,
             decode_ms=(decoded_s - parsed_s) * 1e3,

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from common.car import MAX_STEERING_DEG
 from common.errors import counted, shown
-from recorder.log.topics import MAX_STEERING_DEG
-from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.pictures.jpeg import whole_jpeg_size
 from recorder.server.locale_numbers import POINT, decimal_separator, read_number, written
 from recorder.server.world import World, parse_world
 
@@ -106,10 +106,13 @@ def parse_telemetry(data: object, known_separator: str | None = None) -> Telemet
     )
 
 
-def check_whole_jpeg(jpeg: bytes) -> None:
-    """Raises TelemetryError for what is no whole JPEG: the end of a cut one would be grey."""
-    if is_whole_jpeg(jpeg):
-        return
+def check_whole_jpeg(jpeg: bytes) -> tuple[int, int]:
+    """The width and height of a JPEG.
+
+    Raises TelemetryError if it is not complete: the end of one that is cut off would be grey.
+    """
+    if (size := whole_jpeg_size(jpeg)) is not None:
+        return size
     for start, name in _OTHER_PICTURES.items():
         if jpeg.startswith(start):
             raise TelemetryError(f"image is a {name}, not a JPEG")

@@ -164,7 +164,7 @@ class _Session:
             told = parse_telemetry(data, self._separators.get(sid))
             if told.told_separator is not None:
                 self._separators[sid] = told.told_separator
-            check_whole_jpeg(told.jpeg)
+            size = check_whole_jpeg(told.jpeg)
         except TelemetryError as error:
             if error.kind not in self._bad.counts:
                 print_message(f"telemetry that cannot be used: {error}")
@@ -175,7 +175,7 @@ class _Session:
         time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
         for text in self._problems.news(told.world_problems, clock_stands=self._clock.stands):
             self.warn(text)
-        self._writer.picture("center", time_ns, self.rows, told.jpeg)
+        self._writer.picture("center", time_ns, self.rows, told.jpeg, size)
         state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
         self._writer.vehicle(time_ns, self.rows, state)
         pose = None if told.world is None else told.world.pose
