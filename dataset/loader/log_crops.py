@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closing import Closing
 from dataset.errors import DatasetError
-from dataset.index.frames import driven_states, paired_rows, session_name
+from dataset.index.frames import driven_states, session_name
+from dataset.index.pairing import paired_rows
 from dataset.index.samples_file import Rows
 from dataset.loader.buffers import Buffers
 from dataset.loader.crops import CROP_SHAPE, Crops
