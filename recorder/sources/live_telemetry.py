@@ -22,7 +22,7 @@ from recorder.server.pose_message import pose_message
 from recorder.server.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
 from recorder.server.telemetry_server import QUIET_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldProblems
-from recorder.sources.import_recording import Imported
+from recorder.sources.import_result import Imported
 
 RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
