@@ -24,7 +24,7 @@ from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
 from common import Skipped
-from common.closing import Closing
+from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
@@ -64,7 +64,7 @@ class Pictures:
     chunk: NDArray[np.int64]  # as in Message
 
 
-class Log(Closing):
+class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
