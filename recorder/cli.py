@@ -80,7 +80,7 @@ def _record_to(config: Record, log: Path) -> Imported:
 
         def show(growing: Path) -> None:
             if config.viewer:
-                stack.enter_context(preview(growing, never_in_the_way=True))
+                stack.enter_context(preview(growing, idle_priority=True))
 
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
