@@ -2,8 +2,8 @@
 
     python docs/run_examples.py FOLDER
 
-All lines of the README's loop, then the Python of README.md and docs/. Trainings and drives are shortened, and what
-would open a viewer is written to a file. The release workflow runs this outside of the repository, from the wheel.
+All lines of the README's loop, then the Python of README.md and docs/. Trainings and drives are shortened; what
+would open a viewer is written to a file. The release workflow runs this outside the repository, from the wheel.
 """
 
 from __future__ import annotations
