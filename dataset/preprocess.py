@@ -32,11 +32,14 @@ DESCRIPTION: Final = {
 """The preprocessing in words, stored with every run and every drive."""
 
 
-def decode(encoded: bytes) -> Image:
-    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is none, or would fill the memory."""
+def decode(encoded: bytes, size: int | None = None) -> Image:
+    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is none, or would fill the memory.
+
+    `size` is its number of pixels by its header, where that is known already.
+    """
     if not encoded:
         raise ValueError("empty picture")
-    size = pixels(encoded) or 0
+    size = (pixels(encoded) or 0) if size is None else size
     if size > MOST_PIXELS:
         raise ValueError(f"a picture of more than {MOST_PIXELS:,} pixels")
     picture = None

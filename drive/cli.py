@@ -118,7 +118,7 @@ def drive(config: Drive) -> int:
             check_laps(config.laps)
         course = Course(config.simulator, config.laps, config.real_time)
     pilot = load_pilot(find_run(config.run, config.runs), config.precision)
-    pilot.get_ready()
+    pilot.warm_up()
     prepare_process()
     with StatusLine() as status, stop_signals(most=2) as stopped:
         server = DriveServer(

@@ -10,9 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_rooms import MAY_IMPORT, ROOT
+from test_rooms import MAY_IMPORT
 
 from driving import COMMANDS, PATIENCE_S, command, environment, run, run_code
+from repository import ROOT
 
 HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
 

@@ -14,13 +14,23 @@ MOST_PIXELS: Final = 1 << 21
 telemetry may hold can say 60 million pixels, and for the second that they take, the car would be left alone."""
 
 
-def camera_picture(jpeg: bytes) -> Image:
-    """(height, width, 3) BGR. Raises TelemetryError for what is no whole JPEG, and for more than `MOST_PIXELS`."""
-    size = pixels(jpeg) or 0
-    if size > MOST_PIXELS:
-        raise TelemetryError(f"image has more than {MOST_PIXELS:,} pixels", f" ({size:,})")
-    check_whole_jpeg(jpeg)
+def camera_picture(jpeg: bytes) -> tuple[Image, tuple[int, int]]:
+    """(height, width, 3) BGR, and the width and height of the JPEG's header: EXIF may turn what is decoded.
+
+    Raises TelemetryError for a JPEG that is not complete, and for more than `MOST_PIXELS`.
+    """
     try:
-        return decode(jpeg)
+        size = check_whole_jpeg(jpeg)
+    except TelemetryError:
+        _refuse_too_large(pixels(jpeg) or 0)
+        raise
+    _refuse_too_large(size[0] * size[1])
+    try:
+        return decode(jpeg, size[0] * size[1]), size
     except ValueError as error:
         raise TelemetryError("image does not decode", f" ({error})") from None
+
+
+def _refuse_too_large(size: int) -> None:
+    if size > MOST_PIXELS:
+        raise TelemetryError(f"image has more than {MOST_PIXELS:,} pixels", f" ({size:,})")

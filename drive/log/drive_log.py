@@ -126,7 +126,7 @@ class DriveLog(Closing):
 
     def _write_row(self, time_ns: int, row: int, decision: Decision, told: Telemetry, total_ms: float) -> None:
         if told.jpeg:
-            self._writer.picture("center", time_ns, row, told.jpeg)
+            self._writer.picture("center", time_ns, row, told.jpeg, decision.picture_size)
         state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
         self._writer.vehicle(time_ns, row, state)
         if decision.crop is not None:

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from rich.progress import Progress
 from torch import Tensor
 
 from common import UserError
@@ -28,15 +29,14 @@ from model.device import Machine
 from model.errors import RunError
 from model.evaluation.predict import predict
 from model.metrics import measure
-from model.network.layers import SteeringNetwork
-from model.progress_bar import Bar
+from model.network.original import SteeringNetwork
+from model.progress_bar import progress_task
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
-from model.runs.hints import run_argument
+from model.runs.run_arguments import run_argument
 from model.runs.run_files import add_line, keep_lines
 from model.runs.run_folder import WEIGHTS, load_config, load_network, save_weights
-from model.runs.training_progress import METRICS, STEPS, Epoch, Listener, Step
-from model.runs.worst_pictures import COLUMNS as WORST_COLUMNS
-from model.runs.worst_pictures import MOST_WORST_BYTES, WORST, find_worst
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Listener, Step
+from model.runs.worst_pictures import MOST_WORST_BYTES, WORST_COLUMNS, WORST_FILE, find_worst
 from model.training.batches import make_batches
 from model.training.busy_processor import busy_notice
 from model.training.distributed import Group
@@ -59,7 +59,7 @@ class TrainingLoop:
         machine: Machine,
         group: Group,
         listeners: Sequence[Listener],
-        bar: Bar,
+        bar: Progress,
     ) -> None:
         self.run = run
         self.config = config
@@ -86,8 +86,8 @@ class TrainingLoop:
                 f"{samples.path}: no training samples in it; record more, or give bc-index a smaller"
                 " --validation-share or --gap-s"
             )
-        with bar.task("reading pictures", loader.pictures) as task:  # at once, where a GPU keeps them
-            self.batches = make_batches(loader, machine.device, advance=task.advance)
+        with progress_task(bar, "reading pictures", loader.pictures) as advance:  # at once, where a GPU keeps them
+            self.batches = make_batches(loader, machine.device, advance=advance)
         kept_bytes = loader.pictures * CROP_BYTES if machine.device.type == "cpu" else 0
         seen = samples.driving_view("validation")
         self._seen = seen.select(WORST_COLUMNS)
@@ -142,9 +142,9 @@ class TrainingLoop:
     def keep_history(self) -> None:
         """Leave of the run's files what was before its position."""
         seen = self._samples_seen()
-        for name in (WORST, METRICS):
+        for name in (WORST_FILE, METRICS_FILE):
             keep_lines(self.run / name, lambda line: line["epoch"] < self.position.epoch)
-        keep_lines(self.run / STEPS, lambda line: line["samples"] <= seen)
+        keep_lines(self.run / STEPS_FILE, lambda line: line["samples"] <= seen)
 
     @property
     def is_stopped_early(self) -> bool:
@@ -193,7 +193,7 @@ class TrainingLoop:
         told_error, told_samples = start.told_squared_error, start.told_samples
         wall_s = cpu_s = 0.0  # of the steps since the last line
         name, note = f"epoch {start.epoch:,}/{self.config.epochs:,}", ""
-        with self.bar.task(name, len(loader) * self.config.epochs, self._samples_seen()) as task:
+        with progress_task(self.bar, name, len(loader) * self.config.epochs, self._samples_seen()) as advance:
             batches = loader.epoch(start.epoch, start.batch)
             for batch, (pictures, steering) in enumerate(batches, start.batch + 1):
                 torch.manual_seed(_dropout_seed(self.config.seed, start.epoch, batch, group.rank))
@@ -220,7 +220,7 @@ class TrainingLoop:
                     told_error, told_samples, told_s = now_error, samples, now_s
                     self._notice_if_busy(wall_s, cpu_s)
                     wall_s = cpu_s = 0.0
-                task.advance(len(steering) * group.ranks, note)
+                advance(len(steering) * group.ranks, note)
                 if group.ranks > 1 and batch % STEP_BATCHES and batch != loader.batches:
                     continue  # asking the other ranks makes a GPU wait
                 is_stopped, is_due = group.any(stopped.is_set(), self._is_due())
@@ -249,8 +249,8 @@ class TrainingLoop:
     def _measure(self) -> tuple[float, float]:
         """Measure the network after an epoch, and tell of it; the best epoch by now, and its balanced RMSE."""
         position = self.position
-        with self.bar.task(f"validation {position.epoch}", len(self.validation)) as task:
-            predicted, recorded = predict(self.network, self.validation, task.advance)
+        with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
+            predicted, recorded = predict(self.network, self.validation, advance)
         if not np.isfinite(predicted).all() or not self._is_finite():
             raise self._diverged()
         measures = measure(predicted, recorded)
@@ -268,8 +268,8 @@ class TrainingLoop:
         if len(recorded):  # before the epoch's own line: who reads that finds them
             worst = find_worst(position.epoch, self._seen, self.validation, predicted, recorded)
             self._make_room()
-            add_line(self.run / WORST, worst.as_dict())
-        add_line(self.run / METRICS, epoch.as_dict())
+            add_line(self.run / WORST_FILE, worst.as_dict())
+        add_line(self.run / METRICS_FILE, epoch.as_dict())
         self.history.append(epoch)
         if is_best:
             weights = {name: tensor.detach().cpu().clone() for name, tensor in self.network.state_dict().items()}
@@ -283,7 +283,7 @@ class TrainingLoop:
 
     def _make_room(self) -> None:
         """Once it is large, leave the later half of the worst frames' file."""
-        path = self.run / WORST
+        path = self.run / WORST_FILE
         if path.exists() and path.stat().st_size > MOST_WORST_BYTES:
             begin = self.position.epoch - path.read_bytes().count(b"\n") // 2
             keep_lines(path, lambda line: line["epoch"] >= begin)
@@ -295,7 +295,7 @@ class TrainingLoop:
         loss, rate = squared_error / samples, samples / seconds
         if self.group.is_first:
             step = Step(position.epoch, position.batch, self.batches.batches, self._samples_seen(), loss, rate)
-            add_line(self.run / STEPS, step.as_dict())
+            add_line(self.run / STEPS_FILE, step.as_dict())
             for listener in self.listeners:
                 listener.step(step)
         return f"loss {loss:.4f}  {rate:,.0f} samples/s"

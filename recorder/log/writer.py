@@ -24,6 +24,7 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, files
+from common.car import CAMERAS, Camera
 from common.interrupts import uninterrupted
 from common.locks import lock
 from common.versions import version_of
@@ -31,8 +32,8 @@ from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.log import topics
 from recorder.log.compressed_image import SCHEMA, image_data
 from recorder.log.row_quality import StatesWritten, summary
-from recorder.log.topics import CAMERAS, Camera, camera_topic, prediction_topic
-from recorder.pictures.picture_size import PNG_START, PictureSizes
+from recorder.log.topics import camera_topic, prediction_topic
+from recorder.pictures.picture_size import PNG_START, PictureSizes, width_and_height
 
 CHUNK_BYTES: Final = 256 * 1024
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
@@ -117,10 +118,12 @@ class LogWriter:
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
 
-    def picture(self, camera: Camera, time_ns: int, sequence: int, picture: bytes) -> None:
-        """A camera's JPEG or PNG, byte for byte."""
+    def picture(
+        self, camera: Camera, time_ns: int, sequence: int, picture: bytes, size: tuple[int, int] | None = None
+    ) -> None:
+        """A camera's JPEG or PNG, byte for byte. `size` is its width and height, where they are known already."""
         kind = "png" if picture.startswith(PNG_START) else "jpeg"
-        self._sizes.add(camera_topic(camera), sequence, picture)
+        self._sizes.add(camera_topic(camera), sequence, size or width_and_height(picture))
         self._image(camera_topic(camera), time_ns, sequence, picture, kind)
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
@@ -166,7 +169,7 @@ class LogWriter:
         elif channel.topic in _CAMERA_TOPICS and schema is not None and schema.name == SCHEMA:
             at, length = image_data(message.data, 0, len(message.data))
             if at >= 0:
-                self._sizes.add(channel.topic, sequence, message.data[at : at + length])
+                self._sizes.add(channel.topic, sequence, width_and_height(message.data[at : at + length]))
 
     def copy_attachment(self, attachment: Attachment) -> None:
         self._to_disk(

@@ -29,16 +29,23 @@ _SCAN_END = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 
 def is_whole_jpeg(data: bytes) -> bool:
     """Whether `data` is one complete JPEG that OpenCV decodes: 8 bits, baseline or progressive, Huffman-coded."""
+    return whole_jpeg_size(data) is not None
+
+
+def whole_jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height of a JPEG that is complete, as `is_whole_jpeg` tells; None if it is not."""
     if len(data) < 4 or data[:2] != bytes((0xFF, _START)):
-        return False
+        return None
     try:
-        return len(data) - _find_end(data) <= PADDING_BYTES
+        end, frame = _find_end(data)
     except (ValueError, IndexError):  # an index past the end: cut off
-        return False
+        return None
+    return frame.size if len(data) - end <= PADDING_BYTES else None
 
 
 @dataclass(frozen=True)
 class _Frame:
+    size: tuple[int, int]  # width, height
     is_progressive: bool
     quantised_by: dict[int, int]  # component -> its quantisation table
     blocks: dict[int, int]  # component -> its blocks in an interleaved unit
@@ -60,8 +67,11 @@ _MOST_SCANS: Final = 100
 50 KB, take seconds."""
 
 
-def _find_end(data: bytes) -> int:
-    """Where the bytes after the end marker begin. Raises ValueError or IndexError if there is no sound end."""
+def _find_end(data: bytes) -> tuple[int, _Frame]:
+    """Where the bytes after the end marker begin, and the picture's frame.
+
+    Raises ValueError or IndexError if there is no sound end.
+    """
     known, scans, position = _NOTHING, 0, 2
     while True:
         if data[position] != 0xFF:
@@ -69,9 +79,9 @@ def _find_end(data: bytes) -> int:
         while (marker := data[position + 1]) == 0xFF:
             position += 1
         if marker == _END:
-            if not scans:
+            if known.frame is None or not scans:
                 raise ValueError("no picture")
-            return position + 2
+            return position + 2, known.frame
         length = data[position + 2] << 8 | data[position + 3]
         segment = data[position + 4 : position + 2 + length]
         if length < 2 or len(segment) != length - 2:
@@ -153,6 +163,7 @@ def _frame(segment: bytes, is_progressive: bool) -> _Frame:
         raise ValueError("a component twice")
     blocks = (horizontal * vertical for horizontal, vertical in sampling)
     return _Frame(
+        (width, height),
         is_progressive,
         dict(zip(names, segment[8::3], strict=True)),
         dict(zip(names, blocks, strict=True)),

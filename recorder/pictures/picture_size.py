@@ -52,8 +52,8 @@ class PictureSizes:
     def __init__(self) -> None:
         self._found: dict[str, dict[tuple[int, int], tuple[int, int]]] = {}  # topic, size -> count, first row
 
-    def add(self, topic: str, row: int, picture: bytes) -> None:
-        size = width_and_height(picture)
+    def add(self, topic: str, row: int, size: tuple[int, int] | None) -> None:
+        """A picture of this width and height; None for one that has none."""
         sizes = self._found.setdefault(topic, {})
         if size is not None and (size in sizes or len(sizes) < _MOST_SIZES):
             count, first_row = sizes.get(size, (0, row))

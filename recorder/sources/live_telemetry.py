@@ -20,8 +20,8 @@ from recorder.log.log_time import LogClock
 from recorder.log.writer import EventLevel, LogWriter
 from recorder.server.pose_message import pose_message
 from recorder.server.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
-from recorder.server.telemetry_server import QUIET_S, Answer, Steer, TelemetryServer
-from recorder.server.world import WorldProblems
+from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
+from recorder.server.world import WorldNotices
 from recorder.sources.import_recording import Imported
 
 RATE_S = 1.0  # the rows a second that are shown are those of this last while
@@ -50,7 +50,7 @@ def listen_for_telemetry(
         writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
         with StatusLine() as status:
             session = _Session(writer, status)
-            server = TelemetryServer(session, host=host, port=port, said=session.warn, first="manual")
+            server = TelemetryServer(session, host=host, port=port, notify=session.warn, first_command="manual")
             session.say(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
                 on_started(writer.part)
@@ -75,7 +75,7 @@ class _Session:
         self._telemetries = 0
         self._manuals = 0
         self._clock = LogClock(from_wall_clock=True)
-        self._problems = WorldProblems()
+        self._world_notices = WorldNotices()
         self._separators: dict[str, str] = {}  # of decimals, by connection
         self._last_s = 0.0
         self._rate_from = (time.monotonic(), 0)
@@ -100,7 +100,7 @@ class _Session:
         self._last_s = time.monotonic()
         return Answer(None, lambda _: self._note(sid, received_ns, data))
 
-    def stopping(self, sid: str) -> Steer | None:
+    def final_command(self, sid: str) -> Steer | None:
         return None  # nobody was steered
 
     def tick(self) -> None:
@@ -117,7 +117,7 @@ class _Session:
                 f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} rows/s,"
                 f" {len(self.skipped):,} skipped"
             )
-        elif self._first_connected_s is not None and now_s - self._first_connected_s >= QUIET_S:
+        elif self._first_connected_s is not None and now_s - self._first_connected_s >= NO_TELEMETRY_S:
             self._first_connected_s = None
             self.say("connected, but no telemetry comes: choose Autonomous Mode in the simulator")
         self._status.show(self._text)
@@ -162,9 +162,9 @@ class _Session:
             return
         try:
             told = parse_telemetry(data, self._separators.get(sid))
-            if told.told_separator is not None:
-                self._separators[sid] = told.told_separator
-            check_whole_jpeg(told.jpeg)
+            if told.observed_separator is not None:
+                self._separators[sid] = told.observed_separator
+            size = check_whole_jpeg(told.jpeg)
         except TelemetryError as error:
             if error.kind not in self._bad.counts:
                 print_message(f"telemetry that cannot be used: {error}")
@@ -173,9 +173,9 @@ class _Session:
                 self._event(received_ns, text, "WARNING")
             return
         time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
-        for text in self._problems.news(told.world_problems, clock_stands=self._clock.stands):
+        for text in self._world_notices.new_notices(told.world_problems, clock_stands=self._clock.stands):
             self.warn(text)
-        self._writer.picture("center", time_ns, self.rows, told.jpeg)
+        self._writer.picture("center", time_ns, self.rows, told.jpeg, size)
         state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
         self._writer.vehicle(time_ns, self.rows, state)
         pose = None if told.world is None else told.world.pose

@@ -14,12 +14,13 @@ from pathlib import Path
 
 import pytest
 from rich.table import Table
-from test_rooms import MAY_IMPORT, ROOT
+from test_rooms import MAY_IMPORT
 
 from common.output import as_typed, print_message, print_result, print_table
 from driving import command, environment, run
 from logs import write_log
 from model import train
+from repository import ROOT
 from toy import TINY, road, toy_index
 
 EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\nbc-log: all is well\r\u202eb"

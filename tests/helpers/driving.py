@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import torch
 
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
 from waiting import PATIENCE_S as PATIENCE_S

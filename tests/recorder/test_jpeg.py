@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recorder.pictures.jpeg import PADDING_BYTES, is_whole_jpeg
+from recorder.pictures.jpeg import PADDING_BYTES, is_whole_jpeg, whole_jpeg_size
 
 ENCODINGS: dict[str, list[int]] = {
     "baseline": [],
@@ -52,6 +52,7 @@ whole_pictures = st.builds(encoded, st.sampled_from(sorted(ENCODINGS)), st.boole
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_every_common_encoding_is_taken(encoding: str, is_grey: bool) -> None:
     assert is_whole_jpeg(encoded(encoding, is_grey))
+    assert whole_jpeg_size(encoded(encoding, is_grey)) == (56, 40)
 
 
 def test_every_picture_of_real_recordings_is_taken(recordings: Path) -> None:

@@ -37,10 +37,10 @@ def prepared_predictions(
     """
 
     def send(recording: rr.RecordingStream, drawing: Drawing, flush: Callable[[], object]) -> None:
-        def on_look(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
+        def on_attention(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
             send_overlays(recording, attention_entity(run), drawing.clock, time_ns, crops, maps)
 
-        found = predict_log(path, runs, on_look if attention else None, flush)
+        found = predict_log(path, runs, on_attention if attention else None, flush)
         _draw(found, recording, drawing)
         flush()
         on_found(found)
