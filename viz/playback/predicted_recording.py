@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dataset.preprocess import Image
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict_log import predict_log, run_names
+from recorder.log.topics import STEERING
 from viz.playback.attention_overlay import send_overlays
 from viz.playback.blueprint import attention_entity, entity_part
 from viz.playback.curves import Drawing
@@ -52,7 +53,7 @@ def prepared_predictions(
 def _draw(found: LogPredictions, recording: rr.RecordingStream, drawing: Drawing) -> None:
     for curve, time_ns, values in prediction_curves(found):
         drawing.curve(curve, time_ns, values)
-        if curve.field == "steering":
+        if curve.entity.startswith(STEERING.path):
             drawing.arcs(curve, time_ns, values)
     for run in found.predicted:
         if moments := found.worst_moments(run):
