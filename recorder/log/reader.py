@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.car import CAMERAS, Camera
-from common.closing import Closing
+from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
@@ -68,7 +68,7 @@ class Pictures:
     chunk: NDArray[np.int64]  # as in Message
 
 
-class Log(Closing):
+class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.

@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError
 from mcap.records import Channel
 
 from common import Skipped
-from common.closing import Closing
+from common.closeable import Closeable
 from common.files import final_path
 from common.locks import is_being_written
 from recorder.errors import LogError
@@ -50,7 +50,7 @@ def is_finished(path: Path) -> bool:
         file.close()
 
 
-class GrowingLog(Closing):
+class GrowingLog(Closeable):
     """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
 
     Either `is_finished` or `notice` tells that nothing more will come: the recording was killed, says the notice.
