@@ -82,7 +82,9 @@ def watch_udacity(
             on_started(writer.part)
         if not watched.has_csv():
             meant = did_you_mean(folder)
-            status.say(f"waiting for {folder / CSV_NAME};{meant}" if meant else f"waiting for {folder / CSV_NAME}")
+            status.show_or_print(
+                f"waiting for {folder / CSV_NAME};{meant}" if meant else f"waiting for {folder / CSV_NAME}"
+            )
         while not stopped.is_set():
             is_busy = watched.poll()
             writer.flush_if_due()
@@ -177,7 +179,7 @@ class _Watched:
         csv = self._folder / CSV_NAME
         if not self.has_csv():
             return f"{csv}: it never came; give the folder that the simulator's training mode records into"
-        return f"{csv}: no usable row{self.skipped.because()}"
+        return f"{csv}: no usable row{self.skipped.error_suffix()}"
 
     def _new_lines(self) -> list[tuple[int, bytes]]:
         with contextlib.suppress(OSError):  # a csv that cannot be read now is read the next time
