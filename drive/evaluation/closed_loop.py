@@ -20,7 +20,7 @@ from drive.log.summary import DriveSummary
 from drive.server import DriveServer
 from model import Pilot
 from recorder.server.telemetry_server import ServerMode
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 
 SIMULATOR_METADATA: Final = "bc.simulator"
 """The metadata record of a log that holds the simulator's own book of the drive."""
