@@ -150,7 +150,7 @@ class Aggregation:
 
     def _drive(self, run: Path, log: Path, mode: ServerMode) -> AggregationRound:
         pilot = load_pilot(run)
-        pilot.get_ready()
+        pilot.warm_up()
         summary = self._simulator.drive(pilot, self._config, log, mode)
         return AggregationRound(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
 

@@ -128,7 +128,7 @@ def _measure(config: Eval) -> int:
 
 def _index_of(run: Path) -> Path:
     """The index that the run was trained on; the one in the current folder where a run does not name it."""
-    from model.runs.run_places import index_of
+    from model.runs.run_inputs import index_of
 
     index = index_of(run)
     if index is None:
@@ -179,7 +179,7 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
         (BuiltInSimulator(track, laps), each) for each in configs for track in tracks
     ]  # before the seconds that a network takes to load: a track may be misspelt
     pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
-    pilot.get_ready()
+    pilot.warm_up()
     results = []
     try:
         for result in evaluate_run(
