@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import socketio
 import torch
 import websocket
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -39,7 +38,7 @@ from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.recover import recover, recovered_name
 from recorder.server.telemetry import MAX_IMAGE_BYTES
 from rrd import contents, free_ports
-from serving import wait_until
+from serving import ModernClient, wait_until
 from simulator.protocol.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
 from simulator.protocol.replay import replay
 from udacity import call
@@ -76,38 +75,6 @@ MALFORMED: dict[str, Any] = {
 }
 BROKEN_JSON = ('42["telemetry",{"speed":', '42["telemetry",' + "[" * 100_000)
 MALFORMED_NAMES = [*MALFORMED, *(text[-9:] for text in BROKEN_JSON)]
-
-
-class ModernClient:
-    """python-socketio's own client, over a websocket; it takes the answers as they come."""
-
-    def __init__(self, port: int) -> None:
-        self.answers: list[dict[str, Any]] = []
-        self._came = threading.Condition()
-        self._client = socketio.Client(reconnection=False)
-        self._client.on("steer", self._on_steer)
-        self._client.connect(f"http://127.0.0.1:{port}", transports=["websocket"], wait_timeout=PATIENCE_S)
-
-    def tell(self, data: object) -> dict[str, Any]:
-        """Send one telemetry and wait for its answer."""
-        with self._came:
-            expected = len(self.answers) + 1
-            self._client.emit("telemetry", data)
-            assert self._came.wait_for(lambda: len(self.answers) >= expected, PATIENCE_S), "not answered"
-            return self.answers[-1]
-
-    def wait_for(self, answers: int) -> None:
-        """Until so many have come, asked for or not."""
-        with self._came:
-            assert self._came.wait_for(lambda: len(self.answers) >= answers, PATIENCE_S), "not answered"
-
-    def close(self) -> None:
-        self._client.disconnect()
-
-    def _on_steer(self, data: dict[str, Any]) -> None:
-        with self._came:
-            self.answers.append(data)
-            self._came.notify_all()
 
 
 class OldClient:
@@ -197,7 +164,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         done = Drive(pilot_run, told, client, replay(client, told))
 
         modern = ModernClient(port)
-        done.modern = [modern.tell(fields(i)) for i in range(MODERN)]
+        done.modern = [modern.tell(fields(i))[1] for i in range(MODERN)]
 
         old_commands: list[Steer] = []
         old = threading.Thread(
@@ -206,7 +173,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
             )
         )
         old.start()
-        modern_answers = [modern.tell(fields(i)) for i in range(TOGETHER)]
+        modern_answers = [modern.tell(fields(i))[1] for i in range(TOGETHER)]
         old.join(PATIENCE_S)
         done.together = (old_commands, modern_answers)
         modern.close()
@@ -655,14 +622,14 @@ def test_a_silent_simulator_is_sent_the_brake_and_its_release_without_being_aske
         client.tell(fields(0))
         if answers_braked:
             process.popen.send_signal(signal.SIGINT)
-            while client.answers[-1]["throttle"] != "-1.000000" or answers_braked > 1:
-                answers_braked -= client.tell(fields(0))["throttle"] == "-1.000000"
+            while client.answers[-1][1]["throttle"] != "-1.000000" or answers_braked > 1:
+                answers_braked -= client.tell(fields(0))[1]["throttle"] == "-1.000000"
         else:
             client.wait_for(2)  # it was pushed on, and stays silent
             process.popen.send_signal(signal.SIGINT)
         assert process.join() == 0
         client.close()
-    throttles = [float(answer["throttle"]) for answer in client.answers]
+    throttles = [float(command["throttle"]) for _, command in client.answers]
     braked = throttles[throttles.index(-1.0) :]
     assert set(braked[: braked.index(0.0)]) == {-1.0}
     assert set(braked[braked.index(0.0) :]) == {0.0}
@@ -823,7 +790,7 @@ def test_threads_serve_as_eventlet_does(drive: Drive, tmp_path: Path) -> None:
         port = process.wait_until_it_listens()
         assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.told) == drive.commands
         modern = ModernClient(port)
-        assert [modern.tell(fields(i)) for i in range(MODERN)] == drive.modern
+        assert [modern.tell(fields(i))[1] for i in range(MODERN)] == drive.modern
         modern.close()
         assert process.end() == 0
     assert images(log, "/camera/center")[:REPLAYED] == drive.told
