@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from common.interrupts import Stop, stop_signals
+from common.interrupts import StopEvent, stop_signals
 from drive.config import DriveConfig
 from drive.drive_server import DriveServer
 from drive.errors import DriveError
 from drive.log.drive_summary import DriveSummary
 from model import Pilot
 from recorder.server.telemetry_server import ServerMode
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 
 SIMULATOR_METADATA: Final = "bc.simulator"
 """The metadata record of a log that holds the simulator's own report of the drive."""
@@ -94,7 +94,7 @@ def drive_in_lock_step(
 
 
 def drive_built_in(
-    server: DriveServer, simulator: BuiltInSimulator, stopped: Stop, *, shows_progress: bool = True
+    server: DriveServer, simulator: BuiltInSimulator, stopped: StopEvent, *, shows_progress: bool = True
 ) -> dict[str, Any]:
     """Start the built-in simulator, and serve until it has driven its laps or `stopped` is set.
 

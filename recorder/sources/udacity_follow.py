@@ -76,7 +76,8 @@ def watch_udacity(
             on_started(writer.part)
         if not recording.has_csv():
             hint = recordings_near(folder)
-            status.say(f"waiting for {folder / CSV_NAME};{hint}" if hint else f"waiting for {folder / CSV_NAME}")
+            waiting = f"waiting for {folder / CSV_NAME}"
+            status.show_or_print(f"{waiting};{hint}" if hint else waiting)
         while not stopped.is_set():
             is_busy = recording.poll()
             writer.flush_if_due()
@@ -171,7 +172,7 @@ class _GrowingRecording:
         csv = self._folder / CSV_NAME
         if not self.has_csv():
             return f"{csv}: it never came; give the folder that the simulator's training mode records into"
-        return f"{csv}: no usable row{self.skipped.because()}"
+        return f"{csv}: no usable row{self.skipped.error_suffix()}"
 
     def _new_lines(self) -> list[tuple[int, bytes]]:
         with contextlib.suppress(OSError):  # a csv that cannot be read now is read the next time
