@@ -7,6 +7,7 @@ import graphlib
 import importlib
 import itertools
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -117,6 +118,28 @@ def test_the_sub_packages_of_a_room_do_not_import_each_other_in_a_circle(room: s
         graphlib.TopologicalSorter(under).prepare()
     except graphlib.CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_no_two_modules_have_the_same_name() -> None:
+    """But those that every room may have."""
+    places = defaultdict(list)
+    for path in SOURCES:
+        if path.stem not in {"__init__", "cli", "config", "errors"}:
+            places[path.stem].append(str(path.relative_to(ROOT)))
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+
+
+def test_no_two_public_classes_have_the_same_name() -> None:
+    """A log's messages are such classes, too."""
+    places = defaultdict(list)
+    for path in SOURCES:
+        for node in parsed(path).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(str(path.relative_to(ROOT)))
+    for path in (ROOT / "recorder").rglob("*.proto"):
+        for name in re.findall(r"^message (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE):
+            places[name].append(str(path.relative_to(ROOT)))
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
 def test_no_room_imports_the_tests_or_the_benchmarks() -> None:

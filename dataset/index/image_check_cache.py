@@ -27,7 +27,7 @@ from recorder import Log, LogError
 from recorder.log.message_index import UNCOMPRESSED
 from recorder.log.row_quality import STANDING_MPH
 from recorder.log.topics import camera_topic
-from recorder.pictures.image_check import Look
+from recorder.pictures.image_check import ImageCheck
 
 LOOKS_FOLDER: Final = "looks"
 _FORMAT: Final = 1
@@ -41,12 +41,12 @@ def look_at(log: Log, on_decoded: Callable[[int], object] = lambda count: None) 
     """
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        look = Look(pool, on_decoded)
+        look = ImageCheck(pool, on_decoded)
         for camera, row, time_ns, offset, length, chunk in _in_order_of_the_file(log):
             look.take(topics[camera], row, time_ns, log.read(offset, length, chunk))
         look.finish()
     standing: set[tuple[int, int]] = set()
-    if any(seen.has_repeated for seen in look.seen.values()):
+    if any(seen.has_repeated for seen in look.pictures.values()):
         standing = {
             (message.sequence, message.log_time_ns)
             for message, state in log.vehicle_states()
@@ -55,7 +55,7 @@ def look_at(log: Log, on_decoded: Callable[[int], object] = lambda count: None) 
     broken: dict[str, list[int]] = {}
     for topic, position in look.broken:
         broken.setdefault(topic, []).append(position)
-    frozen = {topic: tuple(seen.frozen(standing)) for topic, seen in look.seen.items()}
+    frozen = {topic: tuple(seen.frozen(standing)) for topic, seen in look.pictures.items()}
     return Looked(
         look.decoded,
         {camera: _together(broken[topic]) for camera, topic in topics.items() if topic in broken},
