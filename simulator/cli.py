@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, FAILED, flags_given, refuse_no_port, run_command, usage_errors
+from common.command import DONE, FAILED, check_port, flags_given, run_command, usage_errors
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.progress import progress_bar, track
@@ -56,7 +56,7 @@ class Sim:
 
 
 def sim(config: Sim) -> int:
-    refuse_no_port("--port", config.port)
+    check_port("--port", config.port)
     if not 0 <= config.wait < math.inf:
         raise UsageError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
     if config.count is not None and (config.count < 1 or config.replay is None):
