@@ -24,11 +24,11 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.sources.find_recording import recordings_near
+from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE, udacity_metadata, vehicle_state
-from recorder.sources.udacity_csv import COLUMNS, MOST_LINE_BYTES, RowReader
+from recorder.sources.udacity_csv import CSV_CAMERAS, MOST_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import (
     CSV_NAME,
     MOST_PICTURE_BYTES,
@@ -116,7 +116,7 @@ class _GrowingRecording:
         self._rate = 0.0
 
     def has_csv(self) -> bool:
-        return os.path.isfile(self._folder / CSV_NAME)  # noqa: PTH113  (never raises)
+        return is_udacity(self._folder)
 
     def poll(self) -> bool:
         """Log what is new; True if there is more to do at once."""
@@ -189,7 +189,7 @@ class _GrowingRecording:
             self._last_ns = row.time_ns
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
-            for camera, name in zip(COLUMNS, row.names, strict=True):
+            for camera, name in zip(CSV_CAMERAS, row.names, strict=True):
                 if not name:
                     continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
