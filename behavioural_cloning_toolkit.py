@@ -30,7 +30,16 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 """The rooms under each room."""
 
 _FAILED, _INTERRUPTED = 1, 130  # common.command's; nothing of ours is imported yet
-_LEAST_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
+_NO_MEMORY: Final = "not enough memory to begin; close other programs, or raise the limit (ulimit -v)"
+_MIN_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
+
+
+def __getattr__(name: str) -> str:
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from common.versions import version_of
+
+    return version_of()
 
 
 def refuse_hidden(room: str) -> None:
@@ -40,6 +49,11 @@ def refuse_hidden(room: str) -> None:
             raise ImportError(line)
 
 
+def viewer() -> None:
+    """The viewer beside another command, which starts it (`common.preview`)."""
+    _import_main("viewer", "viz.preview_command")()
+
+
 def _command(prog: str, module: str) -> Callable[[], None]:
     """What a `bc-` command is: `module`'s main, and nothing that Python would say before it runs."""
 
@@ -47,27 +61,33 @@ def _command(prog: str, module: str) -> Callable[[], None]:
         _hold_standard_streams()
         _end_tidily_on_signals(prog)
         _warn_of_little_memory(prog)
-        room = module.partition(".")[0]
-        try:
-            if line := _who_hides(room):
-                raise ImportError(line)
-            main = import_module(module).main
-        except MemoryError:
-            _fail(prog, "not enough memory to begin; close other programs, or raise the limit (ulimit -v)")
-        except ImportError as error:
-            if error.name is None:  # ours
-                _fail(prog, str(error))
-            if error.name.partition(".")[0] in NEEDS and (line := _owned_by_two()):
-                _fail(prog, f"{error}: {line}")
-            raise
+        main = _import_main(prog, module)
         try:
             main()
         except RuntimeError as error:  # before anything of ours could tell it
             if "start new thread" not in str(error):
                 raise
-            _fail(prog, "not enough memory to begin; close other programs, or raise the limit (ulimit -v)")
+            _fail(prog, _NO_MEMORY)
 
     return run
+
+
+def _import_main(prog: str, module: str) -> Callable[[], None]:
+    """The `main` of one of our modules; ends the process with a line where it cannot be imported."""
+    room = module.partition(".")[0]
+    try:
+        if line := _who_hides(room):
+            raise ImportError(line)
+        main: Callable[[], None] = import_module(module).main
+    except MemoryError:
+        _fail(prog, _NO_MEMORY)
+    except ImportError as error:
+        if error.name is None:  # ours
+            _fail(prog, str(error))
+        if error.name.partition(".")[0] in NEEDS and (line := _owned_by_two()):
+            _fail(prog, f"{error}: {line}")
+        raise
+    return main
 
 
 bc_record = _command("bc-record", "recorder.cli")
@@ -91,7 +111,7 @@ def _who_hides(room: str) -> str | None:
     found = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
     ours = (Path(__file__).parent / room).resolve()
     if not found or any(ours in (place := Path(name).resolve(), place.parent) for name in found):
-        return None
+        return None if _is_intact(ours) else _overwritten(room)
     if owners := _owners(room):
         return _of_another(room, owners)
     return (
@@ -100,9 +120,30 @@ def _who_hides(room: str) -> str | None:
     )
 
 
+def _is_intact(room: Path) -> bool:
+    """False if another package that was installed into the same folder has replaced the room's __init__.py, or has
+    taken it away when it was uninstalled. Ours name this module."""
+    try:
+        return __name__ in (room / "__init__.py").read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return not room.is_dir()  # in a zip file
+    except OSError:
+        return True
+
+
+def _overwritten(room: str) -> str:
+    if owners := _owners(room):
+        who = ", ".join(owners)
+        return (
+            f"another installed package ({who}) has written its `{room}` over this toolkit's:"
+            f" `pip uninstall {who}` and install the toolkit again, or install it into an environment of its own"
+        )
+    return f"this toolkit's `{room}` was overwritten by another package of that name: install the toolkit again"
+
+
 def _owned_by_two() -> str | None:
     """A line about a package that has written its own files into a room of ours."""
-    return next((_of_another(room, owners) for room in NEEDS if (owners := _owners(room))), None)
+    return next((_overwritten(room) for room in NEEDS if _owners(room)), None)
 
 
 def _of_another(room: str, owners: list[str]) -> str:
@@ -153,10 +194,10 @@ def _warn_of_little_memory(prog: str) -> None:
     import resource
 
     allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if allowed != resource.RLIM_INFINITY and allowed < _LEAST_MEMORY_BYTES:
-        told = f"{allowed / 1e6:,.0f} MB of memory are allowed here (ulimit -v)"
+    if allowed != resource.RLIM_INFINITY and allowed < _MIN_MEMORY_BYTES:
+        limit = f"{allowed / 1e6:,.0f} MB of memory are allowed here (ulimit -v)"
         print(
-            f"{prog}: {told}; with less than {_LEAST_MEMORY_BYTES / 1e6:,.0f} MB it may crash without a word",
+            f"{prog}: {limit}; with less than {_MIN_MEMORY_BYTES / 1e6:,.0f} MB it may crash without a word",
             file=sys.stderr,
             flush=True,
         )

@@ -1,9 +1,9 @@
-"""The floor under the six rooms: errors that a person can act on, commands, progress, whole files.
+"""The floor under the six rooms of behavioural_cloning_toolkit: errors, commands, progress, whole files.
 
 It imports nothing of ours, and every room may import it.
 """
 
 from common.errors import Skipped, UserError
-from common.files import whole_file
+from common.files import atomic_file
 
-__all__ = ["Skipped", "UserError", "whole_file"]
+__all__ = ["Skipped", "UserError", "atomic_file"]

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common import Skipped
-from common.closing import Closing
+from common.closeable import Closeable
 from dataset.errors import DatasetError
-from dataset.index.frames import driven_states, paired_rows, session_name
+from dataset.index.frames import driven_states, session_name
+from dataset.index.pairing import paired_rows
 from dataset.index.samples_file import Rows
-from dataset.loader.buffers import Buffers
-from dataset.loader.crops import CROP_SHAPE, Crops
+from dataset.loader.crops import Crops
 from dataset.loader.loader import UNDECODED
 from dataset.loader.prefetch import filled
 from dataset.preprocess import Image
@@ -29,7 +29,7 @@ from recorder.log.topics import camera_topic
 _AT_ONCE: Final = 4  # batches that are worked on
 
 
-class LogCrops(Closing):
+class LogCrops(Closeable):
     """The pictures of a log, finished or not, numbered from 0 in the order of writing; arrays (N,). Use it as a
     context manager, or call `close()`."""
 
@@ -93,11 +93,8 @@ class LogCrops(Closing):
         """
         numbers = np.arange(len(self))
         parts = np.split(numbers, numbers[size::size])
-        buffers = Buffers((size, *CROP_SHAPE), _AT_ONCE + 1)
         threads = os.cpu_count() or 1
-        for part, crops, failed in filled(
-            parts, self._crops.fill_plain, buffers, threads=threads, at_once=_AT_ONCE
-        ):
+        for part, crops, failed in filled(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
             for number in failed:
                 self.skipped.add(UNDECODED, self._crops.name(number))
             is_decoded = ~np.isin(part, failed)

@@ -14,7 +14,7 @@ from typing import Final
 
 import torch
 
-from common.errors import shown
+from common.errors import printable
 
 _MOST: Final = 5 / 3  # how much longer than its thread computes a step may take; on a machine of its own: 1
 
@@ -36,7 +36,7 @@ class BusyProcessorWarning:
     def check(self) -> None:
         """Warn if the steps since the last check were slowed."""
         if self._is_enabled and (notice := busy_notice(torch.get_num_threads(), self._wall_s, self._cpu_s)):
-            logging.getLogger(__name__).warning("%s", shown(notice))
+            logging.getLogger(__name__).warning("%s", printable(notice))
             self._is_enabled = False
         self._wall_s = self._cpu_s = 0.0
 

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
-from common.car import CAMERAS
+from common.stretches import consecutive, stretches
 from recorder.bc_pb2 import VehicleState
-from recorder.log import compressed_image, topics
+from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
-from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
+from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags
 from recorder.log.scan import Structure
-from recorder.log.topics import camera_topic
-from recorder.pictures.image_check import Look, Seen
+from recorder.log.topics import CAMERA_TOPICS, COMPRESSED_IMAGE, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
+from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
@@ -28,7 +27,6 @@ _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "stuck_steering": "stretches of stuck steering",
     "out_of_range": "stretches of values out of range",
 }
-_IN_ORDER: Final = (topics.VEHICLE, topics.PILOT_COMMAND)  # pictures may come late, and in any order
 _MISFIT: Final = "messages that are not what their schema says"
 
 
@@ -44,20 +42,18 @@ class Contents:
 
     def __init__(self, structure: Structure, findings: list[Finding], pool: Executor | None) -> None:
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
-        self._images = {n for n in self._topics if structure.is_protobuf(n, compressed_image.SCHEMA)}
+        of_type = structure.is_protobuf
+        self._images = {n for n in self._topics if of_type(n, COMPRESSED_IMAGE.name)}
         self._vehicle = {
-            number
-            for number, topic in self._topics.items()
-            if topic == topics.VEHICLE and structure.is_protobuf(number, topics.VEHICLE_SCHEMA)
+            n for n, topic in self._topics.items() if topic == topics.VEHICLE and of_type(n, VEHICLE_STATE.name)
         }
         self._events = {
-            number
-            for number, topic in self._topics.items()
-            if topic == topics.EVENTS and structure.is_protobuf(number, LogMessage.DESCRIPTOR.full_name)
+            n for n, topic in self._topics.items() if topic == topics.EVENTS and of_type(n, LOG_MESSAGE.name)
         }
+        self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
         self._bad_telemetry: Counter[str] = Counter()
         self._findings = findings
-        self._look = Look(pool)
+        self._image_check = ImageCheck(pool)
         self._states = StatesWritten()
         self._last_row: dict[str, int] = {}
         self._sizes = PictureSizes()
@@ -66,7 +62,7 @@ class Contents:
     @property
     def pictures(self) -> int:
         """How many were decoded."""
-        return self._look.decoded
+        return self._image_check.decoded
 
     def take(self, records: bytes, message: StoredMessage) -> None:
         topic = self._topics.get(message.channel)
@@ -77,7 +73,7 @@ class Contents:
         if message.log_time_ns > LAST_TIME_NS:
             self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
             return
-        if topic in _IN_ORDER:
+        if message.channel in self._in_order:
             if message.sequence <= self._last_row.get(topic, -1):
                 self._findings.append(Finding("rows out of order", f"{topic} row {message.sequence}"))
             self._last_row[topic] = message.sequence
@@ -100,7 +96,7 @@ class Contents:
             return
         picture = records[at : at + length]
         self._sizes.add(topic, message.sequence, width_and_height(picture))
-        self._look.take(topic, message.sequence, message.log_time_ns, picture)
+        self._image_check.add(topic, message.sequence, message.log_time_ns, picture)
 
     def _take_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
         try:
@@ -114,9 +110,9 @@ class Contents:
 
     def judge(self) -> None:
         """What can only be said when everything was seen."""
-        self._look.finish()
-        for topic, at in self._look.broken:
-            where = f"{topic} row {self._look.seen[topic].rows[at]}"
+        self._image_check.finish()
+        for topic, at in self._image_check.broken:
+            where = f"{topic} row {self._image_check.pictures[topic].rows[at]}"
             self._findings.append(Finding("pictures that do not decode", where))
         for reason, count in self._bad_telemetry.most_common():
             self._findings.append(Finding("kinds of telemetry that could not be used", f"{reason} ({count:,})"))
@@ -126,41 +122,35 @@ class Contents:
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
-            self._judge_pictures(topic, self._look.seen.get(topic, Seen()), speed_mph)
+            self._judge_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
         flags = row_flags(states)
         for flag, kind in _ROW_FINDINGS.items():
             for begin, end in stretches(flags[flag]):
                 where = _rows(int(states.row[begin]), int(states.row[end]))
                 self._findings.append(Finding(kind, f"before {where}" if flag == "gap" else where))
 
-    def _cameras(self, *, has_rows: bool) -> set[str]:
+    def _cameras(self, *, has_rows: bool) -> frozenset[str]:
         """Topics on which every row should have a picture: also a camera that has none at all."""
-        known = {topic for topic in self._topics.values() if topic in map(camera_topic, CAMERAS)}
+        known = CAMERA_TOPICS.intersection(self._topics.values())
         expected = {camera_topic("center")} if has_rows else set()
-        return (known | expected | self._look.seen.keys()) - {topics.PILOT_INPUT}
+        others = topics.PICTURE_TOPICS - CAMERA_TOPICS
+        return (known | expected | self._image_check.pictures.keys()) - others
 
-    def _judge_pictures(self, topic: str, seen: Seen, speed_mph: dict[tuple[int, int], float]) -> None:
-        held = set(zip(seen.rows, seen.times_ns, strict=True))
+    def _judge_pictures(
+        self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
+    ) -> None:
+        held = set(zip(pictures.rows, pictures.times_ns, strict=True))
         for kind, keys in (
             ("stretches of rows without a picture", speed_mph.keys() - held),
             ("stretches of pictures without a row", held - speed_mph.keys() if speed_mph else set()),
         ):
-            for first, last in _together(sorted({row for row, _ in keys})):
+            for first, last in consecutive(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {_rows(first, last)}"))
         standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
-        for first, last in seen.frozen(standing):
-            where = _rows(seen.rows[first], seen.rows[last])
+        for first, last in pictures.frozen(standing):
+            where = _rows(pictures.rows[first], pictures.rows[last])
             self._findings.append(Finding("stretches of frozen pictures", f"{topic} {where}"))
 
 
 def _rows(first: int, last: int) -> str:
     return f"row {first}" if first == last else f"rows {first} to {last}"
-
-
-def _together(rows: list[int]) -> Iterator[tuple[int, int]]:
-    """First and last of the runs of neighbouring numbers in a sorted list."""
-    begin = 0
-    for i in range(1, len(rows) + 1):
-        if i == len(rows) or rows[i] > rows[i - 1] + 1:
-            yield rows[begin], rows[i - 1]
-            begin = i

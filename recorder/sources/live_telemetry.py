@@ -1,4 +1,4 @@
-"""Recording live telemetry: whatever a connected simulator tells becomes a log."""
+"""Recording the telemetry of connected simulators into a log."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from recorder.server.pose_message import pose_message
 from recorder.server.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
-from recorder.sources.import_recording import Imported
+from recorder.sources.import_result import Imported
 
 RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
@@ -36,8 +36,8 @@ def listen_for_telemetry(
     overwrite: bool = False,
     on_started: Callable[[Path], None] | None = None,
 ) -> Imported:
-    """Record to `log` what Socket.IO clients tell on host:port (port 0: a free one); every telemetry is answered
-    by `manual`, which asks for the next one.
+    """Record the telemetry of Socket.IO clients on host:port (port 0: a free one) to `log`. Every telemetry is
+    answered by `manual`, which asks for the next one.
 
     Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last telemetry; outside the main thread, which alone
     hears signals, only on the latter. `on_started` gets the path of the growing file, once the server listens.
@@ -64,14 +64,14 @@ def listen_for_telemetry(
 
 
 class _Session:
-    """Writes telemetry down; rows are numbered from 0, and no time is the same as or before the last one."""
+    """Writes telemetry to a log; rows are numbered from 0, and no time is the same as or before the last one."""
 
     def __init__(self, writer: LogWriter, status: StatusLine) -> None:
         self._writer = writer
         self._status = status
         self._text = ""
         self._connections = 0
-        self._first_connected_s: float | None = None  # until it has told something, or nothing for too long
+        self._first_connected_s: float | None = None  # until its first telemetry, or none came for too long
         self._telemetries = 0
         self._manuals = 0
         self._clock = LogClock(from_wall_clock=True)
@@ -123,14 +123,14 @@ class _Session:
         self._status.show(self._text)
 
     def warn(self, text: str) -> None:
-        """Something else than a simulator has connected, or it tells what cannot be used."""
+        """Report a client that is no simulator, or telemetry that cannot be used."""
         self._event(time.time_ns(), text, "WARNING")
         self.say(text)
 
     def say(self, text: str) -> None:
         """Show it in the status line; where there is none, print it."""
         self._text = text
-        self._status.say(text)
+        self._status.show_or_print(text)
 
     def finish(self) -> None:
         """To be called when nothing more will come."""
@@ -138,12 +138,12 @@ class _Session:
             self._event(time.time_ns(), text, "WARNING")
 
     def is_idle_for(self, idle_s: float) -> bool:
-        """Whether the last telemetry came so long ago; False before the first."""
+        """True if the last telemetry came so long ago; False before the first."""
         return self._telemetries > 0 and time.monotonic() - self._last_s >= idle_s
 
     def why_nothing(self) -> str:
         if self.skipped:
-            return f"nothing was recorded{self.skipped.because()}"
+            return f"nothing was recorded{self.skipped.error_suffix()}"
         if self._manuals:
             return (
                 "nothing was recorded: the simulator tells nothing while its keys are held; drive in its training"
@@ -161,10 +161,10 @@ class _Session:
                 self._event(received_ns, "manual: a human drives")
             return
         try:
-            told = parse_telemetry(data, self._separators.get(sid))
-            if told.observed_separator is not None:
-                self._separators[sid] = told.observed_separator
-            size = check_whole_jpeg(told.jpeg)
+            telemetry = parse_telemetry(data, self._separators.get(sid))
+            if telemetry.observed_separator is not None:
+                self._separators[sid] = telemetry.observed_separator
+            size = check_whole_jpeg(telemetry.jpeg)
         except TelemetryError as error:
             if error.kind not in self._bad.counts:
                 print_message(f"telemetry that cannot be used: {error}")
@@ -172,13 +172,15 @@ class _Session:
             if (text := self._bad.take(error.kind, str(error))) is not None:
                 self._event(received_ns, text, "WARNING")
             return
-        time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
-        for text in self._world_notices.new_notices(told.world_problems, clock_stands=self._clock.stands):
+        time_ns = self._clock.row(received_ns, None if telemetry.world is None else telemetry.world.time_s)
+        for text in self._world_notices.new_notices(telemetry.world_problems, clock_stands=self._clock.stands):
             self.warn(text)
-        self._writer.picture("center", time_ns, self.rows, told.jpeg, size)
-        state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
+        self._writer.picture("center", time_ns, self.rows, telemetry.jpeg, size)
+        state = VehicleState(
+            steering=telemetry.steering, throttle=telemetry.throttle, brake=0.0, speed_mph=telemetry.speed_mph
+        )
         self._writer.vehicle(time_ns, self.rows, state)
-        pose = None if told.world is None else told.world.pose
+        pose = None if telemetry.world is None else telemetry.world.pose
         if pose is not None:
             self._writer.pose(time_ns, self.rows, pose_message(pose, time_ns))
         self.rows += 1

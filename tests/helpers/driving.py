@@ -41,6 +41,13 @@ def command(name: str, *arguments: object) -> list[str]:
     return [sys.executable, "-c", code, *map(str, arguments)]
 
 
+def command_with_viewer(viewer: str, name: str, *arguments: object) -> list[str]:
+    """The same, with this Python code in the place of the viewer that the command starts."""
+    replace = f"import common.preview; common.preview.VIEWER = ('-c', {viewer!r})"
+    python, flag, code, *rest = command(name, *arguments)
+    return [python, flag, f"{replace}; {code}", *rest]
+
+
 def environment() -> dict[str, str]:
     """The sources on the path, one thread a process, and a width at which no message is wrapped."""
     root = str(ROOT)

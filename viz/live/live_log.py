@@ -11,14 +11,15 @@ from google.protobuf.message import DecodeError
 from mcap.records import Channel
 
 from common import Skipped
-from common.closing import Closing
+from common.closeable import Closeable
 from common.files import final_path
 from common.locks import is_being_written
 from recorder.errors import LogError
 from recorder.log.mcap_file import MAGIC, Chunk, McapFile, StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.scan import Structure, has_summary, walk_on
-from viz.live.live_messages import KINDS, PICTURE_TOPICS, Shown
+from recorder.log.topics import PICTURE_TOPICS
+from viz.live.live_messages import SHOWN, LiveMessage
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
 QUIET_S: Final = 2.0
@@ -49,7 +50,7 @@ def is_finished(path: Path) -> bool:
         file.close()
 
 
-class GrowingLog(Closing):
+class GrowingLog(Closeable):
     """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
 
     Either `is_finished` or `notice` tells that nothing more will come: the recording was killed, says the notice.
@@ -75,7 +76,7 @@ class GrowingLog(Closing):
         if self._file is not None:
             self._file.close()
 
-    def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[Shown]]:
+    def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[LiveMessage]]:
         """What has been completed since the last call, a list for each chunk.
 
         With `pictures_of_last_s`, pictures that are older than that before the newest message are skipped.
@@ -129,7 +130,7 @@ class GrowingLog(Closing):
                 return None  # it was just given its final name
             raise
 
-    def _shown_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[Shown]:
+    def _shown_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[LiveMessage]:
         records = file.records(chunk)
         try:
             messages = list(file.messages(records))
@@ -146,23 +147,23 @@ class GrowingLog(Closing):
                     yield shown
 
     def _can_be_shown(self, channel: Channel) -> bool:
-        kind = KINDS.get(channel.topic)
+        kind = SHOWN.get(channel.topic)
         return kind is not None and self._found.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
 
-    def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> Shown | None:
+    def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> LiveMessage | None:
         name = f"{channel.topic} row {stored.sequence}"
         if channel.topic in PICTURE_TOPICS and stored.log_time_ns < since_ns:
             self.skipped.add(LATE, name)
             return None
         try:
-            content = KINDS[channel.topic].FromString(records[stored.offset : stored.offset + stored.length])
+            content = SHOWN[channel.topic].FromString(records[stored.offset : stored.offset + stored.length])
         except DecodeError:
             self.skipped.add("messages that cannot be decoded", name)
             return None
         if stored.log_time_ns > LAST_TIME_NS:
             self.skipped.add("messages of a time that cannot be", name)
             return None
-        return Shown(channel.topic, stored.sequence, stored.log_time_ns, content)
+        return LiveMessage(channel.topic, stored.sequence, stored.log_time_ns, content)
 
 
 def _newest_ns(file: McapFile, chunk: Chunk) -> int:

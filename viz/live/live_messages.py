@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -10,26 +10,19 @@ import numpy as np
 import rerun as rr
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message as ProtobufMessage
 
-from common.car import CAMERAS
-from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
-from viz.playback.blueprint import log_layout
+from recorder.log.topics import EVENTS, PICTURE_TOPICS, POSE, TOPICS
+from viz.playback.blueprint import CENTER, log_layout
 from viz.playback.curves import Drawing, frame_size
 from viz.timelines import Times, log_clock
 
-CENTER: Final = camera_topic("center")
-PICTURE_TOPICS: Final = (*map(camera_topic, CAMERAS), PILOT_INPUT)
-KINDS: Final[dict[str, type[ProtobufMessage]]] = {
-    **dict.fromkeys(PICTURE_TOPICS, CompressedImage),
-    VEHICLE: VehicleState,
-    PILOT_COMMAND: PilotCommand,
-    POSE: PoseInFrame,
-    EVENTS: LogMessage,
+SHOWN: Final[Mapping[str, type[ProtobufMessage]]] = {
+    name: topic.message.load()
+    for name, topic in TOPICS.items()
+    if topic.is_picture or topic.lines or name in (POSE, EVENTS)
 }
-"""What is shown, and what it must be."""
+"""The topics that are shown, and what their messages must be."""
 
 # As Rerun's MCAP reader calls them.
 _LEVELS: Final = {
@@ -42,8 +35,8 @@ _LEVELS: Final = {
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A message to show; `content` is of the kind that KINDS tells for its topic."""
+class LiveMessage:
+    """A message to show; `content` is of the type that SHOWN has for its topic."""
 
     topic: str
     row: int
@@ -51,7 +44,7 @@ class Shown:
     content: Any
 
 
-class MessageSender:
+class LiveMessageSender:
     """Sends messages to a recording, and a layout whenever there is something new to lay out."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:
@@ -61,10 +54,10 @@ class MessageSender:
         self._topics: set[str] = set()
         self._has_size = False
 
-    def send(self, messages: Sequence[Shown]) -> None:
+    def send(self, messages: Sequence[LiveMessage]) -> None:
         if self._start_ns is None:
             self._start_ns = min((message.log_time_ns for message in messages), default=None)
-        by_topic: dict[str, list[Shown]] = {}
+        by_topic: dict[str, list[LiveMessage]] = {}
         for message in messages:
             by_topic.setdefault(message.topic, []).append(message)
         self._prepare(by_topic.keys())
@@ -72,9 +65,9 @@ class MessageSender:
             found = by_topic[topic]
             time_ns = np.array([message.log_time_ns for message in found], np.int64)
             contents = [message.content for message in found]
-            if KINDS[topic] is CompressedImage:
+            if TOPICS[topic].is_picture:
                 self._send_pictures(topic, time_ns, contents)
-            elif KINDS[topic] is LogMessage:
+            elif topic == EVENTS:
                 self._send_events(topic, time_ns, contents)
             else:
                 self._drawing.send(topic, time_ns, contents)
