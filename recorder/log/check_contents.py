@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
+from common.stretches import consecutive, stretches
 from recorder.bc_pb2 import VehicleState
 from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
-from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
+from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags
 from recorder.log.scan import Structure
 from recorder.log.topics import CAMERA_TOPICS, COMPRESSED_IMAGE, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
-from recorder.pictures.image_check import CheckedPictures, ImageCheck
+from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
@@ -96,7 +96,7 @@ class Contents:
             return
         picture = records[at : at + length]
         self._sizes.add(topic, message.sequence, width_and_height(picture))
-        self._image_check.take(topic, message.sequence, message.log_time_ns, picture)
+        self._image_check.add(topic, message.sequence, message.log_time_ns, picture)
 
     def _take_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
         try:
@@ -109,7 +109,7 @@ class Contents:
             self._bad_telemetry[kind] += count
 
     def judge(self) -> None:
-        """The findings that need the whole log."""
+        """What can only be said when everything was seen."""
         self._image_check.finish()
         for topic, at in self._image_check.broken:
             where = f"{topic} row {self._image_check.pictures[topic].rows[at]}"
@@ -122,7 +122,7 @@ class Contents:
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
-            self._judge_pictures(topic, self._image_check.pictures.get(topic, CheckedPictures()), speed_mph)
+            self._judge_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
         flags = row_flags(states)
         for flag, kind in _ROW_FINDINGS.items():
             for begin, end in stretches(flags[flag]):
@@ -137,14 +137,14 @@ class Contents:
         return (known | expected | self._image_check.pictures.keys()) - others
 
     def _judge_pictures(
-        self, topic: str, pictures: CheckedPictures, speed_mph: dict[tuple[int, int], float]
+        self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
     ) -> None:
         held = set(zip(pictures.rows, pictures.times_ns, strict=True))
         for kind, keys in (
             ("stretches of rows without a picture", speed_mph.keys() - held),
             ("stretches of pictures without a row", held - speed_mph.keys() if speed_mph else set()),
         ):
-            for first, last in _together(sorted({row for row, _ in keys})):
+            for first, last in consecutive(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {_rows(first, last)}"))
         standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
         for first, last in pictures.frozen(standing):
@@ -154,12 +154,3 @@ class Contents:
 
 def _rows(first: int, last: int) -> str:
     return f"row {first}" if first == last else f"rows {first} to {last}"
-
-
-def _together(rows: list[int]) -> Iterator[tuple[int, int]]:
-    """First and last of the runs of neighbouring numbers in a sorted list."""
-    begin = 0
-    for i in range(1, len(rows) + 1):
-        if i == len(rows) or rows[i] > rows[i - 1] + 1:
-            yield rows[begin], rows[i - 1]
-            begin = i
