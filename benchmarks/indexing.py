@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from common.car import CAMERAS, Camera
 from dataset import IndexConfig, build_index
 from dataset.index.duplicates import refuse_shared_pictures
 from dataset.index.frames import frames_of, frames_table, write_table
@@ -25,7 +26,6 @@ from dataset.index.samples import write_samples
 from recorder import Log, LogWriter, Pictures
 from recorder.bc_pb2 import VehicleState
 from recorder.log.row_quality import States
-from recorder.log.topics import CAMERAS, Camera
 
 RUNS = 5
 STEP_NS = 100_000_000

@@ -28,8 +28,9 @@ import numpy as np
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from rerun.experimental import ViewerClient
 
+from common.car import CAMERAS
 from recorder import Log, LogWriter
-from recorder.log.topics import CAMERAS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from recorder.log.topics import PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
 from viz.targets import WINDOW_MEMORY
 from viz.timelines import LOG_TIME
 from viz.viewer_process import free_port, viewer_program

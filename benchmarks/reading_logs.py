@@ -17,9 +17,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from common.car import CAMERAS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.topics import CAMERAS
 from recorder.sources.udacity_recording import read_recording
 
 RUNS = 3

@@ -1,44 +1,26 @@
-"""Settings that were stored as JSON, perhaps by somebody else: their types are checked before they are used."""
+"""Settings read from JSON, perhaps somebody else's: names, types and ranges are checked before they are used."""
 
 from __future__ import annotations
 
-import types
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from dataclasses import fields
+from typing import TYPE_CHECKING, TypeVar
 
-Settings = TypeVar("Settings")
+import msgspec
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 def settings_from(kind: type[Settings], stored: object) -> Settings:
-    """The settings (a dataclass of numbers, words and tuples of them) that `stored` holds.
+    """The settings of a dataclass that `stored`, parsed JSON, holds; those it leaves out have their defaults.
 
-    Raises ValueError for names or values that it does not have.
+    Raises ValueError for names or values that `kind` does not have.
     """
-    if not isinstance(stored, Mapping):
-        raise ValueError("no settings")
-    hints = get_type_hints(kind)
-    if unknown := [str(name) for name in stored if name not in hints]:
-        raise ValueError(f"unknown settings: {', '.join(sorted(unknown))}")
-    values: dict[str, Any] = {}
-    for name, value in stored.items():
-        values[name] = tuple(value) if isinstance(value, list) else value
-        if not _fits(values[name], hints[name]):
-            raise ValueError(f"{name} cannot be {value!r:.60}")
-    return kind(**values)
-
-
-def _fits(value: object, hint: Any) -> bool:
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _fits(value, arguments[0])
-    if origin in (Union, types.UnionType):
-        return any(_fits(value, each) for each in arguments)
-    if origin is Literal:
-        return isinstance(value, str) and value in arguments
-    if origin is tuple:  # of any length
-        return isinstance(value, tuple) and all(_fits(each, arguments[0]) for each in value)
-    if hint is float:
-        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    return value is None if hint is type(None) else isinstance(value, hint)
+    if isinstance(stored, dict) and (unknown := stored.keys() - {field.name for field in fields(kind)}):
+        raise ValueError(f"unknown settings: {', '.join(sorted(map(str, unknown)))}")
+    try:
+        return msgspec.convert(stored, kind)
+    except msgspec.ValidationError as error:
+        raise ValueError(str(error)) from None

@@ -7,6 +7,7 @@ refuse_hidden(__name__)
 
 from typing import TYPE_CHECKING
 
+from common.car import MAX_STEERING_DEG
 from common.lazy import lazy_names
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -14,7 +15,6 @@ from dataset.index.samples_file import Samples
 from dataset.loader.loader import Batch, Loader, load
 from dataset.loader.torch_dataset import SamplesDataset
 from dataset.preprocess import decode, preprocess
-from recorder.log.topics import MAX_STEERING_DEG
 
 if TYPE_CHECKING:
     from dataset.index.build import Indexed, build_index

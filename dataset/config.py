@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
-from common.flags import arg
+from tyro.conf import arg
+
+from common.car import Camera
 from dataset.augment import Alteration
-from recorder.log.topics import Camera
+
+CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
+"""How the side correction enters the label of each camera that is trained on unless others are asked for."""
 
 Drives = Literal["all", "takeovers"]
 
@@ -26,7 +31,7 @@ class IndexConfig:
     """Cap: how often one picture, and its mirror image, may be used to fill up a bin, itself included."""
     flip: bool = True
     """Mirrored copies of every picture, their steering negated; --no-flip leaves them out."""
-    cameras: tuple[Camera, ...] = ("center", "left", "right")
+    cameras: tuple[Camera, ...] = tuple(CORRECTION_SIGNS)
     """The cameras to train on."""
     side_correction: float = 0.2
     """Added to the steering of the left camera's pictures, taken from that of the right one's."""

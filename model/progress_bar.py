@@ -1,53 +1,36 @@
-"""Training's progress bar; nothing where stderr is no terminal, or where rich is not installed."""
+"""The progress bar of training and evaluation: a line for each task, with its rate and the time left."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from rich.progress import Progress
 
-
-class Bar:
-    """A bar with the rate and the time left."""
-
-    def __init__(self, progress: Progress | None = None) -> None:
-        self._progress = progress
-
-    @contextlib.contextmanager
-    def task(self, what: str, total: int, done: int = 0) -> Iterator[Task]:
-        """Something that takes a while, of which `done` is done already."""
-        if self._progress is None:
-            yield Task()
-            return
-        task = self._progress.add_task(what, total=total, completed=done, note="")
-        try:
-            yield Task(self._progress, task)
-        finally:
-            self._progress.remove_task(task)
+from common.progress import progress_bar
 
 
-class Task:
-    def __init__(self, progress: Progress | None = None, number: int = 0) -> None:
-        self._progress = progress
-        self._number = number
+class Advance(Protocol):
+    """Count so many more steps of a task as done, and show a note beside them."""
 
-    def advance(self, count: int, note: str = "") -> None:
-        if self._progress is not None:
-            self._progress.update(self._number, advance=count, note=note)  # type: ignore[arg-type]
+    def __call__(self, count: int, note: str = "") -> object: ...
+
+
+def open_bar(*, is_shown: bool) -> Progress:
+    """A progress bar, to be used as a context manager."""
+    return progress_bar() if is_shown else Progress(disable=True)
 
 
 @contextlib.contextmanager
-def open_bar(*, is_shown: bool) -> Iterator[Bar]:
-    if not is_shown:
-        yield Bar()
-        return
+def progress_task(bar: Progress, name: str, total: int, completed: int = 0) -> Iterator[Advance]:
+    """A line of `bar`, there while the block runs; of `total` steps, `completed` are done already."""
+    task = bar.add_task(name, total=total, completed=completed, note="")
+
+    def advance(count: int, note: str = "") -> None:
+        bar.update(task, advance=count, note=note)
+
     try:
-        from common.progress import progress_bar
-    except ImportError:
-        yield Bar()
-        return
-    with progress_bar() as progress:
-        yield Bar(progress)
+        yield advance
+    finally:
+        bar.remove_task(task)

@@ -10,12 +10,12 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
+from common.car import CAMERAS
 from dataset import IndexConfig, build_index, decode
 from driving import DriveProcess
 from logs import plain_read, read_messages
 from model import TrainConfig, load_pilot, train
 from recorder import import_udacity
-from recorder.log.topics import CAMERAS
 from simulator.protocol.client import SimulatorClient
 from simulator.protocol.replay import replay
 from viz import save_rrd

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.log.topics import MAX_STEERING_DEG
+from common.car import MAX_STEERING_DEG
 
 Image = NDArray[np.uint8]
 Color = tuple[int, int, int]  # BGR

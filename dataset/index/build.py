@@ -20,6 +20,7 @@ from typing import IO, Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from common.car import CAMERAS
 from common.locks import lock
 from common.progress import track
 from dataset.config import IndexConfig
@@ -57,7 +58,7 @@ from dataset.index.staging import clear_up, staged, strangers_to
 from recorder import Log, LogError
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.tags import read_tags
-from recorder.log.topics import CAMERAS, camera_topic
+from recorder.log.topics import camera_topic
 from recorder.pictures.picture_size import width_and_height
 
 LOCK_NAME: Final = ".lock"

@@ -17,12 +17,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.car import CAMERAS
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.index.frames import read_frames
 from dataset.index.samples import is_excluded
 from recorder import Log
-from recorder.log.topics import CAMERAS
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 

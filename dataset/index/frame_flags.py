@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.car import Camera
 from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, row_flags
-from recorder.log.topics import Camera
 
 PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture"]
 FrameFlag = RowFlag | PictureFlag

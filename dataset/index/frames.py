@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from common import whole_file
+from common.car import CAMERAS, Camera
 from common.files import final_path
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -27,7 +28,7 @@ from dataset.index.split import block_numbers, near_validation, validation_block
 from recorder import Log, Pictures
 from recorder.log.row_quality import States, drive_numbers
 from recorder.log.tags import Tag
-from recorder.log.topics import CAMERAS, Camera, camera_topic
+from recorder.log.topics import camera_topic
 
 FORMAT: Final = 6
 

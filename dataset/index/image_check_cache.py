@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common import whole_file
+from common.car import CAMERAS, Camera
 from common.progress import progress_bar
 from dataset.errors import naming
 from dataset.index.frame_flags import Looked, Stretches
 from recorder import Log, LogError
 from recorder.log.message_index import UNCOMPRESSED
 from recorder.log.row_quality import STANDING_MPH
-from recorder.log.topics import CAMERAS, Camera, camera_topic
+from recorder.log.topics import camera_topic
 from recorder.pictures.image_check import Look
 
 LOOKS_FOLDER: Final = "looks"

@@ -19,7 +19,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from common import whole_file
-from dataset.config import IndexConfig
+from common.car import CAMERAS
+from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
 from dataset.index.balance import balance, bin_of, unbalanced
 from dataset.index.drivers import DRIVERS, is_taken
@@ -29,7 +30,6 @@ from dataset.index.frames import read_frames
 from dataset.index.labels import labels_of
 from dataset.index.samples_format import FORMAT, METADATA_KEY, SCHEMA
 from recorder.log.tags import EXCLUDE
-from recorder.log.topics import CAMERAS
 
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
 
@@ -194,8 +194,8 @@ def _of_camera(
     steering: NDArray[np.float64], camera: NDArray[np.int8], config: IndexConfig
 ) -> NDArray[np.float64]:
     """What the pictures of each camera call for: -1..1, never -0.0."""
-    correction = np.select([camera == CAMERAS.index("left"), camera == CAMERAS.index("right")], [1.0, -1.0], 0.0)
-    return np.clip(steering + config.side_correction * correction, -1.0, 1.0) + 0.0
+    signs = np.array([CORRECTION_SIGNS.get(name, 0.0) for name in CAMERAS])
+    return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
 
 def _codes(column: pa.ChunkedArray, names: tuple[str, ...]) -> NDArray[np.int8]:

@@ -7,10 +7,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.car import CAMERAS
 from dataset.config import IndexConfig
 from dataset.index.frames import driven_states, frames_of
 from recorder import Log
-from recorder.log.topics import CAMERAS, camera_topic
+from recorder.log.topics import camera_topic
 
 
 def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfig) -> NDArray[np.bool_]:

@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import CAMERAS
 from dataset.augment import alter
 from dataset.errors import DatasetError
 from dataset.index.samples_file import Rows
 from dataset.preprocess import SIZE_PX, Image, decode, preprocess
 from recorder import Log
-from recorder.log.topics import CAMERAS, camera_topic
+from recorder.log.topics import camera_topic
 
 CROP_SHAPE = (SIZE_PX, SIZE_PX, 3)
 CROP_BYTES = SIZE_PX * SIZE_PX * 3

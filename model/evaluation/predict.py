@@ -16,7 +16,7 @@ from dataset.preprocess import Image
 from model.errors import RunError
 from model.network.layers import SteeringNetwork
 from model.network.visual_backprop import look
-from model.progress_bar import open_bar
+from model.progress_bar import open_bar, progress_task
 from model.runs.run_folder import load_config, load_network
 
 BATCH: Final = 64  # what stays in a processor's cache
@@ -62,7 +62,7 @@ def predict_crops(
         networks.append(load_network(run).to(memory_format=torch.channels_last))  # type: ignore[call-overload]
     keep_freed_memory()
     predicted, is_decoded = np.zeros((len(runs), count)), np.zeros(count, np.bool_)
-    with open_bar(is_shown=True) as bar, bar.task("frames", count) as task:
+    with open_bar(is_shown=True) as bar, progress_task(bar, "frames", count) as advance:
         for numbers, crops in batches:
             is_decoded[numbers] = True
             for at, network in enumerate(networks):
@@ -74,7 +74,7 @@ def predict_crops(
                 if not steering.isfinite().all():
                     raise RunError(f"{runs[at]}: its network predicts what is no number; train it again")
                 predicted[at, numbers] = steering.numpy()
-            task.advance(len(numbers))
+            advance(len(numbers))
             on_batch()
     return predicted, is_decoded
 

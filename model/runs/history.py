@@ -12,14 +12,14 @@ from __future__ import annotations
 import base64
 import json
 import math
-import os
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from common import Skipped
-from common.untrusted import open_regular
+from common.file_tail import FileTail
 from dataset.preprocess import decode, is_crop
 from model.errors import RunError
 from model.metrics import BinErrors, Errors, Measures
@@ -70,7 +70,7 @@ class HistoryReader:
     def _begin(self) -> None:
         self.skipped = Skipped()
         self._metrics, self._steps, self._worst = (
-            _GrowingFile(self._run / name) for name in (METRICS, STEPS, WORST)
+            FileTail(self._run / name, _MOST_LINE_BYTES) for name in (METRICS, STEPS, WORST)
         )
         self._last_epoch, self._last_samples, self._last_worst = 0, 0, 0
 
@@ -94,13 +94,13 @@ class HistoryReader:
 
     def _read_files(self) -> list[list[tuple[int, bytes]] | None]:
         """Metrics first: the steps and the worst frames of every epoch that is read are then there too."""
-        return [file.read() for file in (self._metrics, self._steps, self._worst)]
+        return [_new_lines(file) for file in (self._metrics, self._steps, self._worst)]
 
     def name_unfinished(self) -> None:
         """Count a last line that never got its end as skipped."""
-        for name, file in ((METRICS, self._metrics), (STEPS, self._steps), (WORST, self._worst)):
-            if file.has_unfinished_line:
-                self.skipped.add("lines that were cut off", f"{name} line {file.lines + 1}")
+        for file in (self._metrics, self._steps, self._worst):
+            for number, _ in file.rest():
+                self.skipped.add("lines that were cut off", f"{file.path.name} line {number}")
 
     def _parsed(self, name: str, lines: list[tuple[int, bytes]], parse: Callable[[Any], _Parsed]) -> list[_Parsed]:
         found = []
@@ -148,45 +148,22 @@ class HistoryReader:
         return WorstPictures(epoch, frames, jpegs)
 
 
-class _GrowingFile:
-    """The whole lines of a file that grows, or is replaced by another one."""
-
-    def __init__(self, path: Path) -> None:
-        self.lines = 0
-        self.has_unfinished_line = False
-        self._path = path
-        self._position = 0
-        self._identity: tuple[int, int] | None = None
-
-    def read(self) -> list[tuple[int, bytes]] | None:
-        """Number and content of the lines that are new; None if the file is no longer that which was read."""
-        try:
-            if self._path.is_symlink():
-                raise RunError(f"{self._path}: a link; a run's files lie in its folder, copy it there")
-            with open_regular(self._path) as stream:
-                status = os.fstat(stream.fileno())
-                identity = (status.st_dev, status.st_ino)
-                if self._identity not in (None, identity) or status.st_size < self._position:
-                    return None
-                self._identity = identity
-                if status.st_size > _MOST_BYTES:
-                    raise RunError(
-                        f"{self._path}: larger than {_MOST_BYTES >> 20} MiB, no training writes so much"
-                    )
-                stream.seek(self._position)
-                data = stream.read(status.st_size - self._position)
-        except FileNotFoundError:
-            return None if self._position else []
-        except OSError as error:
-            raise RunError(
-                f"{self._path}: cannot be read ({error.strerror}); was it written by bc-train?"
-            ) from None
-        end = data.rfind(b"\n") + 1
-        self._position += end
-        self.has_unfinished_line = end < len(data)
-        found = list(enumerate(data[:end].split(b"\n")[:-1], self.lines + 1))
-        self.lines += len(found)
-        return found
+def _new_lines(file: FileTail) -> list[tuple[int, bytes]] | None:
+    """Number and content of the lines that are new; None if the file is no longer that which was read."""
+    try:
+        status = file.path.lstat()
+        if stat.S_ISLNK(status.st_mode):
+            raise RunError(f"{file.path}: a link; a run's files lie in its folder, copy it there")
+        if status.st_size > _MOST_BYTES:
+            raise RunError(f"{file.path}: larger than {_MOST_BYTES >> 20} MiB, no training writes so much")
+        found = file.new_lines()
+        while file.is_behind:
+            found += file.new_lines()
+    except FileNotFoundError:
+        return None if file.line_count else []
+    except OSError as error:
+        raise RunError(f"{file.path}: cannot be read ({error.strerror}); was it written by bc-train?") from None
+    return None if file.was_replaced else found
 
 
 _Parsed = TypeVar("_Parsed", Epoch, Step, WorstPictures)

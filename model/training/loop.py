@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from rich.progress import Progress
 from torch import Tensor
 
 from common import UserError
@@ -29,7 +30,7 @@ from model.errors import RunError
 from model.evaluation.predict import predict
 from model.metrics import measure
 from model.network.layers import SteeringNetwork
-from model.progress_bar import Bar
+from model.progress_bar import progress_task
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.runs.hints import run_argument
 from model.runs.run_files import add_line, keep_lines
@@ -59,7 +60,7 @@ class TrainingLoop:
         machine: Machine,
         group: Group,
         listeners: Sequence[Listener],
-        bar: Bar,
+        bar: Progress,
     ) -> None:
         self.run = run
         self.config = config
@@ -86,8 +87,8 @@ class TrainingLoop:
                 f"{samples.path}: no training samples in it; record more, or give bc-index a smaller"
                 " --validation-share or --gap-s"
             )
-        with bar.task("reading pictures", loader.pictures) as task:  # at once, where a GPU keeps them
-            self.batches = make_batches(loader, machine.device, advance=task.advance)
+        with progress_task(bar, "reading pictures", loader.pictures) as advance:  # at once, where a GPU keeps them
+            self.batches = make_batches(loader, machine.device, advance=advance)
         kept_bytes = loader.pictures * CROP_BYTES if machine.device.type == "cpu" else 0
         seen = samples.driving_view("validation")
         self._seen = seen.select(WORST_COLUMNS)
@@ -193,7 +194,7 @@ class TrainingLoop:
         told_error, told_samples = start.told_squared_error, start.told_samples
         wall_s = cpu_s = 0.0  # of the steps since the last line
         name, note = f"epoch {start.epoch:,}/{self.config.epochs:,}", ""
-        with self.bar.task(name, len(loader) * self.config.epochs, self._samples_seen()) as task:
+        with progress_task(self.bar, name, len(loader) * self.config.epochs, self._samples_seen()) as advance:
             batches = loader.epoch(start.epoch, start.batch)
             for batch, (pictures, steering) in enumerate(batches, start.batch + 1):
                 torch.manual_seed(_dropout_seed(self.config.seed, start.epoch, batch, group.rank))
@@ -220,7 +221,7 @@ class TrainingLoop:
                     told_error, told_samples, told_s = now_error, samples, now_s
                     self._notice_if_busy(wall_s, cpu_s)
                     wall_s = cpu_s = 0.0
-                task.advance(len(steering) * group.ranks, note)
+                advance(len(steering) * group.ranks, note)
                 if group.ranks > 1 and batch % STEP_BATCHES and batch != loader.batches:
                     continue  # asking the other ranks makes a GPU wait
                 is_stopped, is_due = group.any(stopped.is_set(), self._is_due())
@@ -249,8 +250,8 @@ class TrainingLoop:
     def _measure(self) -> tuple[float, float]:
         """Measure the network after an epoch, and tell of it; the best epoch by now, and its balanced RMSE."""
         position = self.position
-        with self.bar.task(f"validation {position.epoch}", len(self.validation)) as task:
-            predicted, recorded = predict(self.network, self.validation, task.advance)
+        with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
+            predicted, recorded = predict(self.network, self.validation, advance)
         if not np.isfinite(predicted).all() or not self._is_finite():
             raise self._diverged()
         measures = measure(predicted, recorded)

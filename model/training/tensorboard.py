@@ -13,17 +13,17 @@ import math
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
 from model.errors import RunError
 from model.metrics import BinErrors
-from model.runs.history import History, HistoryReader
+from model.runs.history import HistoryReader
 from model.runs.training_progress import Epoch, Step
 
 FOLDER: Final = "tensorboard"
 
-_ERRORS: Final = ("mae_deg", "rmse_deg", "turning_mae_deg", "correlation")
 # Under "Custom Scalars", the lines of a plot together; under "Scalars", each tag has a plot of its own.
 _PLOTS: Final = {
     "beside constant predictors": {
@@ -33,10 +33,10 @@ _PLOTS: Final = {
 
 
 class TensorBoard:
-    """Listens to a training and writes RUN/tensorboard, over the samples learnt from since the run began.
+    """A `Listener` that writes RUN/tensorboard; the steps are the samples learnt from since the run began.
 
-    What the run's files tell of the time before, as those of a resumed run do, is written first and takes the
-    place of all that TensorBoard had of this run: no point is there twice, and none is missing after a kill.
+    The history of a resumed run is written first, and hides all that TensorBoard had of this run: no point is
+    there twice, and none is missing after a kill.
     """
 
     def __init__(self, run: Path) -> None:
@@ -50,68 +50,60 @@ class TensorBoard:
             ) from None
         self._run = run
         self._folder = run / FOLDER
-        self._ends: dict[int, int] = {}  # of each epoch, in samples
+        self._epoch_ends: dict[int, int] = {}  # of each epoch, in samples
         self._file: _EventFile | None = None
 
     def step(self, step: Step) -> None:
         """Raises RunError if the folder cannot be written, or the run's files cannot be read."""
-        with self._told():
-            if self._file is None:
-                before = self._history()
-                epochs = [epoch for epoch in before.epochs if epoch.epoch < step.epoch]
-                steps = [other for other in before.steps if other.samples < step.samples]
-                self._file = self._new_file(epochs, steps)
-            self._add_step(self._file, step)
+        with self._opened(step.epoch, step.samples) as file:
+            self._add_step(file, step)
 
     def epoch(self, epoch: Epoch) -> None:
         """Raises RunError if the folder cannot be written, or the run's files cannot be read."""
-        with self._told():
-            if self._file is None:
-                before = self._history()
-                epochs = [other for other in before.epochs if other.epoch < epoch.epoch]
-                steps = [step for step in before.steps if step.epoch <= epoch.epoch]
-                self._file = self._new_file(epochs, steps)
-            self._add_epoch(self._file, epoch)
+        with self._opened(epoch.epoch, math.inf) as file:
+            self._add_epoch(file, epoch)
 
     def close(self) -> None:
         if self._file is not None:
             self._file.close()
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _opened(self, epoch: int, samples: float) -> Iterator[_EventFile]:
+        """The event file; the first time, a new one with the run's history before this epoch and these samples."""
         try:
-            yield
+            if self._file is None:
+                self._file = self._new_file(epoch, samples)
+            yield self._file
         except OSError as error:
             raise RunError(
                 f"{self._folder}: cannot be written ({error.strerror}); make room, or go on without --tensorboard"
             ) from None
 
-    def _history(self) -> History:
-        """When it is first asked for, the files of a resumed run have been brought to where it goes on."""
+    def _new_file(self, epoch: int, samples: float) -> _EventFile:
+        # Only now have the files of a resumed run been brought to where it goes on.
         reader = HistoryReader(self._run)
         history, _ = reader.read()
         if len(reader.skipped):
             lines = "; ".join(reader.skipped.lines())
             raise RunError(f"{self._run}: nothing for TensorBoard, as not all of its files can be read: {lines}")
-        return history
-
-    def _new_file(self, epochs: Sequence[Epoch], steps: Sequence[Step]) -> _EventFile:
         if self._folder.is_symlink():
             raise RunError(f"{self._folder}: a link; TensorBoard's files lie in the run's folder, remove the link")
         file = _EventFile(self._folder)
         try:
             file.add_plots(_PLOTS)
-            for step in steps:
-                self._add_step(file, step)
-            for epoch in epochs:
-                self._add_epoch(file, epoch)
+            for step in history.steps:
+                if step.samples < samples:
+                    self._add_step(file, step)
+            for earlier in history.epochs:
+                if earlier.epoch < epoch:
+                    self._add_epoch(file, earlier)
         except OSError:
             file.close()
             raise
         return file
 
     def _add_step(self, file: _EventFile, step: Step) -> None:
-        self._ends[step.epoch] = step.samples
+        self._epoch_ends[step.epoch] = step.samples
         file.add_scalars({"loss/steps": step.training_loss, "samples_per_s": step.samples_per_s}, step.samples)
 
     def _add_epoch(self, file: _EventFile, epoch: Epoch) -> None:
@@ -122,18 +114,20 @@ class TensorBoard:
             "loss/validation": epoch.validation_loss,
             "rmse_deg/balanced": measures.balanced_rmse_deg,
         }
-        for who, errors in (("network", measures.network), ("mean", measures.mean), ("zero", measures.zero)):
-            values |= {f"{name}/{who}": getattr(errors, name) for name in _ERRORS}
-        samples = self._ends.get(epoch.epoch, epoch.epoch)
+        for predictor in ("network", "mean", "zero"):
+            errors = asdict(getattr(measures, predictor))
+            values |= {f"{name}/{predictor}": value for name, value in errors.items()}
+        samples = self._epoch_ends.get(epoch.epoch, epoch.epoch)
         file.add_scalars(values, samples)
         if measures.bins:
             file.add_text("errors by steering", _table(measures.bins), samples)
 
 
 class _EventFile:
-    """A new file of events, each of which is in it at once.
+    """A new event file, in which every event is as soon as it was added.
 
-    TensorBoard's own writer writes on a thread, whose traceback is all that it says about a full disk.
+    TensorBoard's own writer, and so torch's SummaryWriter, writes on a thread of its own, which prints its
+    traceback when the disk is full.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -146,10 +140,10 @@ class _EventFile:
         self._stream = (folder / name).open("xb")
         self._records = RecordWriter(self._stream)
         self._add(file_version="brain.Event:2")
-        self._add(session_log=SessionLog(status=SessionLog.START))  # at step 0: what was before is not shown
+        self._add(session_log=SessionLog(status=SessionLog.START))  # at step 0: hides all earlier files
 
     def add_scalars(self, values: Mapping[str, float], samples: int) -> None:
-        """Those of the values that exist, by tag."""
+        """Add those of the values, by tag, that exist."""
         from torch.utils.tensorboard.summary import scalar
 
         for tag, value in values.items():
@@ -167,7 +161,7 @@ class _EventFile:
         self._add(summary=custom_scalars(plots))
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):  # what could not be written was told when it was to be written
+        with contextlib.suppress(OSError):  # of what could not be written when it was added
             self._stream.close()
 
     def _add(self, **content: object) -> None:

@@ -205,10 +205,8 @@ def _of_validation(samples: Samples, held_out: int, init: Path | None) -> list[s
         return []
     if init is None:
         return []
-    try:  # making the split of another training again needs more than training does
-        from model.runs.trained_on import by_session, count_learnt
-    except ImportError as error:
-        return [f"{init}: whether it has learnt from the frames held out cannot be told here ({error})"]
+    from model.runs.trained_on import by_session, count_learnt  # needs more packages than training does
+
     count = count_learnt(by_session(samples.driving_view("validation")), samples, load_config(init))
     if count == 0:
         return []

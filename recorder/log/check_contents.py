@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
+from common.car import CAMERAS
 from recorder.bc_pb2 import VehicleState
 from recorder.log import compressed_image, topics
 from recorder.log.bad_telemetry import read_event
@@ -18,7 +19,7 @@ from recorder.log.mcap_file import StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
 from recorder.log.scan import Structure
-from recorder.log.topics import CAMERAS, camera_topic
+from recorder.log.topics import camera_topic
 from recorder.pictures.image_check import Look, Seen
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 

@@ -24,6 +24,7 @@ from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
 
 from common import Skipped
+from common.car import CAMERAS, Camera
 from common.closing import Closing
 from recorder.errors import LogError
 from recorder.log import topics
@@ -31,7 +32,7 @@ from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, find_places
 from recorder.log.salvage import salvage
 from recorder.log.scan import read_structure
-from recorder.log.topics import CAMERAS, Camera, camera_topic, prediction_topic
+from recorder.log.topics import camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState

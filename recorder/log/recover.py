@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common import Skipped
+from common.car import CAMERAS
 from common.errors import counted
 from common.files import final_path
 from common.locks import is_being_written
@@ -30,7 +31,7 @@ from recorder.log.derived_log import (
 from recorder.log.mcap_file import Chunk, McapFile
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, read_tags
-from recorder.log.topics import CAMERAS, ROW_TOPICS, camera_topic
+from recorder.log.topics import ROW_TOPICS, camera_topic
 
 
 def recovered_name(path: Path) -> Path:

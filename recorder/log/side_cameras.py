@@ -15,9 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import Camera
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
-from recorder.log.topics import CAMERAS, camera_topic
+from recorder.log.topics import camera_topic
 from recorder.pictures.picture_size import can_be_decoded
 
 UDACITY_SPACING: Final = 0.63
@@ -25,6 +26,7 @@ UDACITY_SPACING: Final = 0.63
 UDACITY_CORRECTION: Final = 0.2
 """What is added to the steering there, in use since the first projects with it."""
 
+_MEASURED: Final[tuple[Camera, ...]] = ("center", "left", "right")
 MOMENTS: Final = 60
 _WIDTH_PX: Final = 320
 _ROWS: Final = (0.4, 0.85)  # of the height: under most horizons, above most bonnets
@@ -62,12 +64,12 @@ class SideCameras:
 
 def side_cameras(log: Log) -> SideCameras:
     """Of a log with pictures of all three cameras. Raises RecordingError where they do not tell, and why."""
-    places = [log.pictures(camera_topic(camera)) for camera in CAMERAS]
+    places = [log.pictures(camera_topic(camera)) for camera in _MEASURED]
     rows = np.array(sorted(set.intersection(*(set(each.sequence.tolist()) for each in places))), np.int64)
     if not len(rows):
         raise RecordingError(f"{log.path}: no moment has pictures of all three cameras")
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, MOMENTS).round().astype(int))].tolist()
-    moments = ([_decoded(log.picture(row, camera)) for camera in CAMERAS] for row in chosen)
+    moments = ([_decoded(log.picture(row, camera)) for camera in _MEASURED] for row in chosen)
     try:
         return measure(moments)
     except ValueError as error:

@@ -1,11 +1,10 @@
-"""The topics of a log, and the cameras."""
+"""The topics of a log."""
 
 from __future__ import annotations
 
-from typing import Final, Literal, get_args
+from typing import Final
 
-Camera = Literal["center", "left", "right"]
-CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
+from common.car import CAMERAS, Camera
 
 PROFILE: Final = "bc"
 LIBRARY: Final = "behavioural-cloning-toolkit"  # what an MCAP file says that it was written by, before the version
@@ -20,8 +19,6 @@ PILOT_COMMAND: Final = "/pilot/command"
 PREDICTIONS: Final = "/prediction/"  # and the name of a run
 EVENTS: Final = "/events"
 POSE: Final = "/pose"
-
-MAX_STEERING_DEG: Final = 25.0  # steering 1.0, as in the simulator (its CarController's maximum steer angle)
 
 
 def camera_topic(camera: Camera) -> str:

@@ -24,6 +24,7 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, files
+from common.car import CAMERAS, Camera
 from common.interrupts import uninterrupted
 from common.locks import lock
 from common.versions import version_of
@@ -31,7 +32,7 @@ from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.log import topics
 from recorder.log.compressed_image import SCHEMA, image_data
 from recorder.log.row_quality import StatesWritten, summary
-from recorder.log.topics import CAMERAS, Camera, camera_topic, prediction_topic
+from recorder.log.topics import camera_topic, prediction_topic
 from recorder.pictures.picture_size import PNG_START, PictureSizes, width_and_height
 
 CHUNK_BYTES: Final = 256 * 1024

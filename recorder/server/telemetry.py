@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from common.car import MAX_STEERING_DEG
 from common.errors import counted, shown
-from recorder.log.topics import MAX_STEERING_DEG
 from recorder.pictures.jpeg import whole_jpeg_size
 from recorder.server.locale_numbers import POINT, decimal_separator, read_number, written
 from recorder.server.world import World, parse_world

@@ -15,7 +15,6 @@ from common.files import refuse_existing
 from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log.topics import CAMERAS
 from recorder.log.writer import LogWriter
 from recorder.server.pose_message import pose_message
 from recorder.sources.import_recording import Imported
@@ -23,6 +22,7 @@ from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import MOST_RECOVERY, drive_for_recording, steps_each
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityFolder
+from simulator.rendering.camera import MOUNT_LEFT_M
 
 # Simulated time has no date. This one makes the same drive the same log, byte for byte.
 CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
@@ -84,7 +84,7 @@ def record_simulated(
         task = bar.add_task(f"recording {drive.track}", total=math.ceil(length_m), note="metres")
         for step in steps:
             time_ns = CLOCK_START_NS + round(step.time_s * 1e9)
-            jpegs = {camera: simulation.jpeg(camera, step.pose) for camera in CAMERAS}
+            jpegs = {camera: simulation.jpeg(camera, step.pose) for camera in MOUNT_LEFT_M}
             for camera, jpeg in jpegs.items():
                 writer.picture(camera, time_ns, rows, jpeg)
             state = VehicleState(
@@ -107,7 +107,7 @@ def record_simulated(
             raise UserError(f"{drive.laps:g} laps: too short to record a single row")
         if folder is not None:
             folder.finish()
-    return Imported(log, rows, rows * len(CAMERAS), Skipped())
+    return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped())
 
 
 def check_drive(drive: SimulatedDrive) -> None:

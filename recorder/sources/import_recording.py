@@ -13,11 +13,10 @@ from common.errors import KEPT_NAMES
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
-from recorder.log.topics import CAMERAS
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.frame_rate import clock
-from recorder.sources.udacity_csv import Row
+from recorder.sources.udacity_csv import COLUMNS, Row
 from recorder.sources.udacity_recording import MOST_PICTURE_BYTES, UdacityFolder
 
 NOT_WHOLE = "pictures that are not whole JPEG files"
@@ -78,7 +77,7 @@ def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, ove
         all_rows = itertools.chain([first], rows)
         for row, paths in track(all_rows, f"importing {folder.name}", recording.line_count()):
             events.at(writer, row.time_ns)
-            for camera, path in zip(CAMERAS, paths, strict=True):
+            for camera, path in zip(COLUMNS, paths, strict=True):
                 jpeg = _jpeg(path, events.skipped) if path is not None else None
                 if jpeg is not None:
                     writer.picture(camera, row.time_ns, row_count, jpeg)

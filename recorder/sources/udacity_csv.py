@@ -18,12 +18,14 @@ import string
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from typing import Final
 
 from common import Skipped
+from common.car import Camera
 from recorder.errors import RecordingError
 from recorder.sources.frame_rate import check_rate
-from recorder.sources.name_set import NameSet
-from recorder.sources.text_lines import MOST_LINE_BYTES
+
+MOST_LINE_BYTES: Final = 1 << 16  # a longer line is no row of anything
 
 # Spaces and quotes before a path are stripped later: matched here as well, a line of spaces would take for ever.
 _PATH = r'(.*?\.jpe?g)"?\s*,'
@@ -46,6 +48,9 @@ _MINUS_BEHIND = re.compile(r"([0-9.]+)-")  # 0.5-: Arabic and Persian, with a fi
 _WHOLE = re.compile(r"-?(0|[1-9][0-9]*)")
 _FRACTION = re.compile(r"[0-9]*[1-9]([eE][+-]?[0-9]+)?")  # the simulator prints no trailing zeros
 
+COLUMNS: Final[tuple[Camera, Camera, Camera]] = ("center", "left", "right")
+"""The cameras of a line's three paths."""
+
 _Values = tuple[float, float, float, float]
 
 
@@ -59,7 +64,7 @@ class Row:
     throttle: float
     brake: float
     speed_mph: float
-    names: tuple[str, str, str]  # of its pictures' files, in the order of CAMERAS; "" where it names none
+    names: tuple[str, str, str]  # of its pictures' files, in the order of COLUMNS; "" where it names none
 
 
 class RowReader:
@@ -71,9 +76,9 @@ class RowReader:
     def __init__(self, skipped: Skipped, rate_hz: float | None = None) -> None:
         """Raises RecordingError for a rate that no camera has."""
         check_rate(rate_hz)
-        self.named = NameSet()  # every picture that a line names
+        self.named = set[str]()  # every picture that a line names
         self._skipped = skipped
-        self._seen = NameSet()
+        self._earlier_rows = set[tuple[str, str, str]]()  # the names of their pictures
         self._values = _ValueReader()
         self._rate_hz = rate_hz
         self._position = -1  # of the row, counting those that cannot be used: their time passed as well
@@ -96,10 +101,10 @@ class RowReader:
         self._position += 1
         try:
             names, rest = _names(text)
-            if not self._seen.add(names):  # twice in a log, it could be on both sides of a split
+            if names in self._earlier_rows:  # twice in a log, it could be on both sides of a split
                 raise ValueError("the pictures of an earlier row")
-            for name in filter(None, names):
-                self.named.add(name)
+            self._earlier_rows.add(names)
+            self.named.update(filter(None, names))
             row = Row(line, self._time_ns(names), *self._values.read(rest), names)
         except ValueError as error:
             self._skipped.add(f"rows with {error}", f"line {line}")

@@ -15,15 +15,15 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from common.car import Camera
 from common.errors import counted
+from common.file_tail import FileTail
 from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
-from recorder.log.topics import CAMERAS, Camera
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.sources.file_tail import Tail
 from recorder.sources.find_recording import did_you_mean
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_recording import (
@@ -34,7 +34,7 @@ from recorder.sources.import_recording import (
     udacity_metadata,
     vehicle_state,
 )
-from recorder.sources.udacity_csv import RowReader
+from recorder.sources.udacity_csv import COLUMNS, MOST_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import (
     CSV_NAME,
     MOST_PICTURE_BYTES,
@@ -108,7 +108,7 @@ class _Watched:
         self.skipped = self._events.skipped
         self._folder = folder
         self._writer = writer
-        self._csv = Tail(folder / CSV_NAME)
+        self._csv = FileTail(folder / CSV_NAME, MOST_LINE_BYTES)
         self._reader = RowReader(self.skipped, rate_hz)
         self._files = PictureFiles(folder, self.skipped)
         self._looked: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
@@ -127,7 +127,7 @@ class _Watched:
         """Log what is new; True if there is more to do at once."""
         with contextlib.suppress(OSError):
             check_csv(self._folder)
-        self._take_rows(self._csv.new_lines())
+        self._take_rows(self._new_lines())
         self._look(everywhere=False)
         for name, (path, stamp) in list(self._partly.items()):
             if _stamp(path) != stamp:
@@ -138,9 +138,9 @@ class _Watched:
 
     def finish(self) -> None:
         """Take what is there, and count what never came."""
-        self._take_rows(self._csv.new_lines())
+        self._take_rows(self._new_lines())
         while self._csv.is_behind:
-            self._take_rows(self._csv.new_lines())
+            self._take_rows(self._new_lines())
         self._take_rows(self._csv.rest())
         self._look(everywhere=True)
         self._ready |= {name: path for name, (path, _) in self._partly.items()}
@@ -179,6 +179,11 @@ class _Watched:
             return f"{csv}: it never came; give the folder that the simulator's training mode records into"
         return f"{csv}: no usable row{self.skipped.because()}"
 
+    def _new_lines(self) -> list[tuple[int, bytes]]:
+        with contextlib.suppress(OSError):  # a csv that cannot be read now is read the next time
+            return self._csv.new_lines()
+        return []
+
     def _take_rows(self, lines: list[tuple[int, bytes]]) -> None:
         places = self._places() if lines else []
         for line, content in lines:
@@ -189,7 +194,7 @@ class _Watched:
             self._last_ns = row.time_ns
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
-            for camera, name in zip(CAMERAS, row.names, strict=True):
+            for camera, name in zip(COLUMNS, row.names, strict=True):
                 if not name:
                     continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))

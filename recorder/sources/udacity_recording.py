@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Final
 
 from common import Skipped
+from common.text_lines import LineSplitter
 from common.untrusted import open_regular
 from recorder.errors import RecordingError
-from recorder.sources.name_set import NameSet
-from recorder.sources.text_lines import LineSplitter
-from recorder.sources.udacity_csv import Row, RowReader
+from recorder.sources.udacity_csv import MOST_LINE_BYTES, Row, RowReader
 
 CSV_NAME: Final = "driving_log.csv"
 MOST_CSV_BYTES: Final = 1 << 30  # 200 hours of driving
@@ -50,7 +49,7 @@ class PictureFiles:
     def __init__(self, folder: Path, skipped: Skipped) -> None:
         self._folder = folder
         self._skipped = skipped
-        self._links = NameSet()  # those that were told
+        self._reported_links = set[str]()
 
     def places(self) -> list[Path]:
         """The folders that there are to look into."""
@@ -89,10 +88,11 @@ class PictureFiles:
         self._skipped.add(MISSING, name)
 
     def _skip_link(self, path: str) -> None:
-        if self._links.add(path):
+        if path not in self._reported_links:
+            self._reported_links.add(path)
             self._skipped.add(LINKS, Path(path).name)
 
-    def skip_without_row(self, named: NameSet) -> None:
+    def skip_without_row(self, named: set[str]) -> None:
         """Skip the pictures that no row names, by name: the order of a folder is another one on every disk."""
         names = {name for place in self.places() for name in self.names_in(place) if name not in named}
         for name in sorted(names):
@@ -178,7 +178,7 @@ class UdacityFolder:
             self._files.skip_without_row(self._reader.named)
 
     def _lines(self) -> Iterator[bytes]:
-        splitter = LineSplitter()
+        splitter = LineSplitter(MOST_LINE_BYTES)
         with _told(self.csv), open_regular(self.csv) as stream:
             while block := stream.read(_BLOCK_BYTES):
                 yield from splitter.feed(block)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import cv2
 
+from common.car import Camera
 from simulator.driving.course import Course
 from simulator.pose import Pose
-from simulator.rendering.camera import Camera, Renderer
+from simulator.rendering.camera import Renderer
 from simulator.rendering.world_maps import build_world
 from simulator.roads.track_names import load_track
 

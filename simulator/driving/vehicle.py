@@ -10,13 +10,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from common.car import MAX_STEERING_DEG
+
 STEP_S = 0.02  # the simulator applies commands at 50 Hz (Unity's fixed time step)
 MPS_PER_MPH = 0.44704
 GRAVITY_MPS2 = 9.81
 
 WHEELBASE_M = 2.6  # a mid-size car
 AXLE_TO_CENTRE_M = WHEELBASE_M / 2
-MAX_WHEEL_RAD = math.radians(25.0)  # steering 1.0 of the Udacity simulator
+MAX_WHEEL_RAD = math.radians(MAX_STEERING_DEG)
 
 # The Udacity simulator turns its wheels at once, which no car does. A quick hand turns a steering wheel by
 # ~900 degrees a second: 60 at the road wheels with a steering ratio of 15.

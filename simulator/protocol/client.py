@@ -20,11 +20,12 @@ from typing import Any, Final, Literal
 import websocket
 from websocket import ABNF
 
+from common.car import MAX_STEERING_DEG
+
 FRAME_BYTES: Final = 1016  # payload of one websocket frame (websocket-sharp's FragmentLength)
 PING_S: Final = 25.0
 CLOSE_S: Final = 3.0  # how long a server may take to close too
 RETRY_S: Final = 0.05  # the real one retries without any delay, about 10,000 times a second
-MAX_STEERING_DEG: Final = 25.0
 
 
 @dataclass(frozen=True)

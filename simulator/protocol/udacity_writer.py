@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import Self
 
 from common import UserError, files
+from common.car import Camera
 from common.interrupts import uninterrupted
-from simulator.rendering.camera import Camera
 
 ORDER: tuple[Camera, ...] = ("center", "left", "right")
 

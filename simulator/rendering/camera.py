@@ -8,12 +8,12 @@ are laid over both, then haze, then what stands beside the road, and last the bo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import Camera
 from simulator.pose import Pose
 from simulator.rendering.bonnet import TOP_PX as BONNET_PX
 from simulator.rendering.bonnet import draw_bonnet
@@ -26,7 +26,6 @@ from simulator.rendering.sky import BOTTOM, HAZE, TOP
 from simulator.rendering.terrain import CELL_M
 from simulator.rendering.world_maps import World
 
-Camera = Literal["center", "left", "right"]
 Picture = NDArray[np.uint8]
 
 WIDTH_PX, HEIGHT_PX = 320, 160

@@ -55,7 +55,7 @@ def test_what_was_stored_comes_back() -> None:
         (IndexConfig, {"balance": 1}),
     ],
 )
-def test_what_is_no_setting_is_refused(kind: type[object], stored: object) -> None:
+def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], stored: object) -> None:
     with pytest.raises(ValueError, match=r"."):
         settings_from(kind, stored)
 

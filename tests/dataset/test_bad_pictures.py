@@ -12,13 +12,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from common.car import Camera
 from dataset import Batch, DatasetError, IndexConfig, SamplesDataset, build_index, load
 from logs import write_log
 from model.evaluation.predict import predict
 from model.network.layers import SteeringNetwork
 from model.training.batches import DeviceBatches
 from recorder import LogError
-from recorder.log.topics import Camera
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
 BROKEN: dict[tuple[Camera, int], bytes] = {

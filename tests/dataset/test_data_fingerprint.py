@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from common.car import Camera
 from dataset import DatasetError, IndexConfig, Samples, build_index
 from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tag
-from recorder.log.topics import Camera
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(80)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.car import CAMERAS, Camera
 from dataset import DatasetError
 from dataset.index.frame_flags import FRAME_FLAGS, UNUSABLE, Looked, Paired, frame_flags, is_unusable
 from dataset.index.quality_report import Reported, print_report, report
 from recorder.log.row_quality import States
-from recorder.log.topics import CAMERAS, Camera
 
 STEP_NS = 100_000_000
 START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 10**9

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.car import CAMERAS, Camera
 from dataset import DatasetError, IndexConfig, Indexed, Samples, build_index, find_logs
 from dataset.cli import main
 from dataset.index.balance import balance, bin_of
@@ -21,7 +22,6 @@ from logs import STEP_NS, plain_read, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.row_quality import drive_numbers
-from recorder.log.topics import CAMERAS, Camera
 from udacity import call
 
 STEERING = [0.0] * 150 + [round(0.9 * np.sin(i / 7), 3) for i in range(150)]  # straight on, then bends: 30 s

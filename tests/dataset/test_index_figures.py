@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from common import UserError
+from common.car import Camera
 from dataset import DatasetError, IndexConfig, Samples, build_index, decode, preprocess
 from dataset.augment import alter
 from dataset.figure_data import Kind, Moment, crop_rows, find_moments, steering_distribution, two_draws
@@ -27,7 +28,6 @@ from dataset.figure_style import figure_style
 from dataset.index_figures import draw_augmentation, draw_balance, draw_preprocessing, write_figures
 from dataset.preprocess import Image
 from logs import write_log
-from recorder.log.topics import Camera
 from udacity import jpeg
 
 NAMES = ["preprocessing", "augmentation", "balance"]

@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from common.car import Camera
 from dataset import IndexConfig, build_index
 from dataset.index import frames, samples, samples_format
 from dataset.index.filter import Condition
@@ -28,7 +29,6 @@ from logs import START_NS, STEP_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tag
-from recorder.log.topics import Camera
 from repository import ROOT
 
 PAGE = (ROOT / "docs" / "index-format.md").read_text(encoding="utf-8")

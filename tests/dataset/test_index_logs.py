@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from common.car import Camera
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, find_logs
 from dataset.cli import main
 from logs import START_NS, STEP_NS, write_log
@@ -19,7 +20,6 @@ from recorder import Log
 from recorder.log.edit import merge, trim
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, add_tag, remove_tag
-from recorder.log.topics import Camera
 from udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]  # 12 s

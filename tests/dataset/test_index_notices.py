@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from common.car import Camera
 from dataset import build_index, find_logs, sessions_not_indexed
 from dataset.cli import main
 from logs import write_log
-from recorder.log.topics import Camera
 from udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s

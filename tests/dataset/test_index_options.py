@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.car import Camera
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main
 from dataset.index.balance import balance
@@ -26,7 +27,6 @@ from dataset.index.split import near_validation
 from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tag
-from recorder.log.topics import Camera
 from udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s

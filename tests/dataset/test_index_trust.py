@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import dataset.index.frames
+from common.car import CAMERAS, Camera
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs, load, sessions_not_indexed
 from dataset.cli import main
 from dataset.config import IndexConfig as Config
@@ -26,7 +27,6 @@ from recorder import Log, LogError, LogWriter, Pictures
 from recorder.bc_pb2 import VehicleState
 from recorder.log.row_quality import States
 from recorder.log.tags import Tag, add_tag
-from recorder.log.topics import CAMERAS, Camera
 from udacity import call, jpeg
 from waiting import PATIENCE_S
 

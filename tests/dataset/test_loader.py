@@ -24,6 +24,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from common.car import CAMERAS, Camera
 from dataset import (
     Batch,
     DatasetError,
@@ -40,7 +41,6 @@ from dataset.preprocess import Image
 from driving import environment
 from logs import plain_read, write_log
 from recorder import LogError
-from recorder.log.topics import CAMERAS, Camera
 from udacity import jpeg
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from common.car import CAMERAS, Camera
 from dataset import Batch, DatasetError, IndexConfig, Loader, Samples, build_index, decode, preprocess
 from dataset.augment import Blur, Brightness, Shadow, alter
 from dataset.preprocess import Image
 from logs import write_log
-from recorder.log.topics import CAMERAS, Camera
 from udacity import jpeg
 
 CROP_BYTES = 128 * 128 * 3

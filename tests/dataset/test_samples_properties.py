@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.car import CAMERAS
 from dataset import DatasetError, IndexConfig
 from dataset.index.balance import bin_of
 from dataset.index.frames import frames_of, write_table
 from dataset.index.samples import write_samples
 from recorder import Pictures
 from recorder.log.row_quality import States
-from recorder.log.topics import CAMERAS
 
 STEP_NS = 100_000_000
 

@@ -11,9 +11,9 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap_protobuf.decoder import DecoderFactory
 
+from common.car import CAMERAS, Camera
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.topics import CAMERAS, Camera
 
 START_NS = 1_720_880_000_000_000_000
 STEP_NS = 100_000_000

@@ -8,10 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from common.car import Camera
 from dataset import IndexConfig, build_index
 from logs import write_log
 from model import TrainConfig
-from recorder.log.topics import Camera
 
 TINY = TrainConfig(epochs=4, batch=4, rate=2e-4, dropout=0.0, seed=1, precision="float32", threads=1)
 STEERING = [round(0.8 * math.sin(row / 3), 3) for row in range(40)]

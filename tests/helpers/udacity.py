@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recorder.log.topics import CAMERAS, Camera
+from common.car import CAMERAS, Camera
 
 
 def jpeg(level: int, number: int = 0) -> bytes:

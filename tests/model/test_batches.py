@@ -18,13 +18,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, load
 from dataset.augment import ALTERATIONS, Blur, Brightness, Shadow, alter
 from dataset.preprocess import Image
 from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
 from model.training.device_augment import blurred, brightened, shaded
-from recorder.log.topics import CAMERAS, Camera
 
 CPU = torch.device("cpu")
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]

@@ -21,12 +21,12 @@ import pyarrow.parquet as pq
 import pytest
 from safetensors.numpy import load_file, save_file
 
+from common.car import Camera
 from dataset import DatasetError, IndexConfig, build_index, decode
 from drive.evaluation.eval_cli import main
 from logs import not_a_picture, plain_read, read_messages, write_log
 from model import load_pilot, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
-from recorder.log.topics import Camera
 from toy import STEERING, TINY, road
 from udacity import call
 

@@ -17,12 +17,12 @@ import torch
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
+from common.car import Camera
 from dataset import DatasetError, IndexConfig, build_index
 from disk import files_of_at_most
 from logs import write_log
 from model import RunError, TrainConfig, load_pilot, train
 from model.cli import main
-from recorder.log.topics import Camera
 from toy import STEERING, TINY, road, toy_index
 from udacity import call
 

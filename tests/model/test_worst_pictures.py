@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from common.car import Camera
 from dataset import Samples, decode, preprocess
 from logs import START_NS, STEP_NS
 from model import Epoch, train
 from model.runs.history import read_history
-from recorder.log.topics import Camera
 from rrd import contents, view_names
 from toy import STEERING, TINY, road, toy_index
 from udacity import call

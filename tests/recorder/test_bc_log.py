@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
 
+from common.car import Camera
 from driving import PATIENCE_S, command, environment, run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from plain_mcap import contents
@@ -22,7 +23,6 @@ from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.check import check
 from recorder.log.check_contents import Finding
-from recorder.log.topics import Camera
 from recorder.log_cli import main
 from udacity import call, jpeg
 

@@ -13,6 +13,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
+from common.car import Camera
 from dataset.cli import main as bc_index
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import run, untrained_run
@@ -26,7 +27,6 @@ from recorder.cli import main as bc_record
 from recorder.log.check import check, is_whole
 from recorder.log.edit import merge, split, trim, trim_times
 from recorder.log.recover import recover
-from recorder.log.topics import Camera
 from recorder.log_cli import main as bc_log
 from udacity import call, jpeg
 from viz.cli import main as bc_play

@@ -18,6 +18,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from common import UserError
+from common.car import CAMERAS
 from logs import START_NS, STEP_NS, not_a_picture, write_log
 from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError, LogWriter
@@ -26,7 +27,7 @@ from recorder.log.check import check
 from recorder.log.edit import check_rows, merge, rows_between, split, trim, trim_times
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, add_tag, read_tags, tags_path
-from recorder.log.topics import CAMERAS, ROW_TOPICS
+from recorder.log.topics import ROW_TOPICS
 from udacity import jpeg
 from waiting import PATIENCE_S
 

@@ -17,9 +17,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
+from common.car import CAMERAS
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log import topics
-from recorder.log.topics import CAMERAS, camera_topic
+from recorder.log.topics import camera_topic
 from repository import ROOT
 
 LAYOUT = ROOT / "docs" / "foxglove-layout.json"

@@ -16,13 +16,13 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from common.car import CAMERAS, Camera
 from dataset.index.frame_flags import Looked
 from dataset.index.image_check_cache import look_at, look_at_all, read_look, write_look
 from logs import START_NS, STEP_NS
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.check import check
-from recorder.log.topics import CAMERAS, Camera
 from recorder.pictures.image_check import Look
 from udacity import jpeg
 

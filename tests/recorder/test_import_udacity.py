@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from common.car import CAMERAS
 from driving import one_line_of, run
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.cli import main
-from recorder.log.topics import CAMERAS
 from udacity import call, jpeg, make_recording, paths, picture_name
 
 START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 1_000_000_000

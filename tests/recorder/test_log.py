@@ -25,12 +25,13 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, files, whole_file
+from common.car import CAMERAS, Camera
 from common.interrupts import uninterrupted
 from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log import writer as writing
-from recorder.log.topics import CAMERAS, Camera, camera_topic
+from recorder.log.topics import camera_topic
 from udacity import jpeg
 
 

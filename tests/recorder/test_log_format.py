@@ -19,6 +19,7 @@ from mcap.records import Chunk, DataEnd, Footer, Header
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import StoragePlugin
 
+from common.car import CAMERAS, Camera
 from driving import PATIENCE_S, environment, road_jpeg, run, untrained_run
 from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
@@ -28,7 +29,6 @@ from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.log.edit import merge, split, trim
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
-from recorder.log.topics import CAMERAS, Camera
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from recorder.sources.donkeycar import import_tub
 from recorder.sources.import_mcap import import_foreign

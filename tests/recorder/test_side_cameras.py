@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import simulator.rendering.camera
+from common.car import CAMERAS
 from driving import road_jpeg
 from recorder import LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
 from recorder.log.reader import Log
 from recorder.log.side_cameras import Gray, measure, side_cameras
-from recorder.log.topics import CAMERAS
 from recorder.log_cli import main as log_main
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from simulator.driving.simulation import Simulation

@@ -18,11 +18,10 @@ from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from common.car import CAMERAS
 from driving import PATIENCE_S, Process
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
-from recorder.log.topics import CAMERAS
-from recorder.sources.file_tail import Tail
 from recorder.sources.udacity_follow import watch_udacity
 from udacity import jpeg, make_recording, paths, picture_name
 
@@ -192,71 +191,6 @@ def test_a_csv_that_begins_again_adds_only_what_is_new(tmp_path: Path) -> None:
     done = watch(drive, tmp_path / "watched.mcap", steps)
     assert [name for reason, name in done.skipped if reason.startswith("rows")] == ["line 3"]
     assert (done.rows, done.pictures) == (3, 3)
-
-
-def test_lines_are_given_once_each_when_they_have_their_end(tmp_path: Path) -> None:
-    csv = tmp_path / "driving_log.csv"
-    tail = Tail(csv)
-    assert tail.new_lines() == []
-    given = []
-    for text in (b"one\r", b"\n", b"two\rthr", b"ee\n\nfi", b"ve\r", b"six\n", b"two\nsev"):
-        with csv.open("ab") as stream:
-            stream.write(text)
-        given.append(tail.new_lines())
-        assert tail.new_lines() == []
-    assert given == [
-        [(1, b"one")],
-        [],
-        [(2, b"two")],
-        [(3, b"three"), (4, b"")],
-        [(5, b"five")],
-        [(6, b"six")],
-        [(7, b"two")],
-    ]
-    assert tail.rest() == [(8, b"sev")]
-
-
-def test_a_file_that_is_appended_to_is_not_read_again(tmp_path: Path) -> None:
-    csv = tmp_path / "driving_log.csv"
-    csv.write_bytes(b"".join(b"line %d\n" % number for number in range(1000)))
-    tail = Tail(csv)
-    assert len(tail.new_lines()) == 1000
-    with csv.open("r+b") as stream:
-        stream.write(b"LINE")  # whoever reads the beginning again sees a line that is new
-        stream.seek(0, os.SEEK_END)
-        stream.write(b"the last\n")
-    assert tail.new_lines() == [(1001, b"the last")]
-
-
-def test_a_long_file_that_was_replaced_is_read_again(tmp_path: Path) -> None:
-    csv = tmp_path / "driving_log.csv"
-    lines = [b"line %d\n" % number for number in range(1000)]
-    csv.write_bytes(b"".join(lines))
-    tail = Tail(csv)
-    assert len(tail.new_lines()) == 1000
-    (tmp_path / "other").write_bytes(b"".join([b"LINE 0\n", *lines[1:], b"the last\n"]))
-    (tmp_path / "other").replace(csv)
-    assert tail.new_lines() == [(1, b"LINE 0"), (1001, b"the last")]
-
-
-@pytest.mark.parametrize("text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n"])
-@pytest.mark.parametrize("way", ["written anew", "another file", "deleted first"])
-def test_of_a_file_that_begins_again_only_new_lines_are_given(tmp_path: Path, text: bytes, way: str) -> None:
-    csv = tmp_path / "driving_log.csv"
-    csv.write_bytes(b"a\nb\nc\npart")
-    tail = Tail(csv)
-    assert tail.new_lines() == [(1, b"a"), (2, b"b"), (3, b"c")]
-    if way == "another file":
-        (tmp_path / "other").write_bytes(text)
-        (tmp_path / "other").replace(csv)
-    else:
-        if way == "deleted first":
-            csv.unlink()
-            assert tail.new_lines() == []
-        csv.write_bytes(text)
-    lines = text.splitlines()
-    assert tail.new_lines() == [(lines.index(line) + 1, line) for line in lines if line not in (b"a", b"b", b"c")]
-    assert tail.rest() == []
 
 
 def test_what_never_came_is_named_and_in_the_log(tmp_path: Path) -> None:

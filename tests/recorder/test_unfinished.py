@@ -22,6 +22,7 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from common import UserError
+from common.car import CAMERAS, Camera
 from common.locks import is_being_written
 from disk import files_of_at_most
 from driving import Process, command, environment, road_jpeg
@@ -30,7 +31,6 @@ from plain_mcap import Contents, StoredChunk, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.recover import recover, recovered_name
-from recorder.log.topics import CAMERAS, Camera
 from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
 from udacity import make_recording, paths
 from waiting import PATIENCE_S, wait_until

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from common.car import Camera
 from simulator.pose import Pose
-from simulator.rendering.camera import Camera, Renderer
+from simulator.rendering.camera import Renderer
 from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster
 from simulator.rendering.terrain import CELL_M
 from simulator.rendering.world_maps import World, build_world

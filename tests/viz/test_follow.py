@@ -24,11 +24,11 @@ import pytest
 import rerun as rr
 
 from common import UserError
+from common.car import CAMERAS
 from driving import Process, command, environment
 from logs import START_NS, STEP_NS, read_messages
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import CAMERAS
 from rrd import arrived, contents, free_ports, listening, lives, view_names
 from udacity import call
 from viz import save_growing, save_rrd

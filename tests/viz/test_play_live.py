@@ -20,12 +20,12 @@ import pytest
 import rerun as rr
 
 from common import UserError
+from common.car import CAMERAS, Camera
 from common.preview import preview
 from driving import Process, command, environment
 from logs import START_NS, STEP_NS, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.topics import CAMERAS, Camera
 from rrd import arrived, contents, free_ports, lives
 from udacity import call
 from viz.cli import main

@@ -10,6 +10,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from common import UserError
+from common.car import Camera
 from dataset import decode
 from driving import one_line_of, road_jpeg, run, untrained_run
 from logs import START_NS, STEP_NS, read_messages, write_log
@@ -18,7 +19,6 @@ from model.evaluation.predict_log import predict_log
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.check import check
-from recorder.log.topics import Camera
 from rrd import contents, free_ports, view_names
 from udacity import call
 from viz.cli import main

@@ -27,9 +27,9 @@ import pytest
 import websocket
 from numpy.typing import NDArray
 
+from common.car import Camera
 from driving import PATIENCE_S, command, environment
 from logs import write_log
-from recorder.log.topics import Camera
 from rrd import free_ports
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")

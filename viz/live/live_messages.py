@@ -13,8 +13,9 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message as ProtobufMessage
 
+from common.car import CAMERAS
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import CAMERAS, EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from recorder.log.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
 from viz.playback.blueprint import log_layout
 from viz.playback.curves import Drawing, frame_size
 from viz.timelines import Times, log_clock

@@ -10,17 +10,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
+from common.car import CAMERAS
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.topics import (
-    CAMERAS,
-    EVENTS,
-    PILOT_COMMAND,
-    PILOT_INPUT,
-    POSE,
-    PREDICTIONS,
-    VEHICLE,
-    camera_topic,
-)
+from recorder.log.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, PREDICTIONS, VEHICLE, camera_topic
 from viz.timelines import SINCE_START
 
 AROUND_S: Final = 1.0

@@ -2,46 +2,49 @@
 
 from __future__ import annotations
 
-import stat
 from pathlib import Path
 from typing import Final
 
+from common.text_lines import LineSplitter
 from common.untrusted import open_regular
-from recorder.sources.name_set import NameSet
-from recorder.sources.text_lines import LineSplitter
 
 _COMPARED_BYTES: Final = 1024
 _MOST_AT_ONCE: Final = 1 << 20
 
 
-class Tail:
+class FileTail:
     """Reads on where it stopped; a file that was made shorter or replaced is read again from its start.
 
     Lines of such a file that were there before are not given a second time; those within one file are, as often
-    as they are in it. Lines end with \\n, \\r\\n or \\r.
+    as they are in it. Lines end with \\n, \\r\\n or \\r. Of a line that is longer than
+    `most_line_bytes`, so much and a byte more is given.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, most_line_bytes: int) -> None:
+        self.path = path
+        self.line_count = 0
+        """Lines of the present file that were read so far."""
         self.is_behind = False
         """Whether more is there than the last call has read: it reads a megabyte, so that nothing waits long."""
-        self._path = path
-        self._seen: tuple[int, ...] = ()  # of the file's status, when it was last read
-        self._before = NameSet()  # lines of the file that was replaced
-        self._lines = NameSet()
+        self.was_replaced = False
+        """Whether the file was ever replaced, or made shorter, after it was first read."""
+        self._most_line_bytes = most_line_bytes
+        self._status: tuple[int, ...] = ()  # of the file, when it was last read
+        self._earlier_lines = set[int]()  # hashes of the lines of the file that was replaced
+        self._lines = set[int]()
         self._offset = 0
-        self._number = 0
         self._end = b""  # of what was read: still there, unless the file was replaced
-        self._splitter = LineSplitter()
+        self._splitter = LineSplitter(most_line_bytes)
 
     def new_lines(self) -> list[tuple[int, bytes]]:
         """The lines that were completed since the last call, with their numbers in the file, from 1.
 
-        A file that is not there, or cannot be read now, has none.
+        A file that is not there has none. Raises OSError for one that cannot be read now.
         """
         self.is_behind = False
         try:
             data = self._read_on()
-        except OSError:
+        except FileNotFoundError:
             return []
         return [line for line in map(self._take, self._splitter.feed(data)) if line is not None]
 
@@ -52,32 +55,34 @@ class Tail:
         return [] if last is None else [last]
 
     def _take(self, content: bytes) -> tuple[int, bytes] | None:
-        self._number += 1
-        self._lines.add(content)
-        return None if content in self._before else (self._number, content)
+        self.line_count += 1
+        key = hash(content)  # a day's drive has hundreds of thousands of lines
+        self._lines.add(key)
+        return None if key in self._earlier_lines else (self.line_count, content)
 
     def _read_on(self) -> bytes:
         """What was appended; b"" if the file is as it was."""
-        status = self._path.stat()
-        seen = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
-        if seen == self._seen or not stat.S_ISREG(status.st_mode):
+        stat = self.path.stat()
+        status = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        if status == self._status:
             return b""
-        with open_regular(self._path) as stream:
-            is_same = seen[:2] == self._seen[:2] and status.st_size >= self._offset
+        with open_regular(self.path) as stream:
+            is_same = status[:2] == self._status[:2] and stat.st_size >= self._offset
             stream.seek(max(self._offset - len(self._end), 0))
             if not is_same or stream.read(len(self._end)) != self._end:
                 self._start_again()
                 stream.seek(0)
             data = stream.read(_MOST_AT_ONCE)
         self.is_behind = len(data) == _MOST_AT_ONCE
-        self._seen = (*seen[:2], -1, -1) if self.is_behind else seen
+        self._status = (*status[:2], -1, -1) if self.is_behind else status
         self._offset += len(data)
         self._end = (self._end + data)[-_COMPARED_BYTES:]
         return data
 
     def _start_again(self) -> None:
-        self._before.update(self._lines)
-        self._lines = NameSet()
-        self._offset = self._number = 0
+        self.was_replaced = bool(self._status)
+        self._earlier_lines |= self._lines
+        self._lines = set()
+        self._offset = self.line_count = 0
         self._end = b""
-        self._splitter = LineSplitter()
+        self._splitter = LineSplitter(self._most_line_bytes)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-MOST_LINE_BYTES: Final = 1 << 16
-"""A longer line is no row of anything; of such a one, so much and a byte more is given."""
-
 
 class LineSplitter:
-    """Splits at \\n, \\r\\n and \\r, as bytes.splitlines does."""
+    """Splits bytes at \\n, \\r\\n and \\r, as bytes.splitlines does.
 
-    def __init__(self) -> None:
+    A line that is longer than `most_bytes` is cut: so many of its bytes are given, and one more.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._kept_bytes = most_bytes + 1
         self._partial = b""  # a line whose end was not there yet
         self._skips_newline = False  # the last line ended with a \r that may be half of a \r\n
 
@@ -23,9 +22,9 @@ class LineSplitter:
         if not data:
             return []
         pieces = (self._partial + data).splitlines(keepends=True)
-        self._partial = b"" if pieces[-1].endswith((b"\n", b"\r")) else pieces.pop()[: MOST_LINE_BYTES + 1]
+        self._partial = b"" if pieces[-1].endswith((b"\n", b"\r")) else pieces.pop()[: self._kept_bytes]
         self._skips_newline = not self._partial and pieces[-1].endswith(b"\r")
-        return [piece.rstrip(b"\r\n")[: MOST_LINE_BYTES + 1] for piece in pieces]
+        return [piece.rstrip(b"\r\n")[: self._kept_bytes] for piece in pieces]
 
     def rest(self) -> bytes:
         """The last line, if it has no end, for when nothing more will come; b"" without one."""

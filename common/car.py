@@ -1,0 +1,11 @@
+"""The car that is recorded and driven: its cameras, and how far its front wheels turn."""
+
+from __future__ import annotations
+
+from typing import Final, Literal, get_args
+
+Camera = Literal["center", "left", "right"]
+"""A new camera is one name more here: its topic, its columns and its view in the viewer follow from it."""
+CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
+
+MAX_STEERING_DEG: Final = 25.0  # steering 1.0, as in the simulator (its CarController's maximum steer angle)
