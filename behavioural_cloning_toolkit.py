@@ -30,7 +30,8 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 """The rooms under each room."""
 
 _FAILED, _INTERRUPTED = 1, 130  # common.command's; nothing of ours is imported yet
-_LEAST_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
+_NO_MEMORY: Final = "not enough memory to begin; close other programs, or raise the limit (ulimit -v)"
+_MIN_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
 
 
 def refuse_hidden(room: str) -> None:
@@ -40,6 +41,11 @@ def refuse_hidden(room: str) -> None:
             raise ImportError(line)
 
 
+def viewer() -> None:
+    """The viewer beside another command, which starts it (`common.preview`)."""
+    _import_main("viewer", "viz.preview_command")()
+
+
 def _command(prog: str, module: str) -> Callable[[], None]:
     """What a `bc-` command is: `module`'s main, and nothing that Python would say before it runs."""
 
@@ -47,27 +53,33 @@ def _command(prog: str, module: str) -> Callable[[], None]:
         _hold_standard_streams()
         _end_tidily_on_signals(prog)
         _warn_of_little_memory(prog)
-        room = module.partition(".")[0]
-        try:
-            if line := _who_hides(room):
-                raise ImportError(line)
-            main = import_module(module).main
-        except MemoryError:
-            _fail(prog, "not enough memory to begin; close other programs, or raise the limit (ulimit -v)")
-        except ImportError as error:
-            if error.name is None:  # ours
-                _fail(prog, str(error))
-            if error.name.partition(".")[0] in NEEDS and (line := _owned_by_two()):
-                _fail(prog, f"{error}: {line}")
-            raise
+        main = _import_main(prog, module)
         try:
             main()
         except RuntimeError as error:  # before anything of ours could tell it
             if "start new thread" not in str(error):
                 raise
-            _fail(prog, "not enough memory to begin; close other programs, or raise the limit (ulimit -v)")
+            _fail(prog, _NO_MEMORY)
 
     return run
+
+
+def _import_main(prog: str, module: str) -> Callable[[], None]:
+    """The `main` of one of our modules; ends the process with a line where it cannot be imported."""
+    room = module.partition(".")[0]
+    try:
+        if line := _who_hides(room):
+            raise ImportError(line)
+        main: Callable[[], None] = import_module(module).main
+    except MemoryError:
+        _fail(prog, _NO_MEMORY)
+    except ImportError as error:
+        if error.name is None:  # ours
+            _fail(prog, str(error))
+        if error.name.partition(".")[0] in NEEDS and (line := _owned_by_two()):
+            _fail(prog, f"{error}: {line}")
+        raise
+    return main
 
 
 bc_record = _command("bc-record", "recorder.cli")
@@ -153,10 +165,10 @@ def _warn_of_little_memory(prog: str) -> None:
     import resource
 
     allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if allowed != resource.RLIM_INFINITY and allowed < _LEAST_MEMORY_BYTES:
-        told = f"{allowed / 1e6:,.0f} MB of memory are allowed here (ulimit -v)"
+    if allowed != resource.RLIM_INFINITY and allowed < _MIN_MEMORY_BYTES:
+        limit = f"{allowed / 1e6:,.0f} MB of memory are allowed here (ulimit -v)"
         print(
-            f"{prog}: {told}; with less than {_LEAST_MEMORY_BYTES / 1e6:,.0f} MB it may crash without a word",
+            f"{prog}: {limit}; with less than {_MIN_MEMORY_BYTES / 1e6:,.0f} MB it may crash without a word",
             file=sys.stderr,
             flush=True,
         )

@@ -68,7 +68,7 @@ def torch_network(weights: list[NDArray[np.float32]]) -> Predict:
     """This toolkit's network, asked as one would first write it: float32, contiguous, as many threads as cores."""
     import torch
 
-    from model.network.layers import SteeringNetwork
+    from model.network.original import SteeringNetwork
 
     network = SteeringNetwork().eval()
     names = network.state_dict().keys()

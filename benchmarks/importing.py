@@ -12,9 +12,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from common import Skipped
 from recorder import import_udacity
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.sources.udacity_recording import read_recording
+from recorder.sources.udacity_recording import UdacityRecording
 
 RUNS = 7
 
@@ -27,12 +28,15 @@ def main() -> None:
     rates = [_import_per_s(folder) for _ in range(RUNS + 1)][1:]  # the first reads the pictures from the disk
     print(f"import  {_spread(rates)} pictures/s")
 
-    paths = read_recording(folder).pictures.values()
-    jpegs = [Path(path).read_bytes() for path in paths]
-    read = [_seconds(lambda: read_recording(folder)) / len(jpegs) for _ in range(RUNS)]
+    jpegs = [Path(path).read_bytes() for path in _pictures(folder)]
+    read = [_seconds(lambda: _pictures(folder)) / len(jpegs) for _ in range(RUNS)]
     print(f"  reading the csv and finding the pictures: {_spread([1e6 * s for s in read])} us a picture")
     checks = [_seconds(lambda: [is_whole_jpeg(jpeg) for jpeg in jpegs]) / len(jpegs) for _ in range(RUNS)]
     print(f"  telling that it is whole: {_spread([1e6 * s for s in checks])} us a picture")
+
+
+def _pictures(folder: Path) -> list[str]:
+    return [path for _, paths in UdacityRecording(folder, Skipped()).rows() for path in paths if path is not None]
 
 
 def _import_per_s(folder: Path) -> float:

@@ -17,10 +17,11 @@ import tempfile
 import time
 from pathlib import Path
 
+from common import Skipped
 from common.car import CAMERAS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.sources.udacity_recording import read_recording
+from recorder.sources.udacity_recording import UdacityRecording
 
 RUNS = 3
 ROW_NS = 100_000_000
@@ -28,10 +29,9 @@ ROW_NS = 100_000_000
 
 def write_long_log(recording: Path, path: Path, size_bytes: int) -> int:
     """A log of about `size_bytes`; how many messages it has."""
-    read = read_recording(recording)
-    rows = [row for row in read.rows if all(name in read.pictures for name in row.names)]
-    pictures = {name: Path(read.pictures[name]).read_bytes() for row in rows[:200] for name in row.names}
-    rows = rows[:200]
+    found = [(row, paths) for row, paths in UdacityRecording(recording, Skipped()).rows() if all(paths)]
+    rows = [row for row, _ in found[:200]]
+    pictures = {Path(path).name: Path(path).read_bytes() for _, paths in found[:200] for path in paths if path}
     number = 0
     with LogWriter(path, {"source": "benchmark"}) as writer:
         while writer.bytes_written < size_bytes:

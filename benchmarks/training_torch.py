@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from model.config import TrainConfig
 from model.device import choose_machine
-from model.network.layers import PARAMETERS, SteeringNetwork
+from model.network.original import PARAMETERS, SteeringNetwork
 from model.runs.training_progress import Epoch, Step
 from model.training.step import learn, make_optimizer
 from model.training.trainer import train

@@ -1,4 +1,4 @@
-"""The viewer beside a command that writes what it shows."""
+"""A live viewer, in a process of its own, beside the command that writes the log or the run."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from common.command import warn
 from common.errors import UsageError
 from common.files import final_path, refuse_existing
 
-_GRACE_S: Final = 2.0  # for it to end by itself
-_FILE_GRACE_S: Final = 300.0  # for a file to be written to its end, also on a slow and busy machine
-_OTHERS_GRACE_S: Final = 5.0  # for a viewer that stays to get the end
-_SAID_S: Final = 2.0  # what takes longer is said
+VIEWER: Final = ("-P", "-c", "from behavioural_cloning_toolkit import viewer; viewer()")
+"""Arguments of Python that start the viewer; -P: modules in the working folder are not taken for ours."""
+
+EXIT_GRACE_S: Final = 2.0  # for it to end by itself
+FILE_GRACE_S: Final = 300.0  # for a file to be written to its end, also on a slow and busy machine
+CONNECTED_GRACE_S: Final = 5.0  # for a viewer that runs already to receive the end
+NOTICE_AFTER_S: Final = 2.0  # a longer wait is announced
 _ADDRESS: Final = re.compile(r"[^-]:\d|^\d+$")
-_NICENESS: Final = 10  # of the viewer
+_NICENESS: Final = 10
 
 
 def has_display() -> bool:
@@ -33,12 +36,12 @@ def has_display() -> bool:
 
 @contextlib.contextmanager
 def preview(
-    growing: Path,
+    path: Path,
     where: str = "window",
     *,
     overwrite: bool = False,
-    never_in_the_way: bool = False,
-    said: Callable[[str], object] = warn,
+    idle_priority: bool = False,
+    notify: Callable[[str], object] = warn,
 ) -> Iterator[None]:
     """Show a log that is being written, or the folder of a run that is (or will be) trained, while this lasts.
 
@@ -46,14 +49,13 @@ def preview(
     that runs ("127.0.0.1:9876", or "connect" for one on Rerun's own port). The file, and the viewer that runs,
     have what was in the log when this is left: finish the log before.
 
-    The viewer is a program of its own: it may freeze, or be closed, and whoever writes goes on. It has a lower
-    priority; with `never_in_the_way`, the lowest that there is: on a busy machine it hardly runs. It is in a
-    process group of its own, so that nothing of it stays when it does not hear that it shall end. Its stdin ends
-    with this process: then it ends. `said` is told when the end takes long.
+    The viewer's process may freeze, or be closed, and this one goes on. It has a lower priority; with
+    `idle_priority`, the lowest that there is: on a busy machine it hardly runs. It is in a process group of its
+    own, so that nothing of it stays when it ignores its signal to end. Its stdin ends with this process: then it
+    ends. `notify` prints a line if the viewer cannot be started, or if waiting for its end takes long; a viewer
+    that fails later prints why on stderr. If it is killed before its file is whole, that is a warning.
 
-    Raises UserError if the file is there already and may not be overwritten, UsageError for another `where`. A
-    viewer that cannot be started is told to `said`; one that fails later says why on stderr; of one that had to be
-    killed before its file was whole, it is said here.
+    Raises UserError if the file is there already and may not be overwritten, UsageError for another `where`.
     """
     flags = _flags(where)
     file = Path(where) if where.endswith(".rrd") else None
@@ -61,24 +63,22 @@ def preview(
         refuse_existing(file, overwrite)
         flags += ["--force"] if overwrite else []
     others = _parts_of(file)
-    # -P: not the modules that happen to lie in the working folder
-    line = [sys.executable, "-P", "-m", "viz.preview_command", str(growing), "--follow", *flags]
-    viewer = _started(line, said)
+    viewer = _start([sys.executable, *VIEWER, str(path), "--follow", *flags], notify)
     if viewer is None:
         yield
         return
-    _lower_priority(viewer.pid, never_in_the_way)
+    _lower_priority(viewer.pid, idle_priority)
     try:
         yield
     finally:
         try:
             if file is not None:
-                _wait_for_end(viewer, f"finishing {file}", _FILE_GRACE_S, said)
+                _wait_for_end(viewer, f"finishing {file}", FILE_GRACE_S, notify)
             elif "--connect" in flags:
-                _wait_for_end(viewer, "the viewer gets the rest", _OTHERS_GRACE_S, said)
+                _wait_for_end(viewer, "the viewer gets the rest", CONNECTED_GRACE_S, notify)
             viewer.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                viewer.wait(_GRACE_S)
+                viewer.wait(EXIT_GRACE_S)
         finally:  # also after a second Ctrl-C
             if sys.platform != "win32":
                 with contextlib.suppress(ProcessLookupError):
@@ -88,36 +88,36 @@ def preview(
         if file is not None and viewer.returncode < 0:
             for part in _parts_of(file) - others:
                 part.unlink(missing_ok=True)
-            why = f"its writing hung for {_FILE_GRACE_S:g} s, or was killed"
-            again = f"`bc-play {final_path(growing)} --save {file}` makes it of the finished log"
+            why = f"its writing hung for {FILE_GRACE_S:g} s, or was killed"
+            again = f"`bc-play {final_path(path)} --save {file}` makes it of the finished log"
             warn(f"{file}: not written: {why}; {again}")
 
 
-def _started(line: list[str], said: Callable[[str], object]) -> subprocess.Popen[bytes] | None:
+def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Popen[bytes] | None:
     try:
         return subprocess.Popen(
-            line,
+            command,
             stdin=subprocess.PIPE,
             stdout=sys.stderr,
             start_new_session=True,
             creationflags=_low_priority_on_windows(),
         )
     except OSError as error:  # no memory, too many processes
-        said(f"viewer: cannot be started ({error.strerror}); all else goes on without it")
+        notify(f"viewer: cannot be started ({error.strerror}); all else goes on without it")
         return None
 
 
 def _wait_for_end(
-    viewer: subprocess.Popen[bytes], doing: str, grace_s: float, said: Callable[[str], object]
+    viewer: subprocess.Popen[bytes], task: str, grace_s: float, notify: Callable[[str], object]
 ) -> None:
-    """The log is finished: it ends by itself, even if it has just begun."""
+    """Wait for the viewer of a finished log, which ends by itself, even if it has just begun."""
     _restore_priority(viewer.pid)  # it is waited for
     with contextlib.suppress(subprocess.TimeoutExpired):
-        viewer.wait(_SAID_S)
+        viewer.wait(NOTICE_AFTER_S)
         return
-    said(f"{doing}, {grace_s:g} s at most")
+    notify(f"{task}, {grace_s:g} s at most")
     with contextlib.suppress(subprocess.TimeoutExpired):
-        viewer.wait(grace_s - _SAID_S)
+        viewer.wait(grace_s - NOTICE_AFTER_S)
 
 
 def _parts_of(file: Path | None) -> set[Path]:
@@ -146,14 +146,14 @@ def _flags(where: str) -> list[str]:
     return ["--connect", where]
 
 
-def _lower_priority(process: int, never_in_the_way: bool) -> None:
-    """Before it starts the viewer, which then has the same."""
+def _lower_priority(process: int, idle_priority: bool) -> None:
+    """To be called before the process starts children, which inherit it."""
     if sys.platform == "win32":
         return
     with contextlib.suppress(OSError):
         own = os.getpriority(os.PRIO_PROCESS, 0)
         os.setpriority(os.PRIO_PROCESS, process, max(own, _NICENESS))
-    if sys.platform == "linux" and never_in_the_way:
+    if sys.platform == "linux" and idle_priority:
         # However nice, it would keep a processor for some milliseconds once it has one. On two cores the slowest
         # hundredth of a drive's answers took half as long again beside a viewer that was only nice.
         with contextlib.suppress(OSError):
@@ -162,7 +162,7 @@ def _lower_priority(process: int, never_in_the_way: bool) -> None:
 
 
 def _restore_priority(process: int) -> None:
-    """As far as the system lets whoever it is: beside programs that compute, it would hardly run at all."""
+    """As far as the system permits: beside programs that compute, the viewer would hardly run at all."""
     _set_group_niceness(process, 0)
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
@@ -174,8 +174,8 @@ def _restore_priority(process: int) -> None:
 
 
 def _set_group_niceness(process: int, niceness: int) -> None:
-    """Of all processes in `process`'s session. Where Linux shares the processors out among sessions (autogroup), a
-    process's own priority counts only within its session, and the viewer has one to itself."""
+    """Set the niceness of `process`'s whole session. Where Linux shares the processors out among sessions
+    (autogroup), a process's own priority counts only within its session, and the viewer has one to itself."""
     with contextlib.suppress(OSError):  # there are no such groups here
         Path(f"/proc/{process}/autogroup").write_text(f"{niceness}\n", encoding="ascii")
 

@@ -118,7 +118,7 @@ def drive(config: Drive) -> int:
             check_laps(config.laps)
         course = Course(config.simulator, config.laps, config.real_time)
     pilot = load_pilot(find_run(config.run, config.runs), config.precision)
-    pilot.get_ready()
+    pilot.warm_up()
     prepare_process()
     with StatusLine() as status, stop_signals(most=2) as stopped:
         server = DriveServer(
@@ -139,7 +139,7 @@ def drive(config: Drive) -> int:
                 # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
                 part, force = server.session.writer.part, config.force
                 after.enter_context(
-                    preview(part, viewer, overwrite=force, never_in_the_way=True, said=print_message)
+                    preview(part, viewer, overwrite=force, idle_priority=True, notify=print_message)
                 )
             if course is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"

@@ -79,7 +79,7 @@ class DriveServer:
             self._stack = stack
             self._open_session(log, overwrite)
             first: Steer | Literal["nothing"] = "nothing" if is_built_in else Steer(0.0, 0.0)
-            self._server = TelemetryServer(self, host=host, port=port, mode=mode, said=say, first=first)
+            self._server = TelemetryServer(self, host=host, port=port, mode=mode, notify=say, first_command=first)
             self._stack = stack.pop_all()
         self.port = self._server.port
 
@@ -167,7 +167,7 @@ class DriveServer:
                 del self._quiet[sid]
                 self._say_once(MENU)
 
-    def stopping(self, sid: str) -> Steer | None:
+    def final_command(self, sid: str) -> Steer | None:
         session = self._of.get(sid)
         return None if session is None else session.rest()
 

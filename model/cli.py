@@ -60,9 +60,9 @@ def train(config: Train) -> int:
 
     from model.device import choose_machine
     from model.errors import RunWriteError
-    from model.network.layers import PARAMETERS
-    from model.runs.hints import run_argument
+    from model.network.original import PARAMETERS
     from model.runs.history import read_history
+    from model.runs.run_arguments import run_argument
     from model.runs.run_folder import WEIGHTS, find_run, load_config
     from model.runs.training_outcome import verdict
     from model.training.distributed import FirstRankError, local_rank_of_process, rank_of_process
@@ -117,9 +117,9 @@ def train(config: Train) -> int:
 def _going_on(run: Path) -> str:
     """Where a run that was stopped is gone on with."""
     from model.runs.checkpoint import read_position
-    from model.runs.run_folder import is_unbegun
+    from model.runs.run_folder import has_nothing_saved
 
-    if is_unbegun(run):
+    if has_nothing_saved(run):
         return ", begun again from its seed: it was stopped before anything was saved"
     begin = read_position(run)
     return f", going on in epoch {begin.epoch:,} after batch {begin.batch:,}"
@@ -127,8 +127,8 @@ def _going_on(run: Path) -> str:
 
 def _resume(run: Path, index: Path) -> str:
     """The command that goes on with a run."""
-    from model.runs.hints import run_argument
-    from model.runs.run_places import index_of
+    from model.runs.run_arguments import run_argument
+    from model.runs.run_inputs import index_of
 
     command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
     told = index_of(run)
@@ -197,10 +197,10 @@ def _refuse_contradictions(config: Train) -> None:
 
 
 def _run_of(config: Train) -> Path:
-    from model.runs.run_folder import find_started, refuse_existing_run
+    from model.runs.run_folder import find_any_run, refuse_existing_run
 
     if config.resume is not None:
-        return find_started(config.resume, config.runs)
+        return find_any_run(config.resume, config.runs)
     run = config.runs / (config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S"))
     refuse_existing_run(run)
     return run
@@ -214,7 +214,7 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
     is_there = (config.index / SAMPLES_NAME).exists()
     if config.like is not None or (config.resume is not None and not is_there):
         from model.runs.reproduce import index_of_run
-        from model.runs.run_folder import find_started
+        from model.runs.run_folder import find_any_run
 
         name = config.like if config.like is not None else config.resume
         assert name is not None  # noqa: S101
@@ -224,7 +224,7 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
             if is_first:
                 codes.append(warn(notice))
 
-        return index_of_run(find_started(name, config.runs), config.index, config.sessions, said), max(codes)
+        return index_of_run(find_any_run(name, config.runs), config.index, config.sessions, said), max(codes)
     if not is_there:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
@@ -256,10 +256,10 @@ def _defaults() -> Train:
         flags, _ = given.parse_known_args()
         if name := flags.resume if flags.resume is not None else flags.like:
             from model.runs.provenance import training_of
-            from model.runs.run_folder import CONFIG, find_started, load_config
-            from model.runs.run_places import index_of, init_of, sessions_of
+            from model.runs.run_folder import CONFIG, find_any_run, load_config
+            from model.runs.run_inputs import index_of, init_of, sessions_of
 
-            run = find_started(name, flags.runs)
+            run = find_any_run(name, flags.runs)
             init = init_of(run, flags.runs) if flags.resume is None else None
             return Train(
                 init=str(init) if init is not None else None,

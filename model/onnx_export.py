@@ -25,9 +25,9 @@ from dataset import MAX_STEERING_DEG
 from dataset.preprocess import DESCRIPTION, SIZE_PX
 from model.errors import RunError
 from model.evaluation.predict import as_input
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.runs.run_files import named
-from model.runs.run_folder import checksum, load_config, load_network, run_name
+from model.runs.run_folder import load_config, load_network, run_name, weights_checksum
 
 if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto
@@ -93,7 +93,7 @@ def description(run: Path) -> dict[str, str]:
             "print(steering)\n"
         ),
         "run": shown(run_name(run)),
-        "weights_sha256": checksum(run),
+        "weights_sha256": weights_checksum(run),
         "toolkit": f"{TOOLKIT} {version_of()}",
     }
 

@@ -13,12 +13,12 @@ from dataset.preprocess import Image, preprocess
 from model.config import Precision
 from model.device import training_dtype
 from model.evaluation.predict import as_input
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.network.packing import pack_weights
 from model.network.pooling import slice_max_pools
-from model.runs.run_folder import checksum, load_config, load_network, run_name
+from model.runs.run_folder import load_config, load_network, run_name, weights_checksum
 
-WARM_UPS = 20
+WARM_UP_PREDICTIONS = 20
 
 
 class Pilot:
@@ -54,7 +54,7 @@ class Pilot:
         the weights are such."""
         return float(self._network(as_input(np.ascontiguousarray(crop)[None])).item())
 
-    def get_ready(self) -> None:
+    def warm_up(self) -> None:
         """Prepare this process for driving: the first predictions are slow, and should not fall into a drive.
 
         From here on it computes on one thread. On two, one picture is a fifth faster, but a busy machine makes
@@ -64,7 +64,7 @@ class Pilot:
         keep_freed_memory()
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
-        for _ in range(WARM_UPS):
+        for _ in range(WARM_UP_PREDICTIONS):
             self.predict(np.zeros((128, 128, 3), np.uint8))
 
 
@@ -79,4 +79,6 @@ def load_pilot(run: Path | str, precision: Precision = "auto") -> Pilot:
     """
     run = Path(run)
     load_config(run)
-    return Pilot(load_network(run), run_name(run), checksum(run), training_dtype(precision, torch.device("cpu")))
+    return Pilot(
+        load_network(run), run_name(run), weights_checksum(run), training_dtype(precision, torch.device("cpu"))
+    )

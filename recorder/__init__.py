@@ -13,7 +13,8 @@ from recorder.log.reader import Log, Pictures
 
 if TYPE_CHECKING:
     from recorder.log.writer import LogWriter
-    from recorder.sources.import_recording import Imported, import_udacity
+    from recorder.sources.import_result import Imported
+    from recorder.sources.import_udacity import import_udacity
 
 __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingError", "import_udacity"]
 
@@ -21,8 +22,8 @@ __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingErr
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Imported": "recorder.sources.import_recording",
+        "Imported": "recorder.sources.import_result",
         "LogWriter": "recorder.log.writer",
-        "import_udacity": "recorder.sources.import_recording",
+        "import_udacity": "recorder.sources.import_udacity",
     },
 )

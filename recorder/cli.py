@@ -1,4 +1,4 @@
-"""`bc-record`: a drive becomes a log."""
+"""`bc-record`: records a drive to a log, or imports one."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from recorder.errors import RecordingError
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_mcap import check_scale
-from recorder.sources.import_recording import Imported
-from recorder.sources.recording_kinds import Topics, import_from, refuse_to_watch
+from recorder.sources.import_result import Imported
+from recorder.sources.recording_kinds import Topics, import_recording, refuse_to_watch
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Record:
 
 def record(config: Record) -> int:
     _refuse_contradictions(config)
-    done = _recorded(config, config.sessions / f"{config.name}.mcap")
+    done = _record_to(config, config.sessions / f"{config.name}.mcap")
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
     for notice in done.notices:
@@ -75,12 +75,12 @@ def record(config: Record) -> int:
     return code
 
 
-def _recorded(config: Record, log: Path) -> Imported:
+def _record_to(config: Record, log: Path) -> Imported:
     with contextlib.ExitStack() as stack:
 
         def show(growing: Path) -> None:
             if config.viewer:
-                stack.enter_context(preview(growing, never_in_the_way=True))
+                stack.enter_context(preview(growing, idle_priority=True))
 
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
@@ -106,7 +106,7 @@ def _recorded(config: Record, log: Path) -> Imported:
                 on_started=show,
             )
         if config.source is not None:
-            return import_from(
+            return import_recording(
                 config.source,
                 log,
                 config.topics,

@@ -1,4 +1,4 @@
-"""What can be wrong with a log, a recording, or the port on which telemetry arrives."""
+"""The errors of the recorder: of logs, of recordings, and of the port on which telemetry arrives."""
 
 from __future__ import annotations
 

@@ -1,9 +1,11 @@
-"""The rooms of the code: who may import whom, what stays unloaded, and that nothing is ever unpickled."""
+"""The rooms of the code: who may import or start whom, what stays unloaded, and that nothing is ever unpickled."""
 
 from __future__ import annotations
 
 import ast
+import graphlib
 import importlib
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +25,9 @@ MAY_IMPORT = {
     "drive": {"common", "viz", "model", "dataset", "recorder", "simulator"},
 }
 SOURCES = sorted(path for room in MAY_IMPORT for path in (ROOT / room).rglob("*.py"))
+MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES}
+# The registry of topics, which will be below both, ends the cycle between its sub-packages log and pictures.
+WITH_CYCLES = {"recorder"}
 
 
 def parsed(path: Path) -> ast.Module:
@@ -39,22 +44,69 @@ def imported(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.module or ""
 
 
+def started(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and full name of every module of ours that a file names in a string, to be imported or run."""
+    for node in ast.walk(parsed(path)):
+        match node:
+            case ast.Constant(value=str(name)) if "." in name and name in MODULES:
+                yield node.lineno, name
+            case ast.Call(args=[ast.Constant(value=str(name)), *_]) if "import_module" in ast.unparse(node.func):
+                yield node.lineno, name
+            case ast.List(elts=words) | ast.Tuple(elts=words):
+                values = [word.value if isinstance(word, ast.Constant) else None for word in words]
+                yield from (
+                    (node.lineno, name)
+                    for flag, name in itertools.pairwise(values)
+                    if flag == "-m" and isinstance(name, str)
+                )
+
+
+def sub_package(name: str, room: str) -> str | None:
+    """The sub-package of `room` that a module is in; None for another room's, and for one directly in the room."""
+    first, *rest = name.split(".")
+    return rest[0] if first == room and rest and (ROOT / room / rest[0]).is_dir() else None
+
+
 def test_every_folder_with_code_is_a_room() -> None:
     folders = {path.parent.name for path in ROOT.glob("*/__init__.py")}
     assert folders == set(MAY_IMPORT)
 
 
 @pytest.mark.parametrize("room", MAY_IMPORT)
-def test_imports_go_downwards_only(room: str) -> None:
+def test_a_room_imports_and_starts_only_those_under_it(room: str) -> None:
+    """Only the entry module names every room; a program of a room above is started through it."""
     allowed = MAY_IMPORT[room] | {room}
     upwards = [
-        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        f"{path.relative_to(ROOT)}:{line} names {name}"
         for path in SOURCES
         if path.relative_to(ROOT).parts[0] == room
-        for line, name in imported(path)
+        for line, name in (*imported(path), *started(path))
         if name.split(".")[0] in MAY_IMPORT.keys() - allowed
     ]
     assert upwards == []
+
+
+def test_what_is_started_by_name_is_found(tmp_path: Path) -> None:
+    source = tmp_path / "source.py"
+    source.write_text(
+        'home = "viz.cli"\nimport_module("model")\nrun([python, "-P", "-m", "drive", "x"])\nkey = "model"\n'
+    )
+    assert sorted(started(source)) == [(1, "viz.cli"), (2, "model"), (3, "drive")]
+    assert {name for _, name in started(ROOT / "behavioural_cloning_toolkit.py")} >= {"viz.cli", "drive.demo"}
+
+
+@pytest.mark.parametrize("room", sorted(MAY_IMPORT.keys() - WITH_CYCLES))
+def test_the_sub_packages_of_a_room_do_not_import_each_other_in_a_circle(room: str) -> None:
+    under: dict[str, set[str]] = {}
+    for path in (path for path in SOURCES if path.is_relative_to(ROOT / room)):
+        here = sub_package(".".join(path.relative_to(ROOT).with_suffix("").parts), room)
+        found = (sub_package(name, room) for _, name in (*imported(path), *started(path)))
+        if here is not None:
+            under.setdefault(here, set()).update(name for name in found if name not in (None, here))
+    try:
+        graphlib.TopologicalSorter(under).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
 
 
 def test_no_room_imports_the_tests_or_the_benchmarks() -> None:

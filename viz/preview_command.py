@@ -38,7 +38,7 @@ def _show(config: Play) -> int:
         raise UserError(f"{error}; all else goes on without it; {another}") from None
 
 
-if __name__ == "__main__":
+def main() -> None:
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     speak_as(_NAME)
     run_command(_NAME, Play, _show)

@@ -19,7 +19,7 @@ from common.locks import is_being_written
 from dataset import MAX_STEERING_DEG
 from model.metrics import Errors
 from model.runs.history import History, HistoryReader, read_history
-from model.runs.training_progress import METRICS, STEPS, Epoch, Step
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
 from viz.console import complain, say, say_skipped
 from viz.live.follow import POLL_S, Follower, GoneError, feed
 from viz.playback.rerun_recording import Prepared
@@ -87,7 +87,7 @@ def refuse_no_training(folder: Path, *, is_awaited: bool) -> None:
 
 
 def _is_trained(folder: Path) -> bool:
-    return any((folder / name).exists() for name in (METRICS, STEPS))
+    return any((folder / name).exists() for name in (METRICS_FILE, STEPS_FILE))
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from dataset import MAX_STEERING_DEG
 from dataset.preprocess import SIZE_PX
-from model.runs.worst_pictures import COUNT, WorstPictures
+from model.runs.worst_pictures import WORST_COUNT, WorstPictures
 from model.worst_moments import WorstFrame
 from viz.playback.blueprint import BLUE, ORANGE
 from viz.playback.curves import arcs
@@ -23,7 +23,8 @@ _ARCS: Final = (("recorded", BLUE, 2.5), ("predicted", ORANGE, 2.0))  # name, co
 def worst_views() -> rrb.Container:
     """A view for each of the worst frames, and what they are in words."""
     views = [
-        rrb.Spatial2DView(origin=f"{WORST}/{number}", name=f"worst {number}") for number in range(1, COUNT + 1)
+        rrb.Spatial2DView(origin=f"{WORST}/{number}", name=f"worst {number}")
+        for number in range(1, WORST_COUNT + 1)
     ]
     words = rrb.TextDocumentView(origin=f"{WORST}/words", name="worst frames held out")
     return rrb.Vertical(rrb.Grid(*views, grid_columns=3), words, row_shares=[2, 1])
@@ -40,7 +41,7 @@ def send_worst(recording: rr.RecordingStream, worst: WorstPictures, times: Seque
             steering = np.array([getattr(frame, f"{name}_deg") / MAX_STEERING_DEG])
             arc = arcs(steering, (SIZE_PX, SIZE_PX))
             recording.log(f"{entity}/{name}", rr.LineStrips2D(arc, colors=[color], radii=[-radius]))
-    for number in range(len(worst.frames) + 1, COUNT + 1):  # of the epoch before
+    for number in range(len(worst.frames) + 1, WORST_COUNT + 1):  # of the epoch before
         recording.log(f"{WORST}/{number}", rr.Clear(recursive=True))
     words = "\n".join(f"{number}. {_in_words(frame)}" for number, frame in enumerate(worst.frames, 1))
     recording.log(f"{WORST}/words", rr.TextDocument(f"epoch {worst.epoch}\n{words}"))

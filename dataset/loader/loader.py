@@ -23,7 +23,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from common import Skipped
-from common.closing import Closing
+from common.closeable import Closeable
 from dataset.index.samples_file import LOADED, Rows, Samples, Split
 from dataset.loader.buffers import Allocate, Buffers
 from dataset.loader.crops import CROP_SHAPE, Crops
@@ -42,7 +42,7 @@ class Batch:
     steering: NDArray[np.float32]  # (N,), -1..1
 
 
-class Loader(Closing):
+class Loader(Closeable):
     """Batches of some rows of an index. Use it as a context manager, or call `close()`."""
 
     def __init__(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common import Skipped
-from common.closing import Closing
+from common.closeable import Closeable
 from dataset.errors import DatasetError
 from dataset.index.frames import driven_states, paired_rows, session_name
 from dataset.index.samples_file import Rows
@@ -29,7 +29,7 @@ from recorder.log.topics import camera_topic
 _AT_ONCE: Final = 4  # batches that are worked on
 
 
-class LogCrops(Closing):
+class LogCrops(Closeable):
     """The pictures of a log, finished or not, numbered from 0 in the order of writing; arrays (N,). Use it as a
     context manager, or call `close()`."""
 

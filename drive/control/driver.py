@@ -20,7 +20,7 @@ from drive.control.telemetry_picture import camera_picture
 from model import Pilot
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
-from recorder.server.world import World, WorldProblems
+from recorder.server.world import World, WorldNotices
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 NONSENSE_S: Final = 1.0
@@ -74,7 +74,7 @@ class Driver:
         self._nonsense_since_s: float | None = None
         self._gave_number = True
         self._said_size = False
-        self._problems = WorldProblems()
+        self._world_notices = WorldNotices()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
         """The command for what the simulator told.
@@ -97,7 +97,7 @@ class Driver:
         else:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = told.world, told.world_problems, told.speed_mph
-            self._note(speed_mph, told.told_separator)
+            self._note(speed_mph, told.observed_separator)
             time_s = self._clock.at(now_s, world)
             decision = self._answer(told, parsed_s, time_s)
         if events := self._of_world(world, problems):
@@ -128,7 +128,7 @@ class Driver:
     def _of_world(self, world: World | None, problems: Sequence[str]) -> list[str]:
         """What has happened on the course, and, once, what of the world cannot be used."""
         events = [] if world is None else self._course.after(world)
-        return events + self._problems.news(problems, clock_stands=self._clock.stands)
+        return events + self._world_notices.new_notices(problems, clock_stands=self._clock.stands)
 
     def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
         """The answer to a telemetry; whether its picture can be used is found out here."""

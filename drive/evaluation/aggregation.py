@@ -147,7 +147,7 @@ class Aggregation:
 
     def _drive(self, run: Path, log: Path, mode: ServerMode) -> Round:
         pilot = load_pilot(run)
-        pilot.get_ready()
+        pilot.warm_up()
         summary = self._course.drive(pilot, self._config, log, mode)
         return Round(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
 

@@ -131,7 +131,7 @@ def _measure(config: Eval) -> int:
 
 def _index_of(run: Path) -> Path:
     """The index that the run was trained on; that in the current folder for a run that does not say."""
-    from model.runs.run_places import index_of
+    from model.runs.run_inputs import index_of
 
     index = index_of(run)
     if index is None:
@@ -181,7 +181,7 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
         (Course(track, laps), each) for each in configs for track in tracks
     ]  # before the seconds that a network takes to load: a track may be misspelt
     pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
-    pilot.get_ready()
+    pilot.warm_up()
     results = []
     try:
         for result in evaluate_run(

@@ -14,7 +14,7 @@ from common.errors import counted, shown
 from common.output import print_result, print_table
 from model.evaluation.evaluate import Evaluation
 from model.metrics import Measures
-from model.runs.hints import run_argument, short_path
+from model.runs.run_arguments import run_argument, short_path
 from model.runs.run_folder import run_name
 from model.worst_moments import WorstFrame
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import cv2
 
 from common import UserError
-from common.closing import Closing
+from common.closeable import Closeable
 from drive.log.log_thread import LogThread
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -27,7 +27,7 @@ _DRIVERS: Final = {"pilot": PilotCommand.PILOT, "expert": PilotCommand.EXPERT, "
 _PICTURES_OF_A_ROW: Final = 2  # the camera's and the crop
 
 
-class DriveLog(Closing):
+class DriveLog(Closeable):
     """Writes decisions down, in rows that are numbered from 0. All but `close` returns at once.
 
     Where the disk is too slow, rows lose their pictures first, and are lost themselves only after many minutes of

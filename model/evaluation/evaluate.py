@@ -24,7 +24,7 @@ from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Measures, measure
 from model.runs.run_files import without_nan
 from model.runs.run_folder import load_config, run_name
-from model.runs.trained_on import by_session, count_learnt
+from model.runs.trained_on import by_session, count_trained_on
 
 _FROM_INDEX: Final = pa.schema(
     [
@@ -140,7 +140,7 @@ def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
         frames,
         {session: log.path.resolve() for session, log in samples.logs.items()},
         {session: log.time_range_ns[0] for session, log in samples.logs.items()},
-        count_learnt(by_session(frames), samples, config),
+        count_trained_on(by_session(frames), samples, config),
         loader.skipped,
     )
 

@@ -17,7 +17,7 @@ from model.worst_moments import WorstFrame, worst_frames
 
 Values = NDArray[np.float64]
 
-WORST: Final = 10  # moments of each run that become events
+WORST_MOMENTS: Final = 10  # moments of each run that become events
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class LogPredictions:
         """Predicted - recorded, in degrees: positive is too far to the right; NaN where nothing was recorded."""
         return MAX_STEERING_DEG * (self.predicted[run] - self.recorded)
 
-    def worst(self, run: str, count: int = WORST) -> list[WorstFrame]:
+    def worst(self, run: str, count: int = WORST_MOMENTS) -> list[WorstFrame]:
         """The moments at which a run is off the most: see `worst_frames`."""
         known = np.isfinite(self.recorded)
         frames = {

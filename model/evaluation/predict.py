@@ -1,4 +1,4 @@
-"""What a network says of pictures; training, evaluation and driving ask alike."""
+"""Predictions of networks for pictures, the same way in training, evaluation and driving."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from common.memory_allocator import keep_freed_memory
 from dataset import Loader
 from dataset.preprocess import Image
 from model.errors import RunError
-from model.network.layers import SteeringNetwork
-from model.network.visual_backprop import look
+from model.network.original import SteeringNetwork
+from model.network.visual_backprop import predict_with_attention
 from model.progress_bar import open_bar, progress_task
 from model.runs.run_folder import load_config, load_network
 
 BATCH: Final = 64  # what stays in a processor's cache
 
-Look = Callable[[int, NDArray[np.int64], Image, NDArray[np.float32]], object]
-"""Told where a network looks: which run (0, 1 ...), numbers of pictures (N,), their crops (N, 128, 128, 3) BGR,
-and the maps (N, 128, 128), 0..1."""
+AttentionCallback = Callable[[int, NDArray[np.int64], Image, NDArray[np.float32]], object]
+"""Called with where a network looks: which run (0, 1 ...), numbers of pictures (N,), their crops
+(N, 128, 128, 3) BGR, and the maps (N, 128, 128), 0..1."""
 
 
 @torch.inference_mode()
@@ -31,7 +31,7 @@ def predict(
     network: SteeringNetwork, loader: Loader, advance: Callable[[int], object] = lambda samples: None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The network's steering and the recorded one, each (N,), for a loader's samples in their order; float32
-    arithmetic on the network's device. `advance` is told how many samples are done since the last call."""
+    arithmetic on the network's device. `advance` gets the number of samples done since the last call."""
     network.eval()
     device = next(network.parameters()).device
     predicted, recorded = [np.zeros(0)], [np.zeros(0)]
@@ -47,7 +47,7 @@ def predict_crops(
     runs: Sequence[Path],
     batches: Iterable[tuple[NDArray[np.int64], Image]],
     count: int,
-    on_look: Look | None = None,
+    on_attention: AttentionCallback | None = None,
     on_batch: Callable[[], object] = lambda: None,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The steering of each run's network for `count` pictures, (runs, count), and of which pictures there was a
@@ -58,7 +58,7 @@ def predict_crops(
     """
     networks = []
     for run in runs:
-        load_config(run)  # it tells whether the run sees what is shown to it here
+        load_config(run)  # refuses a run of another preprocessing
         networks.append(load_network(run).to(memory_format=torch.channels_last))  # type: ignore[call-overload]
     keep_freed_memory()
     predicted, is_decoded = np.zeros((len(runs), count)), np.zeros(count, np.bool_)
@@ -66,11 +66,11 @@ def predict_crops(
         for numbers, crops in batches:
             is_decoded[numbers] = True
             for at, network in enumerate(networks):
-                if on_look is None:
+                if on_attention is None:
                     steering = network(as_input(crops))
                 else:
-                    steering, maps = look(network, as_input(crops))
-                    on_look(at, numbers, crops, maps.numpy())
+                    steering, maps = predict_with_attention(network, as_input(crops))
+                    on_attention(at, numbers, crops, maps.numpy())
                 if not steering.isfinite().all():
                     raise RunError(f"{runs[at]}: its network predicts what is no number; train it again")
                 predicted[at, numbers] = steering.numpy()

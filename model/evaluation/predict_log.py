@@ -1,4 +1,4 @@
-"""What other networks would have done: their steering for every picture of the centre camera in a log.
+"""The steering that trained networks predict for every picture of the centre camera in a log.
 
 bc-play run.mcap --run first --run second
 """
@@ -18,16 +18,18 @@ from dataset.preprocess import Image
 from model.errors import RunError
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH, predict_crops
-from model.runs.run_folder import checksum, run_name
+from model.runs.run_folder import run_name, weights_checksum
 
-Look = Callable[[str, NDArray[np.int64], Image, NDArray[np.float32]], object]
-"""Told where a network looks, some pictures at a time: its run's name, their log times (N,) in ns, their crops
-(N, 128, 128, 3) BGR, and the maps (N, 128, 128), 0..1 (see attention.py)."""
+LogAttentionCallback = Callable[[str, NDArray[np.int64], Image, NDArray[np.float32]], object]
+"""Called with where a network looks, some pictures at a time: its run's name, their log times (N,) in ns, their
+crops (N, 128, 128, 3) BGR, and the maps (N, 128, 128), 0..1 (see visual_backprop.py)."""
 
 
 def run_names(runs: Sequence[Path]) -> list[str]:
-    """What runs are called beside each other: the names of their folders, and where two are alike, as much of the
-    way to them as tells them apart. Raises RunError if one is given twice."""
+    """Names that tell runs apart: those of their folders, and where two are alike, as much of the path as differs.
+
+    Raises RunError if one is given twice.
+    """
     places = [run.resolve() for run in runs]
     names = [run_name(place) for place in places]
     for name, place in zip(names, places, strict=True):
@@ -46,11 +48,12 @@ def run_names(runs: Sequence[Path]) -> list[str]:
 def predict_log(
     log: Path | str,
     runs: Sequence[Path | str],
-    on_look: Look | None = None,
+    on_attention: LogAttentionCallback | None = None,
     on_batch: Callable[[], object] = lambda: None,
 ) -> LogPredictions:
-    """What the networks of some runs say of a log, finished or not, in float32, of the pixels that they see when
-    they drive. `on_look` is told where they look; `on_batch` is called now and then, and may raise what ends it.
+    """Predict the steering of some runs' networks for a log, finished or not, in float32, from the pixels that
+    they see when they drive. `on_attention` gets maps of where they look; `on_batch` is called now and then, and
+    may raise what ends it.
 
     Raises RunError if a run is incomplete or damaged, or given twice, LogError for a damaged log, DatasetError for
     one without a picture that the network could see.
@@ -59,12 +62,12 @@ def predict_log(
     names = run_names(folders)
     with LogCrops(log) as crops:
 
-        def look(run: int, numbers: NDArray[np.int64], pictures: Image, maps: NDArray[np.float32]) -> None:
-            if on_look is not None:
-                on_look(names[run], crops.log_time_ns[numbers], pictures, maps)
+        def pass_on(run: int, numbers: NDArray[np.int64], pictures: Image, maps: NDArray[np.float32]) -> None:
+            if on_attention is not None:
+                on_attention(names[run], crops.log_time_ns[numbers], pictures, maps)
 
         predicted, is_decoded = predict_crops(
-            folders, crops.batches(BATCH), len(crops), on_look and look, on_batch
+            folders, crops.batches(BATCH), len(crops), on_attention and pass_on, on_batch
         )
         if not is_decoded.any():
             raise DatasetError(
@@ -79,7 +82,10 @@ def predict_log(
             {
                 "log": log.name,
                 "log_fingerprint": crops.fingerprint,
-                **{f"weights_sha256.{name}": checksum(run) for name, run in zip(names, folders, strict=True)},
+                **{
+                    f"weights_sha256.{name}": weights_checksum(run)
+                    for name, run in zip(names, folders, strict=True)
+                },
             },
             crops.skipped,
             crops.notice,

@@ -1,1 +1,1 @@
-"""The network: its layers, how they are laid out for a processor, and where they look."""
+"""Networks, how their layers are made fast on a processor, and where they look."""

@@ -1,4 +1,4 @@
-"""Where a network looks: VisualBackProp, after Bojarski et al. 2016 (arXiv 1611.05418).
+"""Attention maps of a network by VisualBackProp, after Bojarski et al. 2016 (arXiv 1611.05418).
 
 What each convolution layer gives after its ReLU is averaged over its channels. From the last layer to the first,
 the map is brought to the size of the layer before by a deconvolution whose weights are all one, of the layer's own
@@ -14,15 +14,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from model.network.layers import SteeringNetwork, scaled
+from model.network.original import SteeringNetwork, scaled
 
 Side = int | tuple[int, ...]
 
 
 @torch.inference_mode()
-def look(network: SteeringNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """What the network says of pictures (N, 3, 128, 128), as it would be asked itself: steering (N,); and where it
-    looks: (N, 128, 128) float32, 0 nowhere .. 1 most of that picture. One pass through the network gives both."""
+def predict_with_attention(network: SteeringNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    """The network's steering (N,) for pictures (N, 3, 128, 128), the same as of calling it, and where it looks:
+    (N, 128, 128) float32, 0 nowhere .. 1 most of that picture. One pass through the network gives both."""
     found, maps = visual_backprop(network.features, scaled(pictures))
     steering: Tensor = network.head(found).squeeze(1)
     return steering, maps
@@ -30,8 +30,8 @@ def look(network: SteeringNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
 
 @torch.inference_mode()
 def visual_backprop(layers: nn.Sequential, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """What `layers` (convolutions without padding, pooling, ReLU) give for inputs (N, channels, height, width),
-    and the maps (N, height, width), each from 0 to 1, or all 0 where nothing stands out."""
+    """The output of `layers` (convolutions without padding, pooling, ReLU) for inputs (N, channels, height,
+    width), and attention maps (N, height, width), each from 0 to 1, or all 0 where nothing stands out."""
     averages: list[Tensor] = []
     passed: list[tuple[nn.Module, torch.Size]] = []  # the layers, and the height and width of what went in
     outputs = inputs

@@ -1,6 +1,6 @@
 """Where a training stands: `last/checkpoint.safetensors`, from which it goes on as if it had never stopped.
 
-One file with its own checksum (sealed.py), so that weights, moments of Adam and position are always of the same
+One file with its own checksum (checksums.py), so that weights, moments of Adam and position are always of the same
 moment. No random state is in it: order, dropout and alterations are functions of (seed, epoch, batch), drawn anew
 in every step.
 """
@@ -19,8 +19,8 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from model.errors import RunError
-from model.runs.checksums import read_sealed, write_sealed
-from model.runs.hints import run_argument
+from model.runs.checksums import load_checksummed, save_checksummed
+from model.runs.run_arguments import run_argument
 
 FORMAT: Final = "1"
 LAST: Final = "last"
@@ -65,7 +65,7 @@ def save_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam, 
         moments = optimizer.state.get(parameter, {})  # empty before the first step
         tensors |= {f"{moment}.{name}": tensor for moment, tensor in moments.items()}
     stored = {"format": FORMAT, "position": json.dumps(asdict(position))}
-    write_sealed(checkpoint_path(run), tensors, stored)
+    save_checksummed(checkpoint_path(run), tensors, stored)
 
 
 def read_position(run: Path) -> Position:
@@ -104,7 +104,7 @@ def load_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam) 
     Raises RunError if the checkpoint is damaged, of another version, or of another network.
     """
     path = _required(run)
-    tensors, stored = read_sealed(path, run, _WAY_OUT)
+    tensors, stored = load_checksummed(path, run, _WAY_OUT)
     position = _position(stored, path)
     named = dict(network.named_parameters())
     has_moments = any(name.startswith("exp_avg.") for name in tensors)

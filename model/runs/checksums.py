@@ -31,7 +31,7 @@ _ZEROS: Final = "0" * 64
 _MOST_BYTES: Final = 1 << 30  # a checkpoint has 60 MB
 
 
-def write_sealed(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
+def save_checksummed(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
     """Replace `path` in one step: a full disk or a crash leaves the old file. Same content: the same bytes."""
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     header, values = _halves(save(contiguous))
@@ -45,7 +45,7 @@ def write_sealed(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
         stream.write(values)
 
 
-def read_sealed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The tensors of a file of `run`, and its metadata, once its checksum is found to hold.
 
     A file without one, of an earlier version, is read all the same, and that is said once. Raises RunError for a

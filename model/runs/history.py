@@ -23,8 +23,8 @@ from common.file_tail import FileTail
 from dataset.preprocess import decode, is_crop
 from model.errors import RunError
 from model.metrics import BinErrors, Errors, Measures
-from model.runs.training_progress import METRICS, STEPS, Epoch, Step
-from model.runs.worst_pictures import COUNT, WORST, WorstPictures
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
+from model.runs.worst_pictures import WORST_COUNT, WORST_FILE, WorstPictures
 from model.worst_moments import WorstFrame
 
 _MOST_BYTES: Final = 64 << 20  # of a file: half a million steps
@@ -54,8 +54,8 @@ def read_history(run: Path) -> tuple[History, Skipped]:
     """
     reader = HistoryReader(run)
     history, _ = reader.read()
-    if not any((run / name).exists() for name in (METRICS, STEPS)):
-        raise RunError(f"{run}: no training in it ({METRICS} is missing); `bc-train` makes a run")
+    if not any((run / name).exists() for name in (METRICS_FILE, STEPS_FILE)):
+        raise RunError(f"{run}: no training in it ({METRICS_FILE} is missing); `bc-train` makes a run")
     reader.name_unfinished()
     return history, reader.skipped
 
@@ -70,7 +70,7 @@ class HistoryReader:
     def _begin(self) -> None:
         self.skipped = Skipped()
         self._metrics, self._steps, self._worst = (
-            FileTail(self._run / name, _MOST_LINE_BYTES) for name in (METRICS, STEPS, WORST)
+            FileTail(self._run / name, _MOST_LINE_BYTES) for name in (METRICS_FILE, STEPS_FILE, WORST_FILE)
         )
         self._last_epoch, self._last_samples, self._last_worst = 0, 0, 0
 
@@ -86,9 +86,9 @@ class HistoryReader:
             found = self._read_files()
         metrics, steps, worst = (lines or [] for lines in found)
         history = History(
-            tuple(self._parsed(METRICS, metrics, self._next_epoch)),
-            tuple(self._parsed(STEPS, steps, self._next_step)),
-            tuple(self._parsed(WORST, worst, self._next_worst)),
+            tuple(self._parsed(METRICS_FILE, metrics, self._next_epoch)),
+            tuple(self._parsed(STEPS_FILE, steps, self._next_step)),
+            tuple(self._parsed(WORST_FILE, worst, self._next_worst)),
         )
         return history, is_replaced
 
@@ -136,7 +136,7 @@ class HistoryReader:
 
     def _next_worst(self, values: Any) -> WorstPictures:
         epoch = _count(values["epoch"])
-        if epoch <= self._last_worst or len(values["frames"]) > COUNT:
+        if epoch <= self._last_worst or len(values["frames"]) > WORST_COUNT:
             raise ValueError("not after the line before")
         frames = tuple(_worst_of(each) for each in values["frames"])
         jpegs = tuple(base64.b64decode(each["jpeg"], validate=True) for each in values["frames"])

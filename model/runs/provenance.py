@@ -14,7 +14,7 @@ from dataset import Samples
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
-from model.network.layers import PARAMETERS
+from model.network.original import PARAMETERS
 
 
 def provenance(samples: Samples, config: TrainConfig, machine: Machine, ranks: int) -> dict[str, Any]:

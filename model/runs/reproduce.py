@@ -12,7 +12,7 @@ from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from model.errors import RunError
 from model.runs.provenance import data_fingerprint_of
 from model.runs.run_folder import CONFIG, load_config, run_name
-from model.runs.run_places import logs_of
+from model.runs.run_inputs import logs_of
 
 
 def index_of_run(

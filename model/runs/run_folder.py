@@ -1,6 +1,6 @@
 """The run folder: weights, what made them, and how training went. Nothing in it is ever unpickled.
 
-runs/NAME/model.safetensors   the weights of the best epoch: these drive; with their checksum, see sealed.py
+runs/NAME/model.safetensors   the weights of the best epoch: these drive; with their checksum, see checksums.py
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
 runs/NAME/metrics.jsonl       one line an epoch
 runs/NAME/steps.jsonl         one line every few batches
@@ -25,10 +25,10 @@ from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.preprocess import DESCRIPTION
 from model.errors import RunError
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path
-from model.runs.checksums import read_sealed, write_sealed
-from model.runs.hints import known_runs, run_argument
+from model.runs.checksums import load_checksummed, save_checksummed
+from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_files import named, replaced_file
 
 FORMAT: Final = 2
@@ -73,11 +73,11 @@ def run_name(folder: Path) -> str:
 
 def save_weights(folder: Path, weights: Mapping[str, Tensor], epoch: int) -> None:
     """Replace the run's weights in one step: a full disk or a crash leaves the old ones."""
-    write_sealed(folder / WEIGHTS, weights, {"epoch": str(epoch)})
+    save_checksummed(folder / WEIGHTS, weights, {"epoch": str(epoch)})
 
 
 @contextlib.contextmanager
-def kept_if_learnt(folder: Path, has_learnt: Callable[[], bool]) -> Iterator[None]:
+def removed_unless_saved(folder: Path, has_learnt: Callable[[], bool]) -> Iterator[None]:
     """Around the training of the run in `folder`, which this process has made: if that ends before anything that
     it has learnt is saved, the folder goes, and its name is free again."""
     try:
@@ -109,12 +109,12 @@ def find_run(name: str | None, runs: Path | str) -> Path:
     raise RunError(f"{runs / name}: no trained run there ({WEIGHTS} is missing); {_known(name, runs, WEIGHTS)}")
 
 
-def is_unbegun(run: Path) -> bool:
+def has_nothing_saved(run: Path) -> bool:
     """Whether nothing of a run's training was ever saved: it was killed before its first checkpoint."""
     return not checkpoint_path(run).exists() and not (run / WEIGHTS).exists()
 
 
-def find_started(name: str, runs: Path) -> Path:
+def find_any_run(name: str, runs: Path) -> Path:
     """A run by name (in `runs`) or by path, also one that has not finished an epoch. Raises RunError if there is
     none."""
     for folder in (runs / name, Path(name)):
@@ -124,7 +124,7 @@ def find_started(name: str, runs: Path) -> Path:
 
 
 def _known(name: str, runs: Path, file: str) -> str:
-    return known_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
+    return suggest_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
 
 
 def load_config(folder: Path) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def load_network(folder: Path) -> SteeringNetwork:
     """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape."""
     path = weights_path(folder)
     network = SteeringNetwork()
-    weights, _ = read_sealed(path, config_folder(folder), "copy it again, or train the run again")
+    weights, _ = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
     if _is_last(folder):
         prefix = "network."
         weights = {name.removeprefix(prefix): weights[name] for name in weights if name.startswith(prefix)}
@@ -173,7 +173,7 @@ def load_network(folder: Path) -> SteeringNetwork:
     return network.eval()
 
 
-def checksum(folder: Path) -> str:
+def weights_checksum(folder: Path) -> str:
     """SHA-256 of the run's weights: a drive's log says with it which network drove."""
     with weights_path(folder).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -24,7 +24,7 @@ class _Data:
     config: IndexConfig  # has what the split depends on
 
 
-def count_learnt(frames: Mapping[str, pa.Table], samples: Samples, config: dict[str, Any]) -> int | None:
+def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: dict[str, Any]) -> int | None:
     """How many frames the run of this config has learnt from; None where that does not say.
 
     `frames` are those of each session of `samples`, with the columns row and log_time_ns. Raises LogError for a

@@ -7,9 +7,9 @@ from typing import Any, Final, Protocol
 
 from model.metrics import Measures
 
-METRICS: Final = "metrics.jsonl"
+METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
-STEPS: Final = "steps.jsonl"
+STEPS_FILE: Final = "steps.jsonl"
 """One line every few batches: `Step.as_dict`."""
 
 

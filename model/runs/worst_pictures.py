@@ -19,12 +19,12 @@ from dataset import MAX_STEERING_DEG, Loader
 from dataset.preprocess import Image
 from model.worst_moments import WorstFrame, worst_frames
 
-WORST: Final = "worst.jsonl"
+WORST_FILE: Final = "worst.jsonl"
 """One line an epoch: `WorstPictures.as_dict`."""
 MOST_WORST_BYTES: Final = 32 << 20
 """Of that file: some 500 epochs. Of longer trainings, the last ones are kept; no reader takes twice as much."""
-COUNT: Final = 6
-COLUMNS: Final = ("session", "row", "log_time_ns")
+WORST_COUNT: Final = 6
+WORST_COLUMNS: Final = ("session", "row", "log_time_ns")
 """What must be known of the frames held out."""
 
 _QUALITY: Final = 90  # of the JPEGs, some 7 KB each
@@ -49,11 +49,13 @@ class WorstPictures:
 def find_worst(
     epoch: int, seen: pa.Table, loader: Loader, predicted: NDArray[np.float64], recorded: NDArray[np.float64]
 ) -> WorstPictures:
-    """The worst of the frames that a network was measured on: `seen` has `COLUMNS` for each sample of `loader`,
-    steering is of those that decode."""
+    """The worst of the frames that a network was measured on.
+
+    `seen` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode.
+    """
     decoded = np.flatnonzero(loader.decoded)
     frames = seen.take(decoded).append_column("predicted", pa.array(predicted))
-    worst = worst_frames(frames.append_column("recorded", pa.array(recorded)), min(COUNT, loader.batch))
+    worst = worst_frames(frames.append_column("recorded", pa.array(recorded)), min(WORST_COUNT, loader.batch))
     time_ns, row = (frames[name].to_numpy() for name in ("log_time_ns", "row"))
     samples = [
         decoded[

@@ -29,15 +29,14 @@ from model.device import Machine
 from model.errors import RunError
 from model.evaluation.predict import predict
 from model.metrics import measure
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.progress_bar import progress_task
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
-from model.runs.hints import run_argument
+from model.runs.run_arguments import run_argument
 from model.runs.run_files import add_line, keep_lines
 from model.runs.run_folder import WEIGHTS, load_config, load_network, save_weights
-from model.runs.training_progress import METRICS, STEPS, Epoch, Listener, Step
-from model.runs.worst_pictures import COLUMNS as WORST_COLUMNS
-from model.runs.worst_pictures import MOST_WORST_BYTES, WORST, find_worst
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Listener, Step
+from model.runs.worst_pictures import MOST_WORST_BYTES, WORST_COLUMNS, WORST_FILE, find_worst
 from model.training.batches import make_batches
 from model.training.busy_processor import busy_notice
 from model.training.distributed import Group
@@ -143,9 +142,9 @@ class TrainingLoop:
     def keep_history(self) -> None:
         """Leave of the run's files what was before its position."""
         seen = self._samples_seen()
-        for name in (WORST, METRICS):
+        for name in (WORST_FILE, METRICS_FILE):
             keep_lines(self.run / name, lambda line: line["epoch"] < self.position.epoch)
-        keep_lines(self.run / STEPS, lambda line: line["samples"] <= seen)
+        keep_lines(self.run / STEPS_FILE, lambda line: line["samples"] <= seen)
 
     @property
     def is_stopped_early(self) -> bool:
@@ -269,8 +268,8 @@ class TrainingLoop:
         if len(recorded):  # before the epoch's own line: who reads that finds them
             worst = find_worst(position.epoch, self._seen, self.validation, predicted, recorded)
             self._make_room()
-            add_line(self.run / WORST, worst.as_dict())
-        add_line(self.run / METRICS, epoch.as_dict())
+            add_line(self.run / WORST_FILE, worst.as_dict())
+        add_line(self.run / METRICS_FILE, epoch.as_dict())
         self.history.append(epoch)
         if is_best:
             weights = {name: tensor.detach().cpu().clone() for name, tensor in self.network.state_dict().items()}
@@ -284,7 +283,7 @@ class TrainingLoop:
 
     def _make_room(self) -> None:
         """Once it is large, leave the later half of the worst frames' file."""
-        path = self.run / WORST
+        path = self.run / WORST_FILE
         if path.exists() and path.stat().st_size > MOST_WORST_BYTES:
             begin = self.position.epoch - path.read_bytes().count(b"\n") // 2
             keep_lines(path, lambda line: line["epoch"] >= begin)
@@ -296,7 +295,7 @@ class TrainingLoop:
         loss, rate = squared_error / samples, samples / seconds
         if self.group.is_first:
             step = Step(position.epoch, position.batch, self.batches.batches, self._samples_seen(), loss, rate)
-            add_line(self.run / STEPS, step.as_dict())
+            add_line(self.run / STEPS_FILE, step.as_dict())
             for listener in self.listeners:
                 listener.step(step)
         return f"loss {loss:.4f}  {rate:,.0f} samples/s"

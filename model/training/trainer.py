@@ -25,21 +25,21 @@ from model.device import choose_machine
 from model.errors import RunError
 from model.progress_bar import open_bar
 from model.runs.checkpoint import LAST
-from model.runs.hints import run_argument
 from model.runs.provenance import data_fingerprint_of, provenance, training_of
+from model.runs.run_arguments import run_argument
 from model.runs.run_folder import (
     CONFIG,
     WEIGHTS,
-    checksum,
     create_run,
-    is_unbegun,
-    kept_if_learnt,
+    has_nothing_saved,
     load_config,
     refuse_existing_run,
+    removed_unless_saved,
     run_name,
+    weights_checksum,
     write_config,
 )
-from model.runs.run_places import init_of, seen_from
+from model.runs.run_inputs import init_of, relative_place
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
 from model.training.loop import TrainingLoop
@@ -102,11 +102,11 @@ def train(
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
         stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
         loops: list[TrainingLoop] = []
-        said = {"index": seen_from(run, index), **provenance(samples, config, machine, group.ranks)}
+        said = {"index": relative_place(run, index), **provenance(samples, config, machine, group.ranks)}
         if resume:
             _refuse_other_samples(run, stored, samples)
             group.first(lambda: stack.enter_context(_alone(run)))
-            [begins] = group.any(is_unbegun(run))
+            [begins] = group.any(has_nothing_saved(run))
             init = init_of(run, run.parent) if begins else None
         else:
             begins = True
@@ -205,9 +205,9 @@ def _of_validation(samples: Samples, held_out: int, init: Path | None) -> list[s
         return []
     if init is None:
         return []
-    from model.runs.trained_on import by_session, count_learnt  # needs more packages than training does
+    from model.runs.trained_on import by_session, count_trained_on  # needs more packages than training does
 
-    count = count_learnt(by_session(samples.driving_view("validation")), samples, load_config(init))
+    count = count_trained_on(by_session(samples.driving_view("validation")), samples, load_config(init))
     if count == 0:
         return []
     known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
@@ -223,14 +223,20 @@ def _started_from(init: Path | None, run: Path) -> dict[str, Any]:
     earlier = before.get("init")
     data = earlier.get("data") if isinstance(earlier, dict) else None
     learnt = [before.get("data"), *(data if isinstance(data, list) else [])]
-    told = {"run": run_name(init), "place": seen_from(run, init), "weights_sha256": checksum(init), "data": learnt}
-    return {"init": told}
+    return {
+        "init": {
+            "run": run_name(init),
+            "place": relative_place(run, init),
+            "weights_sha256": weights_checksum(init),
+            "data": learnt,
+        }
+    }
 
 
 @contextlib.contextmanager
 def _created(run: Path, config: dict[str, Any], has_learnt: Callable[[], bool]) -> Iterator[None]:
     create_run(run, config)
-    with kept_if_learnt(run, has_learnt), _alone(run):
+    with removed_unless_saved(run, has_learnt), _alone(run):
         yield
 
 

@@ -10,16 +10,15 @@ from typing import Final, NamedTuple
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
-from common.car import CAMERAS
 from recorder.bc_pb2 import VehicleState
-from recorder.log import compressed_image, topics
+from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
 from recorder.log.scan import Structure
-from recorder.log.topics import camera_topic
+from recorder.log.topics import CAMERA_TOPICS, COMPRESSED_IMAGE, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
 from recorder.pictures.image_check import Look, Seen
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
@@ -28,7 +27,6 @@ _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
     "stuck_steering": "stretches of stuck steering",
     "out_of_range": "stretches of values out of range",
 }
-_IN_ORDER: Final = (topics.VEHICLE, topics.PILOT_COMMAND)  # pictures may come late, and in any order
 _MISFIT: Final = "messages that are not what their schema says"
 
 
@@ -44,17 +42,15 @@ class Contents:
 
     def __init__(self, structure: Structure, findings: list[Finding], pool: Executor | None) -> None:
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
-        self._images = {n for n in self._topics if structure.is_protobuf(n, compressed_image.SCHEMA)}
+        of_type = structure.is_protobuf
+        self._images = {n for n in self._topics if of_type(n, COMPRESSED_IMAGE.name)}
         self._vehicle = {
-            number
-            for number, topic in self._topics.items()
-            if topic == topics.VEHICLE and structure.is_protobuf(number, topics.VEHICLE_SCHEMA)
+            n for n, topic in self._topics.items() if topic == topics.VEHICLE and of_type(n, VEHICLE_STATE.name)
         }
         self._events = {
-            number
-            for number, topic in self._topics.items()
-            if topic == topics.EVENTS and structure.is_protobuf(number, LogMessage.DESCRIPTOR.full_name)
+            n for n, topic in self._topics.items() if topic == topics.EVENTS and of_type(n, LOG_MESSAGE.name)
         }
+        self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
         self._bad_telemetry: Counter[str] = Counter()
         self._findings = findings
         self._look = Look(pool)
@@ -77,7 +73,7 @@ class Contents:
         if message.log_time_ns > LAST_TIME_NS:
             self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
             return
-        if topic in _IN_ORDER:
+        if message.channel in self._in_order:
             if message.sequence <= self._last_row.get(topic, -1):
                 self._findings.append(Finding("rows out of order", f"{topic} row {message.sequence}"))
             self._last_row[topic] = message.sequence
@@ -133,11 +129,12 @@ class Contents:
                 where = _rows(int(states.row[begin]), int(states.row[end]))
                 self._findings.append(Finding(kind, f"before {where}" if flag == "gap" else where))
 
-    def _cameras(self, *, has_rows: bool) -> set[str]:
+    def _cameras(self, *, has_rows: bool) -> frozenset[str]:
         """Topics on which every row should have a picture: also a camera that has none at all."""
-        known = {topic for topic in self._topics.values() if topic in map(camera_topic, CAMERAS)}
+        known = CAMERA_TOPICS.intersection(self._topics.values())
         expected = {camera_topic("center")} if has_rows else set()
-        return (known | expected | self._look.seen.keys()) - {topics.PILOT_INPUT}
+        others = topics.PICTURE_TOPICS - CAMERA_TOPICS
+        return (known | expected | self._look.seen.keys()) - others
 
     def _judge_pictures(self, topic: str, seen: Seen, speed_mph: dict[tuple[int, int], float]) -> None:
         held = set(zip(seen.rows, seen.times_ns, strict=True))

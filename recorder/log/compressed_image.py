@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-SCHEMA: Final = "foxglove.CompressedImage"
 _DATA_FIELD: Final = 2
 
 

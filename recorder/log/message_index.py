@@ -9,9 +9,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from recorder.log.compressed_image import SCHEMA, image_data
+from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import MESSAGE, RECORD, Chunk, McapFile
 from recorder.log.scan import Structure
+from recorder.log.topics import COMPRESSED_IMAGE
 
 UNCOMPRESSED: Final = -1
 """In the place of a chunk's offset: the bytes lie in the file as they are."""
@@ -83,4 +84,5 @@ def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArr
 
 
 def _image_channels(structure: Structure) -> NDArray[np.uint16]:
-    return np.array([number for number in structure.channels if structure.is_protobuf(number, SCHEMA)], np.uint16)
+    name = COMPRESSED_IMAGE.name
+    return np.array([number for number in structure.channels if structure.is_protobuf(number, name)], np.uint16)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 import hashlib
+import operator
 import struct
 import threading
 from collections import OrderedDict
@@ -15,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.car import CAMERAS, Camera
-from common.closing import Closing
+from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
@@ -35,12 +36,14 @@ from recorder.log.scan import read_structure
 from recorder.log.topics import camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
+    from google.protobuf.message import Message as ProtobufMessage
+
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 
 _CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
 _CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
-Decoded = TypeVar("Decoded", "VehicleState", "PilotCommand", "Prediction")
+Decoded = TypeVar("Decoded", bound="ProtobufMessage")
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Pictures:
     chunk: NDArray[np.int64]  # as in Message
 
 
-class Log(Closing):
+class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
@@ -251,13 +254,19 @@ class Log(Closing):
     def vehicle(self) -> pa.Table:
         """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
         (0 .. 1), speed_mph (NaN where the source did not tell it)."""
-        found = list(self.vehicle_states())
+        return self.table(topics.VEHICLE)
+
+    def table(self, topic_name: str) -> pa.Table:
+        """The messages on a topic of the registry, one a row: row, log_time_ns, and the columns it has there."""
+        topic = topics.TOPICS[topic_name]
+        found = list(self.decoded(topic_name))
         columns = {
             "row": pa.array([message.sequence for message, _ in found], pa.int64()),
             "log_time_ns": pa.array([message.log_time_ns for message, _ in found], pa.int64()),
         }
-        for name in ("steering", "throttle", "brake", "speed_mph"):
-            columns[name] = pa.array([getattr(state, name) for _, state in found], pa.float64())
+        for column in topic.columns:
+            value = operator.attrgetter(column.field)
+            columns[column.name] = pa.array([value(content) for _, content in found], pa.float64())
         return pa.table(columns)
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
@@ -283,6 +292,10 @@ class Log(Closing):
         names = ("sequence", "log_time_ns", "offset", "length", "chunk")
         table = self._of_topic(topic)
         return [Message(*row) for row in zip(*(table[name].tolist() for name in names), strict=True)]
+
+    def decoded(self, topic: str) -> Iterator[tuple[Message, Any]]:
+        """The messages on a topic of the registry. Raises LogError for one that is not what the registry says."""
+        return self._decoded(topic, topics.TOPICS[topic].message.load())
 
     def vehicle_states(self) -> Iterator[tuple[Message, VehicleState]]:
         from recorder.bc_pb2 import VehicleState

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common import Skipped
-from common.car import CAMERAS
 from common.errors import counted
 from common.files import final_path
 from common.locks import is_being_written
@@ -31,7 +30,7 @@ from recorder.log.derived_log import (
 from recorder.log.mcap_file import Chunk, McapFile
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, read_tags
-from recorder.log.topics import ROW_TOPICS, camera_topic
+from recorder.log.topics import CAMERA_TOPICS, ROW_TOPICS
 
 
 def recovered_name(path: Path) -> Path:
@@ -176,7 +175,7 @@ def _torn_rows(holes: set[int], rows: Sequence[list[tuple[str, int]]], *, is_cle
     parts: dict[int, set[str]] = {}
     for topic, row in itertools.chain.from_iterable(rows):
         parts.setdefault(row, set()).add(topic)
-    cameras = set(map(camera_topic, CAMERAS)).intersection(set().union(*parts.values()))
+    cameras = CAMERA_TOPICS.intersection(set().union(*parts.values()))
     return frozenset(row for row in edges if not cameras | {topics.VEHICLE} <= parts[row])
 
 

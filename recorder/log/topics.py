@@ -1,10 +1,21 @@
-"""The topics of a log."""
+"""The registry of what a log holds: its topics, their messages, and how these are indexed and drawn.
+
+A new topic is one more entry in `TOPICS`: what writes, checks, edits, indexes and plays logs reads it from there.
+A new camera is one more name in `common.car.Camera`.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+import functools
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
 
 from common.car import CAMERAS, Camera
+
+if TYPE_CHECKING:  # training reads logs where protobuf is not installed
+    from google.protobuf.message import Message
 
 PROFILE: Final = "bc"
 LIBRARY: Final = "behavioural-cloning-toolkit"  # what an MCAP file says that it was written by, before the version
@@ -13,12 +24,99 @@ QUALITY_METADATA: Final = "bc.quality"
 DRIVE_METADATA: Final = "bc.drive"  # a drive's own summary
 
 VEHICLE: Final = "/vehicle"
-VEHICLE_SCHEMA: Final = "bc.VehicleState"
 PILOT_INPUT: Final = "/pilot/input"
 PILOT_COMMAND: Final = "/pilot/command"
 PREDICTIONS: Final = "/prediction/"  # and the name of a run
 EVENTS: Final = "/events"
 POSE: Final = "/pose"
+
+ColorName = Literal["blue", "orange", "green", "violet", "grey", "red"]
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """A Protobuf message: its full name, and the module that has its Python class."""
+
+    name: str
+    module: str
+
+    @functools.cache  # noqa: B019  (there are as many as the registry has)
+    def load(self) -> type[Message]:
+        """The Python class, imported when it is first asked for."""
+        loaded: type[Message] = getattr(importlib.import_module(self.module), self.name.rpartition(".")[2])
+        return loaded
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Axes that lines share."""
+
+    path: str  # in the viewer; the lines are under it
+    name: str
+    unit: str = ""
+    range: tuple[float, float] | None = None  # of the upright axis; None: that of the values
+    height: float = 1.0  # beside other plots
+
+    @property
+    def title(self) -> str:
+        return f"{self.name}, {self.unit}" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class Line:
+    """A number in the messages of a topic that is drawn over time."""
+
+    field: str  # of the message; "acceleration.x" is a field of its field
+    plot: Plot
+    name: str  # under the plot's path
+    label: str
+    color: ColorName
+    is_optional: bool = False  # messages may lack it
+
+    @property
+    def path(self) -> str:
+        return f"{self.plot.path}/{self.name}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A number in the messages of a topic that is a column of the index's frames: NaN where a row has none."""
+
+    name: str
+    field: str  # of the message, as in `Line`
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What is written on one topic.
+
+    Pictures (`COMPRESSED_IMAGE`) are shown in a view called `title`, numbers as `lines`.
+    """
+
+    name: str
+    message: MessageType
+    title: str = ""
+    has_row: bool = True  # the sequence number of a message is the number of its row
+    is_in_order: bool = False  # by row; others may come late
+    camera: Camera | None = None
+    columns: tuple[Column, ...] = ()
+    lines: tuple[Line, ...] = ()
+
+    @property
+    def is_picture(self) -> bool:
+        return self.message == COMPRESSED_IMAGE
+
+
+COMPRESSED_IMAGE: Final = MessageType("foxglove.CompressedImage", "foxglove_schemas_protobuf.CompressedImage_pb2")
+LOG_MESSAGE: Final = MessageType("foxglove.Log", "foxglove_schemas_protobuf.Log_pb2")
+POSE_IN_FRAME: Final = MessageType("foxglove.PoseInFrame", "foxglove_schemas_protobuf.PoseInFrame_pb2")
+VEHICLE_STATE: Final = MessageType("bc.VehicleState", "recorder.bc_pb2")
+COMMAND: Final = MessageType("bc.PilotCommand", "recorder.bc_pb2")
+
+STEERING: Final = Plot("/steering", "steering", "-1 left .. 1 right", (-1.0, 1.0), height=2.0)
+SPEED: Final = Plot("/speed_mph", "speed", "mph")
+PEDALS: Final = Plot("/pedals", "throttle and brake")
+LATENCY: Final = Plot("/latency_ms", "latency", "ms")
 
 
 def camera_topic(camera: Camera) -> str:
@@ -30,13 +128,51 @@ def prediction_topic(run: str) -> str:
     return f"{PREDICTIONS}{run}"
 
 
-ROW_TOPICS: Final = frozenset(
-    (
-        *map(camera_topic, CAMERAS),
-        VEHICLE,
-        PILOT_INPUT,
-        PILOT_COMMAND,
-        POSE,
+def _camera(camera: Camera) -> Topic:
+    title = "centre camera" if camera == "center" else f"{camera} camera"
+    return Topic(camera_topic(camera), COMPRESSED_IMAGE, title, camera=camera)
+
+
+TOPICS: Final[Mapping[str, Topic]] = {
+    topic.name: topic
+    for topic in (
+        *map(_camera, CAMERAS),
+        Topic(
+            VEHICLE,
+            VEHICLE_STATE,
+            is_in_order=True,
+            columns=tuple(Column(name, name) for name in ("steering", "throttle", "brake", "speed_mph")),
+            lines=(
+                Line("steering", STEERING, "recorded", "recorded", "blue"),
+                Line("speed_mph", SPEED, "driven", "driven", "blue"),
+                Line("throttle", PEDALS, "throttle", "throttle", "green"),
+                Line("brake", PEDALS, "brake", "brake", "red"),
+            ),
+        ),
+        Topic(PILOT_INPUT, COMPRESSED_IMAGE, "what the network sees"),
+        Topic(
+            PILOT_COMMAND,
+            COMMAND,
+            is_in_order=True,
+            lines=(
+                Line("predicted_steering", STEERING, "predicted", "predicted", "orange"),
+                Line("steering", STEERING, "sent", "sent", "green"),
+                Line("expert_steering", STEERING, "expert", "expert", "violet", is_optional=True),
+                Line("set_speed_mph", SPEED, "set", "set", "grey"),
+                Line("throttle", PEDALS, "sent", "throttle sent", "orange"),
+                Line("total_ms", LATENCY, "total", "telemetry to answer", "violet"),
+                Line("network_ms", LATENCY, "network", "network", "orange"),
+                Line("decode_ms", LATENCY, "decode", "JPEG and crop", "blue"),
+                Line("parse_ms", LATENCY, "parse", "reading the message", "grey"),
+            ),
+        ),
+        Topic(POSE, POSE_IN_FRAME),
+        Topic(EVENTS, LOG_MESSAGE, "events", has_row=False),
     )
-)
-"""Their messages carry their row's number as sequence number."""
+}
+"""Every topic that is written, by name; besides them, a log of predictions has one for each run."""
+
+PLOTS: Final = tuple(dict.fromkeys(line.plot for topic in TOPICS.values() for line in topic.lines))
+CAMERA_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.camera is not None)
+PICTURE_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.is_picture)
+ROW_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.has_row)

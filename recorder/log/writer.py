@@ -24,21 +24,26 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, files
-from common.car import CAMERAS, Camera
+from common.car import Camera
 from common.interrupts import uninterrupted
 from common.locks import lock
 from common.versions import version_of
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.log import topics
-from recorder.log.compressed_image import SCHEMA, image_data
+from recorder.log.compressed_image import image_data
 from recorder.log.row_quality import StatesWritten, summary
-from recorder.log.topics import camera_topic, prediction_topic
+from recorder.log.topics import (
+    CAMERA_TOPICS,
+    COMPRESSED_IMAGE,
+    TOPICS,
+    VEHICLE_STATE,
+    camera_topic,
+    prediction_topic,
+)
 from recorder.pictures.picture_size import PNG_START, PictureSizes, width_and_height
 
 CHUNK_BYTES: Final = 256 * 1024
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
-
-_CAMERA_TOPICS: Final = frozenset(map(camera_topic, CAMERAS))
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
 
@@ -137,6 +142,12 @@ class LogWriter:
     def command(self, time_ns: int, sequence: int, command: PilotCommand) -> None:
         self._write(topics.PILOT_COMMAND, command, time_ns, sequence)
 
+    def message(self, topic: str, time_ns: int, sequence: int, message: Message) -> None:
+        """A message on a topic of the registry without a method of its own. Raises ValueError for another type."""
+        if TOPICS[topic].message.name != message.DESCRIPTOR.full_name:
+            raise ValueError(f"{topic}: a {message.DESCRIPTOR.full_name}, not a {TOPICS[topic].message.name}")
+        self._write(topic, message, time_ns, sequence)
+
     def prediction(self, run: str, time_ns: int, sequence: int, prediction: Prediction) -> None:
         """What the network of a run says of a recorded picture."""
         self._write(prediction_topic(_utf8(run)), prediction, time_ns, sequence)
@@ -161,12 +172,12 @@ class LogWriter:
             # keeping the channel keeps its id from being used again
             known = self._copied[id(channel)] = (channel, self._copied_channel(schema, channel))
         self._message(known[1], message.log_time, message.publish_time, sequence, message.data)
-        if channel.topic == topics.VEHICLE and schema is not None and schema.name == topics.VEHICLE_SCHEMA:
+        if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
             try:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
-        elif channel.topic in _CAMERA_TOPICS and schema is not None and schema.name == SCHEMA:
+        elif channel.topic in CAMERA_TOPICS and schema is not None and schema.name == COMPRESSED_IMAGE.name:
             at, length = image_data(message.data, 0, len(message.data))
             if at >= 0:
                 self._sizes.add(channel.topic, sequence, width_and_height(message.data[at : at + length]))

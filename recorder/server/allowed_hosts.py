@@ -1,8 +1,8 @@
-"""Who may speak to a port of this machine: no web page of another site, by whatever name it reaches the port.
+"""The check of a request's `Host` and `Origin`: web pages of other sites may not reach the server.
 
-A page in the user's browser can reach every port of this machine. Its requests tell the page's own address as
-`Origin`, and by which name they got here as `Host`: its own, where that was made to lead to this machine after the
-page was loaded (DNS rebinding). An address in numbers leads nowhere else, and a private name is nobody else's.
+A page in the user's browser can reach every port of this machine. Its requests hold the page's own address as
+`Origin`, and as `Host` the name by which they got here: its own, where that was made to lead to this machine after
+the page was loaded (DNS rebinding). A numeric address leads nowhere else, and a private name is nobody else's.
 """
 
 from __future__ import annotations
@@ -16,47 +16,48 @@ _LOOPBACK_NAMES: Final = ("localhost", "localhost.localdomain", "ip6-localhost")
 _PRIVATE: Final = (".local", ".internal", ".home.arpa")
 
 
-class LetIn:
-    """Lets in loopback names and addresses, and what the server listens on; where that is everywhere (0.0.0.0),
+class AllowedHosts:
+    """Allows loopback names and addresses, and what the server listens on; where that is everywhere (0.0.0.0),
     every address, and names that only a private network has."""
 
     def __init__(self, host: str) -> None:
-        self._host = _plain(host)
+        self._host = _normalised(host)
         self._is_everywhere = not host or _is_unspecified(self._host)
 
-    def refused(self, environ: dict[str, Any]) -> str:
-        """What in a request (WSGI) is not let in; empty if it is. What is no browser may tell no names."""
+    def why_refused(self, environ: dict[str, Any]) -> str:
+        """The part of a WSGI request that is not allowed; empty if all of it is. A client that is no browser may
+        leave both headers out."""
         host, origin = environ.get("HTTP_HOST"), environ.get("HTTP_ORIGIN")
-        if host is not None and not self._knows(_name(f"//{host}")):
+        if host is not None and not self._allows_host(_name(f"//{host}")):
             return f"by the name {host}"
         if origin is not None and not self.allows(origin, environ):
             return f"from {origin}"
-        # its answer is a script, which pages of all sites may run
+        # the answer is a script, which pages of all sites may run
         return "by JSONP" if "j" in parse_qs(environ.get("QUERY_STRING", "")) else ""
 
     def allows(self, origin: str | None, environ: dict[str, Any]) -> bool:
-        """Whether a page of that origin may ask."""
+        """True if a page of that origin may connect."""
         name = _name(origin or "")
         if not name:
             return False
         return _is_loopback(name) or name in (self._host, _name(f"//{environ.get('HTTP_HOST', '')}"))
 
-    def _knows(self, name: str) -> bool:
+    def _allows_host(self, name: str) -> bool:
         if not name or _is_loopback(name) or name == self._host:
             return bool(name)
-        is_private = "." not in name or name.endswith(_PRIVATE) or name == _plain(socket.gethostname())
+        is_private = "." not in name or name.endswith(_PRIVATE) or name == _normalised(socket.gethostname())
         return self._is_everywhere and (is_private or _is_address(name))
 
 
 def _name(url: str) -> str:
     """The host in a URL; empty if there is none."""
     try:
-        return _plain(urlsplit(url).hostname or "")
+        return _normalised(urlsplit(url).hostname or "")
     except ValueError:
         return ""
 
 
-def _plain(name: str) -> str:
+def _normalised(name: str) -> str:
     return name.lower().rstrip(".")
 
 

@@ -1,4 +1,4 @@
-"""Serving each connection in a green thread, by eventlet's web server."""
+"""The web server of eventlet: each connection is served in a green thread."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from recorder.server.connection_guard import CROWD, END_S, MOST_CONNECTIONS, REQUEST_S, Said, Visitor, Visits
+from recorder.server.connection_guard import (
+    END_S,
+    MAX_CONNECTIONS,
+    NOTICE_TOO_MANY,
+    REQUEST_S,
+    GuardedHandler,
+    Notify,
+    OpenConnections,
+)
 from recorder.server.engineio_connection import Lock
 from recorder.server.listening_socket import QuickAck, listen, send_at_once
 
@@ -21,16 +29,16 @@ with warnings.catch_warnings():
     import eventlet.wsgi
 
 
-class GreenSocket(QuickAck, eventlet.greenio.GreenSocket):  # type: ignore[misc]
-    """What it accepts is such a socket too."""
+class QuickAckGreenSocket(QuickAck, eventlet.greenio.GreenSocket):  # type: ignore[misc]
+    """A socket of eventlet that acknowledges at once, and whose accepted connections do, too."""
 
-    def accept(self) -> tuple[GreenSocket, Any]:
+    def accept(self) -> tuple[QuickAckGreenSocket, Any]:
         connection, address = super().accept()
         send_at_once(connection)
         return connection, address
 
 
-class _Handler(Visitor, eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
+class _Handler(GuardedHandler, eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
     def finish(self) -> None:
         try:
             super().finish()
@@ -40,22 +48,22 @@ class _Handler(Visitor, eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
                     stream.close()
 
 
-class GreenHost:
+class EventletHost:
     """Connections are served while the thread that runs the server waits for its next tick."""
 
-    def __init__(self, host: str, port: int, said: Said) -> None:
+    def __init__(self, host: str, port: int, notify: Notify) -> None:
         """Starts to listen. Raises ListenError if that is not possible."""
-        self._listener: GreenSocket = listen(host, port, GreenSocket)
+        self._listener: QuickAckGreenSocket = listen(host, port, QuickAckGreenSocket)
         self.port: int = self._listener.getsockname()[1]
-        self._said = said
-        self._visits = Visits(said)
-        self._connections = eventlet.GreenPool(MOST_CONNECTIONS)
+        self._notify = notify
+        self._open_connections = OpenConnections(notify)
+        self._connections = eventlet.GreenPool(MAX_CONNECTIONS)
 
     def make_lock(self) -> Lock:
         lock: Lock = eventlet.semaphore.Semaphore()
         return lock
 
-    def give_way(self) -> None:
+    def let_others_run(self) -> None:
         eventlet.sleep(0)
 
     def start(self, application: Callable[..., Iterable[bytes]]) -> None:
@@ -64,7 +72,7 @@ class GreenHost:
             self._listener,
             application,
             environ={"wsgi.errors": eventlet.wsgi.LoggerNull()},
-            protocol=functools.partial(_Handler, said=self._said, visits=self._visits),
+            protocol=functools.partial(_Handler, notify=self._notify, open_connections=self._open_connections),
             custom_pool=self._connections,
             keepalive=False,
             socket_timeout=REQUEST_S,
@@ -74,9 +82,9 @@ class GreenHost:
 
     def wait(self, seconds: float) -> None:
         eventlet.sleep(seconds)
-        self._visits.cut_late_ones()
+        self._open_connections.close_overdue()
         if not self._connections.free():
-            self._said(CROWD)
+            self._notify(NOTICE_TOO_MANY)
 
     def after_websocket(self) -> Iterable[bytes]:
         eventlet.wsgi.WSGI_LOCAL.already_handled = True
@@ -87,5 +95,5 @@ class GreenHost:
         for _ in range(2):
             with eventlet.Timeout(END_S, False):
                 self._connections.waitall()
-            self._visits.cut()
+            self._open_connections.cut()
         self._listener.close()

@@ -20,11 +20,12 @@ _NUMBER: Final = re.compile(
     rf"(?P<sign>[+-]?)[ \u00a0]?(?P<digits>[0-9][0-9{re.escape(_DECIMALS + _THOUSANDS)}]*)"
     r"(?P<exponent>[eE][+-]?[0-9]+)?(?P<behind>-?)"
 )
-_MOST_CHARACTERS: Final = 64
+_MAX_CHARACTERS: Final = 64
 
 
 def decimal_separator(text: str) -> str | None:
-    """The one that `text` tells without doubt; None for a whole number, and for 1,234, which may be 1234."""
+    """A number's decimal separator; None where that is not certain: a whole number, or 1,234, which may be
+    1234."""
     groups = re.split(f"([{re.escape(_DECIMALS + _THOUSANDS)}])", re.sub("[^0-9]+$", "", text))
     separators = groups[1::2]
     last = next((separator for separator in reversed(separators) if separator in _DECIMALS), None)
@@ -40,10 +41,10 @@ def decimal_separator(text: str) -> str | None:
     return POINT if last != POINT else ","
 
 
-def read_number(text: str, decimal: str = POINT) -> float | None:
-    """The number (perhaps infinite) that `text` says; None if it says none. `decimal` separates decimals where
-    `text` does not tell that itself."""
-    if len(text) >= _MOST_CHARACTERS:
+def parse_number(text: str, decimal: str = POINT) -> float | None:
+    """The number in `text`, perhaps infinite; None if it is none. `decimal` is the decimal separator where `text`
+    itself leaves that open."""
+    if len(text) >= _MAX_CHARACTERS:
         return None
     found = _NUMBER.fullmatch(_INVISIBLE.sub("", text).replace("\u2212", "-").strip())
     if found is None or (found["sign"] and found["behind"]):
@@ -57,6 +58,6 @@ def read_number(text: str, decimal: str = POINT) -> float | None:
     return -number if "-" in (found["sign"], found["behind"]) else number
 
 
-def written(value: float, decimal: str = POINT) -> str:
-    """`value` in six decimals, as every machine with that decimal separator reads it."""
+def format_number(value: float, decimal: str = POINT) -> str:
+    """`value` with six decimals and this decimal separator."""
     return f"{value:.6f}".replace(POINT, decimal)

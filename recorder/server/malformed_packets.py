@@ -1,4 +1,4 @@
-"""What is not Socket.IO: whoever sends it is hung up on, and python-socketio's tracebacks become one line.
+"""Malformed Socket.IO packets: their sender is disconnected, and python-socketio's tracebacks become one line.
 
 Anybody who reaches the port can send anything, and a broken client must not fill the screen of a drive.
 """
@@ -13,29 +13,34 @@ from typing import Any, Final
 import socketio
 from socketio import packet
 
-from recorder.server.connection_guard import Said, page
+from recorder.server.connection_guard import Notify, landing_page
 
 BROKEN_PACKET: Final = "broken packet"
-MOST_ATTACHMENTS: Final = 1  # kept until it has come: a telemetry has one picture
-MOST_NAMESPACE: Final = 100  # characters
+MAX_ATTACHMENTS: Final = 1  # of a packet, which is kept until they have come: a telemetry has one picture
+MAX_NAMESPACE_CHARACTERS: Final = 100  # characters
 NOT_JSON: Final = "not JSON"
-"""What the handler gets for a telemetry that cannot be read at all: it is answered like any other."""
+"""The data of a telemetry that is not JSON: it is answered like any other."""
 
-BROKEN: Final = (
+NOTICE_BROKEN: Final = (
     "hung up on a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other clients"
     " need python-socketio 5 or its like"
 )
-REFUSED: Final = "a client was refused ({}): it needs python-socketio 5, or Socket.IO 3 or newer, at this address"
+NOTICE_REFUSED: Final = (
+    "a client was refused ({}): it needs python-socketio 5, or Socket.IO 3 or newer, at this address"
+)
 
-_OURS = ("connect", "disconnect")  # events that python-socketio raises itself; none of a client's business
+_RESERVED_EVENTS = (
+    "connect",
+    "disconnect",
+)  # python-socketio raises them itself; a client may not
 _TELEMETRY = re.compile(r'(?:2|5(?:(\d{1,9})-)?)\d*\[\s*"telemetry"')  # and its attachments
 
 Application = Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]
 
 
 class CheckedPacket(packet.Packet):  # type: ignore[misc]
-    """A packet that is an event only if it has a name that a client may give. A telemetry always is one, whatever
-    comes with it."""
+    """A packet that is decoded strictly: an event needs a name that a client may use. Only a telemetry is always
+    accepted, whatever it holds: it must be answered."""
 
     def decode(self, encoded_packet: Any) -> Any:
         try:
@@ -47,13 +52,13 @@ class CheckedPacket(packet.Packet):  # type: ignore[misc]
             attachments = int(telemetry[1] or 0)  # they come all the same
             self.packet_type = packet.BINARY_EVENT if attachments else packet.EVENT
             self.namespace, self.data = None, ["telemetry", NOT_JSON]
-        if len(self.namespace or "") > MOST_NAMESPACE:  # it comes back, in the answer that there is none
+        if len(self.namespace or "") > MAX_NAMESPACE_CHARACTERS:  # it comes back, in the answer that there is none
             raise ValueError("no namespace has such a name")
-        if attachments is not None and attachments > MOST_ATTACHMENTS:
+        if attachments is not None and attachments > MAX_ATTACHMENTS:
             raise ValueError("too many attachments")
         if self.packet_type in (packet.EVENT, packet.BINARY_EVENT):
             data = self.data
-            if not (isinstance(data, list) and data and isinstance(data[0], str)) or data[0] in _OURS:
+            if not (isinstance(data, list) and data and isinstance(data[0], str)) or data[0] in _RESERVED_EVENTS:
                 raise ValueError("not an event of a client")
             if not attachments:  # python-socketio would wait for the first of none
                 self.packet_type = packet.EVENT
@@ -70,19 +75,19 @@ class CheckedPacket(packet.Packet):  # type: ignore[misc]
             return True
 
 
-def hang_up_on_broken_packets(server: socketio.Server, said: Said) -> Application:
-    """The web application of `server`, which closes the connections that break the protocol.
+def close_on_broken_packets(server: socketio.Server, notify: Notify) -> Application:
+    """The web application of `server`, which closes connections that break the protocol.
 
     Call it last, before the server runs.
     """
     engine = server.eio
     connected, received = engine.handlers["connect"], engine.handlers["message"]
-    application = socketio.WSGIApp(server, page(said))
+    application = socketio.WSGIApp(server, landing_page(notify))
 
     def hang_up(sid: str | None) -> None:
         connection = engine.sockets.get(sid)
         if connection is not None and not connection.closed:
-            said(BROKEN)
+            notify(NOTICE_BROKEN)
             connection.close(wait=False, reason=BROKEN_PACKET)
 
     def on_connect(sid: str, environ: dict[str, Any]) -> Any:
@@ -117,18 +122,18 @@ def _check_body(environ: dict[str, Any]) -> None:
         raise ValueError("a body without a length")
 
 
-def one_line_log(said: Said) -> logging.Logger:
-    """A logger for python-socketio that says its errors, a line each, whatever a client put into them."""
+def one_line_logger(notify: Notify) -> logging.Logger:
+    """A logger for python-socketio that passes its errors to `notify`, a printable line each."""
     log = logging.Logger("telemetry", logging.ERROR)
-    log.addHandler(_Sayer(said))
+    log.addHandler(_NoticeHandler(notify))
     return log
 
 
-class _Sayer(logging.Handler):
-    def __init__(self, said: Said) -> None:
+class _NoticeHandler(logging.Handler):
+    def __init__(self, notify: Notify) -> None:
         super().__init__()
-        self._said = said
+        self._notify = notify
 
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage().partition(" (further occurrences")[0]
-        self._said(REFUSED.format("".join(c if c.isprintable() else "?" for c in text[:200])))
+        self._notify(NOTICE_REFUSED.format("".join(c if c.isprintable() else "?" for c in text[:200])))

@@ -1,4 +1,4 @@
-"""Where a car is, as Foxglove wants it."""
+"""The car's pose as a Foxglove message."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Serving clients of Socket.IO 2, which is what the real simulator is, beside modern ones on the same port.
+"""Clients of Socket.IO 2, such as the real simulator, beside modern ones on the same port.
 
-Such a client never announces that it connects, so that python-socketio 5 drops its every event in silence. That is
-put right per connection; nothing is patched. (The heartbeats that it sends itself are answered in `connection`.)
+Such a client sends no CONNECT packet, so that python-socketio 5 silently drops all of its events. The packet is
+supplied per connection; nothing is patched. (`engineio_connection` answers the heartbeats that it sends itself.)
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import socketio
 CONNECT, EVENT = "0", "2"  # Socket.IO packet types, the first character of an Engine.IO message
 
 
-def accept_old_clients(server: socketio.Server) -> None:
-    """Make `server` understand them. Call it before the server runs, after its own handlers are set up."""
+def accept_socketio2_clients(server: socketio.Server) -> None:
+    """Make `server` serve them. Call it before the server runs, after its own handlers are set up."""
     engine = server.eio
     connected, received, left = (engine.handlers[name] for name in ("connect", "message", "disconnect"))
     unannounced: set[str] = set()

@@ -1,6 +1,6 @@
-"""The simulator's messages: telemetry as it is told, and commands as it understands them.
+"""The simulator's messages: telemetry is parsed and checked, commands are formatted.
 
-Telemetry comes from outside and may be anything; what is not a telemetry raises TelemetryError, never more.
+Telemetry comes from outside and may be anything; what is none raises TelemetryError and nothing else.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Final
 from common.car import MAX_STEERING_DEG
 from common.errors import counted, shown
 from recorder.pictures.jpeg import whole_jpeg_size
-from recorder.server.locale_numbers import POINT, decimal_separator, read_number, written
+from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, parse_world
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
 
-MAX_SPEED_MPH: Final = 1e7  # what is beyond makes distances that nobody can read
+MAX_SPEED_MPH: Final = 1e7  # higher ones make distances that nobody can read
 
 _NUMBERS: Final = ("steering_angle", "throttle", "speed")
 _FIELDS: Final = (*_NUMBERS, "image")
-_MOST_NAMES: Final = 6
-_SHOWN: Final = 30  # characters of what a client has told, in a reason
+_MAX_FIELDS_SHOWN: Final = 6
+_MAX_CHARACTERS_SHOWN: Final = 30  # of a client's text, in a reason
 _OTHER_PICTURES: Final = {
     b"\x89PNG": "PNG",
     b"GIF8": "GIF",
@@ -38,14 +38,14 @@ _OTHER_PICTURES: Final = {
 class TelemetryError(ValueError):
     """A telemetry that cannot be used; it is answered all the same.
 
-    Its text is the reason, with whatever the client has told; `kind` the reason alone, by which they are counted.
+    Its text is the reason with the client's values; `kind` is the reason alone, by which they are counted.
     """
 
     def __init__(self, kind: str, detail: str = "") -> None:
         super().__init__(kind + detail)
         self.kind = kind
         self.speed_mph: float | None = None
-        """What could be read all the same; None where that could not."""
+        """This, and the attributes below: what could be read all the same."""
         self.decimal_separator: str | None = None
         self.world: World | None = None
         self.world_problems: tuple[str, ...] = ()
@@ -53,27 +53,28 @@ class TelemetryError(ValueError):
 
 @dataclass(frozen=True)
 class Telemetry:
-    """One moment as the simulator tells it."""
+    """One telemetry message, parsed."""
 
-    steering: float  # -1 (left) .. 1 (right), the wheels as they are; beyond that where it was told so
-    throttle: float  # 0..1; beyond that too
+    steering: float  # -1 (left) .. 1 (right), the wheels as they are; not clamped
+    throttle: float  # 0..1; not clamped
     speed_mph: float
     jpeg: bytes
-    decimal_separator: str = POINT  # as the simulator's machine writes numbers, and wants to read them
-    told_separator: str | None = None  # the same, if this telemetry tells it without doubt
-    world: World | None = None  # None unless the simulator tells more than the real one does
+    decimal_separator: str = POINT  # of the simulator's machine, for what it writes and reads
+    observed_separator: str | None = None  # the same, if this telemetry shows it without doubt
+    world: World | None = None  # None unless the simulator sends more than the real one does
     world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
 
 
 def parse_telemetry(data: object, known_separator: str | None = None) -> Telemetry:
-    """Raises TelemetryError with the reason, and what could be read all the same.
+    """Parse a message's data. Raises TelemetryError with the reason, and what could be read all the same.
 
-    `known_separator` is what the same connection told before: whole numbers, and 1,234, do not tell it.
+    `known_separator` is the decimal separator of the same connection's earlier telemetry: whole numbers, and
+    1,234, do not show it.
     """
     if not isinstance(data, dict):
         raise TelemetryError(f"not an object but a {type(data).__name__}")
-    told = _decimal_separator(data)
-    decimal = told or known_separator or POINT  # by default as "N4" writes it, where three decimals never are
+    observed = _decimal_separator(data)
+    decimal = observed or known_separator or POINT  # "N4", the default, never writes three decimals
     numbers: dict[str, float] = {}
     problems: list[TelemetryError] = []
     if missing := [name for name in _FIELDS if data.get(name) is None]:
@@ -91,7 +92,7 @@ def parse_telemetry(data: object, known_separator: str | None = None) -> Telemet
     world, world_problems = parse_world(data.get("world"), decimal)
     if problems:
         problem = problems[0]
-        problem.speed_mph, problem.decimal_separator = numbers.get("speed"), told
+        problem.speed_mph, problem.decimal_separator = numbers.get("speed"), observed
         problem.world, problem.world_problems = world, world_problems
         raise problem
     return Telemetry(
@@ -100,7 +101,7 @@ def parse_telemetry(data: object, known_separator: str | None = None) -> Telemet
         speed_mph=numbers["speed"],
         jpeg=jpeg,
         decimal_separator=decimal,
-        told_separator=told,
+        observed_separator=observed,
         world=world,
         world_problems=world_problems,
     )
@@ -124,38 +125,40 @@ def check_whole_jpeg(jpeg: bytes) -> tuple[int, int]:
 def format_command(steering: float, throttle: float, decimal_separator: str = POINT) -> dict[str, str]:
     """A `steer` command: strings, because the simulator drops a telemetry whose answer holds JSON numbers."""
     return {
-        "steering_angle": written(steering, decimal_separator),
-        "throttle": written(throttle, decimal_separator),
+        "steering_angle": format_number(steering, decimal_separator),
+        "throttle": format_number(throttle, decimal_separator),
     }
 
 
 def _decimal_separator(data: dict[object, object]) -> str | None:
-    """What a number tells without doubt; None where none does."""
+    """The decimal separator that one of the numbers shows without doubt; None where none does."""
     for name in ("throttle", "steering_angle", "speed"):
         value = data.get(name)
-        if isinstance(value, str) and read_number(value) is not None and (told := decimal_separator(value)):
-            return told
+        if isinstance(value, str) and parse_number(value) is not None and (observed := decimal_separator(value)):
+            return observed
     return None
 
 
 def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
-    told = ", ".join(_short(name) for name in list(data)[:_MOST_NAMES]) + (
-        ", ..." if len(data) > _MOST_NAMES else ""
+    present = ", ".join(_shortened(name) for name in list(data)[:_MAX_FIELDS_SHOWN]) + (
+        ", ..." if len(data) > _MAX_FIELDS_SHOWN else ""
     )
     which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-    return TelemetryError(f"{which} {'is' if len(names) == 1 else 'are'} missing", f" (told: {told or 'nothing'})")
+    return TelemetryError(
+        f"{which} {'is' if len(names) == 1 else 'are'} missing", f" (told: {present or 'nothing'})"
+    )
 
 
 def _number(value: object, field: str, decimal: str) -> float:
-    """`value` of a field that is there."""
+    """The number in a field that is there. Raises TelemetryError if it holds none."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise TelemetryError(f"{field} is not a number but a {type(value).__name__}")
     try:
-        number = read_number(value, decimal) if isinstance(value, str) else float(value)
+        number = parse_number(value, decimal) if isinstance(value, str) else float(value)
     except OverflowError:
         number = math.inf
     if number is None:
-        raise TelemetryError(f"{field} is not a number", f" ({_short(value)})")
+        raise TelemetryError(f"{field} is not a number", f" ({_shortened(value)})")
     if not math.isfinite(number):
         raise TelemetryError(f"{field} is not finite")
     if field == "speed" and abs(number) > MAX_SPEED_MPH:
@@ -163,14 +166,14 @@ def _number(value: object, field: str, decimal: str) -> float:
     return number
 
 
-def _short(value: object) -> str:
-    """Of a client's text, enough to find it by."""
+def _shortened(value: object) -> str:
+    """The beginning of a client's text, printable."""
     text = str(value)
-    return shown(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
+    return shown(text if len(text) <= _MAX_CHARACTERS_SHOWN else f"{text[:_MAX_CHARACTERS_SHOWN]}...")
 
 
 def _image(value: object) -> bytes:
-    """The picture of a field that is there."""
+    """The picture in a field that is there. Raises TelemetryError if it holds none."""
     if not isinstance(value, str):
         raise TelemetryError(f"image is not a string but a {type(value).__name__}")
     if not value:

@@ -1,4 +1,4 @@
-"""The server that simulators connect to, as Socket.IO clients: whatever they tell is answered by a handler."""
+"""The Socket.IO server that simulators connect to: a handler answers each telemetry that is received."""
 
 from __future__ import annotations
 
@@ -15,36 +15,37 @@ from engineio.exceptions import EngineIOError
 from socketio import packet
 
 from common.errors import shown
-from recorder.server.allowed_hosts import LetIn
-from recorder.server.connection_guard import CROWD, END_S, MOST_CONNECTIONS, Said
-from recorder.server.engineio_connection import HAS_HUNG_UP, Connection, Host
+from recorder.server.allowed_hosts import AllowedHosts
+from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify
+from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, ServerHost
 from recorder.server.locale_numbers import POINT
-from recorder.server.malformed_packets import CheckedPacket, hang_up_on_broken_packets, one_line_log
-from recorder.server.socketio2 import accept_old_clients
+from recorder.server.malformed_packets import CheckedPacket, close_on_broken_packets, one_line_logger
+from recorder.server.socketio2 import accept_socketio2_clients
 from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 
 TICK_S: Final = 0.1
-FIRST_S: Final = 1.0
-"""The real simulator tells its first at once. Each command that it did not ask for keeps one more in flight."""
-QUIET_S: Final = 5.0
-"""Whoever has opened a connection and told nothing for so long speaks something else."""
+FIRST_COMMAND_S: Final = 1.0
+"""How long a first command waits for telemetry: the real simulator sends its own at once, and each command that
+answers none keeps one more telemetry in flight."""
+NO_TELEMETRY_S: Final = 5.0
+"""A client that has sent nothing for so long speaks another protocol."""
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
-"""Above it the connection is cut; a picture that is too large is answered first."""
+"""Longer messages close the connection; a picture that is too large is within, and is answered."""
 
-MUTE: Final = (
-    f"somebody has opened a websocket and told nothing for {QUIET_S:g} s: start the simulator's autonomous mode;"
-    " other clients have to speak Socket.IO"
+NOTICE_NO_TELEMETRY: Final = (
+    f"somebody has opened a websocket and told nothing for {NO_TELEMETRY_S:g} s: start the simulator's autonomous"
+    " mode; other clients have to speak Socket.IO"
 )
-POLLING: Final = (
+NOTICE_POLLING: Final = (
     "a client connects by long polling, which is slow: let it use a websocket (python-socketio's client does, once"
     " `pip install websocket-client` is done)"
 )
 
-REFUSED: Final = (
+NOTICE_REFUSED: Final = (
     "refused a web page or client that asks {}: this port is for this machine, and for what --host names; others"
     " write its address as numbers"
 )
-MOST_SHOWN: Final = 100  # characters of such a name
+MAX_SHOWN_CHARACTERS: Final = 100  # of such a name
 
 ServerMode = Literal["eventlet", "threading"]
 Result = TypeVar("Result")
@@ -61,34 +62,34 @@ class Steer:
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer to one telemetry, and what is done when it has left."""
+    """The answer to one telemetry, and a callback for when it has been sent."""
 
     command: Steer | None  # None is `manual`: a human drives
-    then: Callable[[float], None]
-    """Called when the system has taken the answer, or the client has gone, with the milliseconds since the
-    telemetry's last byte had come."""
+    on_sent: Callable[[float], None]
+    """Called with the milliseconds since the telemetry's last byte had arrived, when the system has taken the
+    answer, or the client has gone."""
 
 
-class Handler(Protocol):
-    """What is done with telemetry; `sid` names a connection. It is never called by two threads at once, and what
-    it raises ends `TelemetryServer.run`."""
+class TelemetryHandler(Protocol):
+    """Answers telemetry; `sid` names a connection. It is never called by two threads at once, and what it raises
+    ends `TelemetryServer.run`."""
 
     def connected(self, sid: str) -> None: ...
 
     def disconnected(self, sid: str, reason: str) -> None: ...
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
-        """`data` is whatever the client has sent; None while a human holds a key. `received_s` is the
-        `time.perf_counter()` at which its last byte had come."""
+        """The answer to `data`, which is whatever the client has sent; None while a human holds a key.
+        `received_s` is the `time.perf_counter()` at which its last byte had arrived."""
         ...
 
     def tick(self) -> None:
         """Called ten times a second, also while nothing arrives."""
         ...
 
-    def stopping(self, sid: str) -> Steer | None:
-        """The last command to a client that was steered, at the end of a run, also of one that failed: a car keeps
-        its last command. None sends nothing."""
+    def final_command(self, sid: str) -> Steer | None:
+        """The last command to a client that was steered, at the end of a run, also of one that failed; None sends
+        nothing. The simulator's car keeps it."""
         ...
 
 
@@ -97,42 +98,42 @@ class TelemetryServer:
 
     def __init__(
         self,
-        handler: Handler,
+        handler: TelemetryHandler,
         *,
         host: str = "127.0.0.1",
         port: int = 4567,
         mode: ServerMode = "eventlet",
-        said: Said = lambda text: None,
-        first: Steer | Literal["manual", "nothing"] = "nothing",
+        notify: Notify = lambda text: None,
+        first_command: Steer | Literal["manual", "nothing"] = "nothing",
     ) -> None:
         """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible.
 
-        "eventlet" serves all connections in the thread that runs it, "threading" each in one of its own.
-        `said` gets a line for a person where something else than a simulator connects, each line once; like the
-        handler, it is never called by two threads at once. `first` is sent to who has opened a websocket and told
-        no telemetry for `FIRST_S`: a classic server's first command comes unasked, and some clients wait for it.
+        "eventlet" serves all connections in the thread that runs it, "threading" each in one of its own. `notify`
+        gets a line for a person where something else than a simulator connects, each line once; like the handler,
+        it is never called by two threads at once. `first_command` is sent over a websocket on which no telemetry
+        has come for `FIRST_COMMAND_S`: some clients wait for it, as classic servers begin with a command.
         """
-        self._first = first
+        self._first_command = first_command
         self._handler = handler
-        self._said = said
-        self._told: set[str] = set()
+        self._notify = notify
+        self._notified: set[str] = set()
         self._is_over = False
         self._failure: Exception | None = None
         self._steered: set[str] = set()  # the clients that were sent commands
-        # by Engine.IO's name of a connection, until it is sent: its own name, when it was asked for, the answer
-        self._answers: dict[str, tuple[str, float, Answer]] = {}
-        self._on_their_way = 0  # answers that have not left yet
+        # by Engine.IO's name of a connection, until sent: its Socket.IO name, when the telemetry came, the answer
+        self._pending_answers: dict[str, tuple[str, float, Answer]] = {}
+        self._unsent_answers = 0
         self._lock = threading.RLock()
-        self._let_in = LetIn(host)
+        self._allowed_hosts = AllowedHosts(host)
         self._has_refused = False
-        self._host = _host(mode, host, port, self._say)
+        self._host = _host(mode, host, port, self._notify_once)
         self.port: int = self._host.port
-        log = one_line_log(self._say)
+        log = one_line_logger(self._notify_once)
         self._server = socketio.Server(
             async_mode=mode,
             async_handlers=False,
             serializer=CheckedPacket,
-            cors_allowed_origins=self._let_in.allows,
+            cors_allowed_origins=self._allowed_hosts.allows,
             logger=log,
             engineio_logger=log,
             max_http_buffer_size=MAX_MESSAGE_BYTES,
@@ -141,8 +142,8 @@ class TelemetryServer:
         self._server.on("connect", self._on_connect)
         self._server.on("disconnect", self._on_disconnect)
         self._server.on("telemetry", self._on_telemetry)
-        accept_old_clients(self._server)
-        self._application = hang_up_on_broken_packets(self._server, self._say)
+        accept_socketio2_clients(self._server)
+        self._application = close_on_broken_packets(self._server, self._notify_once)
         self._engine = self._server.eio
         self._connected, self._received = (self._engine.handlers[name] for name in ("connect", "message"))
         self._engine.on("connect", self._on_connection)
@@ -151,7 +152,7 @@ class TelemetryServer:
     def run(self, until: Callable[[], bool]) -> None:
         """Serve until `until()` is true; it is called as the handler is.
 
-        At the end every client that was steered gets what `Handler.stopping` gives, and every connection is
+        At the end every client that was steered gets its `TelemetryHandler.final_command`, and every connection is
         closed. Raises what the handler raised.
         """
         self._host.start(self._serve)
@@ -160,10 +161,10 @@ class TelemetryServer:
                 self._host.wait(TICK_S)  # a tick, because a signal does not wake eventlet
                 with self._lock:
                     self._call(self._handler.tick)
-                    self._look_after_connections()
+                    self._tick_connections()
         finally:
             self._is_over = True
-            self._let_answers_leave()
+            self._wait_for_unsent_answers()
             with self._lock:
                 for sid in list(self._steered):
                     self._stop(sid)
@@ -174,18 +175,19 @@ class TelemetryServer:
             raise self._failure
 
     def push(self, sid: str, command: Steer) -> None:
-        """Send a command that no telemetry asked for; to be called by the handler, from `tick`."""
+        """Send a command that answers no telemetry; to be called by the handler, from `tick`."""
         with self._lock:
             if self._server.manager.is_connected(sid, "/"):
                 self._steered.add(sid)
                 self._server.emit(*_event(command), to=sid)
 
-    def _let_answers_leave(self) -> None:
-        """One that a thread still holds would come after the last command, and the car keep that."""
+    def _wait_for_unsent_answers(self) -> None:
+        """Wait: an answer that a thread still holds would come after the last command, and the car would keep
+        it."""
         until_s = time.monotonic() + END_S
         while time.monotonic() < until_s:
             with self._lock:  # no telemetry is being handled
-                if not self._on_their_way:
+                if not self._unsent_answers:
                     return
             self._host.wait(0.01)
 
@@ -195,7 +197,7 @@ class TelemetryServer:
 
     def _stop(self, sid: str) -> None:
         try:
-            command = self._handler.stopping(sid)
+            command = self._handler.final_command(sid)
         except Exception as error:
             self._failure = self._failure or error
         else:
@@ -203,24 +205,26 @@ class TelemetryServer:
                 self.push(sid, command)
 
     def _serve(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
-        if refused := self._let_in.refused(environ):
+        if refused := self._allowed_hosts.why_refused(environ):
             self._refuse(refused)
             start_response("403 Forbidden", [("Content-Length", "0")])
             return []
         answer = self._application(environ, start_response)
-        return self._host.after_websocket() if environ.get(HAS_HUNG_UP) else answer
+        return self._host.after_websocket() if environ.get(WEBSOCKET_OVER) else answer
 
     def _refuse(self, what: str) -> None:
-        with self._lock:  # once: a page that tries name after name must not fill the screen
+        with self._lock:  # once: a page that tries one name after another must not fill the screen
             if not self._has_refused:
                 self._has_refused = True
-                self._say(REFUSED.format(shown(what[:MOST_SHOWN])))
+                self._notify_once(NOTICE_REFUSED.format(shown(what[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
-        if not _is_for_websocket(environ) and len(self._engine.sockets) > MOST_CONNECTIONS:
-            self._say(CROWD)  # a websocket is a connection, which the host counts; who polls leaves none
+        if not _is_for_websocket(environ) and len(self._engine.sockets) > MAX_CONNECTIONS:
+            self._notify_once(
+                NOTICE_TOO_MANY
+            )  # a websocket is a connection, which the host counts; who polls leaves none
             return False
-        Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._say)
+        Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._notify_once)
         with self._lock:
             return self._connected(engine_sid, environ)
 
@@ -228,20 +232,20 @@ class TelemetryServer:
         connection: Connection = self._engine.sockets[engine_sid]
         with self._lock:
             self._received(engine_sid, data)
-            asked = self._answers.pop(engine_sid, None)
-            self._on_their_way += asked is not None
-        if asked is None:
+            pending = self._pending_answers.pop(engine_sid, None)
+            self._unsent_answers += pending is not None
+        if pending is None:
             return
-        # Without the lock: a client that does not read what it is sent keeps nobody else waiting.
-        sid, received_s, answer = asked
+        # Without the lock: a client that does not read keeps nobody else waiting.
+        sid, received_s, answer = pending
         name, fields = _event(answer.command)
         with contextlib.suppress(OSError, EngineIOError):  # the client has gone
-            if not connection.send_now(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
+            if not connection.send_directly(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
                 self._server.emit(name, fields, to=sid)
         total_ms = (time.perf_counter() - received_s) * 1e3
         with self._lock:
-            self._on_their_way -= 1
-            self._call(answer.then, total_ms)
+            self._unsent_answers -= 1
+            self._call(answer.on_sent, total_ms)
 
     def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
         if not self._is_over:
@@ -255,36 +259,36 @@ class TelemetryServer:
     def _on_telemetry(self, sid: str, data: object = None, *_: object) -> None:
         engine_sid = self._server.manager.eio_sid_from_sid(sid, "/")
         connection: Connection = self._engine.sockets[engine_sid]
-        connection.waits, received_s = False, connection.received_s
+        connection.awaits_first_command, received_s = False, connection.received_s
         answer = None if self._is_over else self._call(self._handler.telemetry, sid, data, received_s)
         if answer is not None:
             if answer.command is not None:
                 self._steered.add(sid)
-            self._answers[engine_sid] = (sid, received_s, answer)
+            self._pending_answers[engine_sid] = (sid, received_s, answer)
 
-    def _look_after_connections(self) -> None:
+    def _tick_connections(self) -> None:
         for engine_sid, connection in list(self._engine.sockets.items()):
             connection.tick()
-            if connection.closed and not connection.is_by_websocket:
+            if connection.closed and not connection.is_websocket:
                 self._engine.sockets.pop(engine_sid, None)
                 continue
-            if self._first != "nothing" and connection.waits_longer_than(FIRST_S):
-                event = _event(self._first if isinstance(self._first, Steer) else None)
-                connection.send_first(packet.Packet(packet.EVENT, data=[*event]).encode())
-            if connection.is_older_than(QUIET_S):
-                if not connection.is_by_websocket:
-                    self._say(POLLING)
-                elif not connection.has_told:
-                    self._say(MUTE)
+            if self._first_command != "nothing" and connection.has_waited(FIRST_COMMAND_S):
+                event = _event(self._first_command if isinstance(self._first_command, Steer) else None)
+                connection.send_first_command(packet.Packet(packet.EVENT, data=[*event]).encode())
+            if connection.is_older_than(NO_TELEMETRY_S):
+                if not connection.is_websocket:
+                    self._notify_once(NOTICE_POLLING)
+                elif not connection.has_sent_message:
+                    self._notify_once(NOTICE_NO_TELEMETRY)
 
-    def _say(self, text: str) -> None:
+    def _notify_once(self, text: str) -> None:
         with self._lock:
-            if text not in self._told:
-                self._told.add(text)
-                self._call(self._said, text)
+            if text not in self._notified:
+                self._notified.add(text)
+                self._call(self._notify, text)
 
     def _call(self, function: Callable[..., Result], *arguments: object) -> Result | None:
-        """Call the handler. python-socketio would swallow its errors: they are kept, and end the run."""
+        """Call the handler. Its errors, which python-socketio would swallow, are kept, and end the run."""
         if self._failure is not None:
             return None
         try:
@@ -305,12 +309,12 @@ def _is_for_websocket(environ: dict[str, Any]) -> bool:
     return query.get("transport", [""])[0] == "websocket"
 
 
-def _host(mode: ServerMode, host: str, port: int, said: Said) -> Host:
-    """Each imports what only its mode needs."""
+def _host(mode: ServerMode, host: str, port: int, notify: Notify) -> ServerHost:
+    """The web server of a mode; only that one is imported."""
     if mode == "eventlet":
-        from recorder.server.eventlet_host import GreenHost
+        from recorder.server.eventlet_host import EventletHost
 
-        return GreenHost(host, port, said)
+        return EventletHost(host, port, notify)
     from recorder.server.threaded_host import ThreadedHost
 
-    return ThreadedHost(host, port, said)
+    return ThreadedHost(host, port, notify)

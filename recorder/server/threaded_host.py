@@ -1,4 +1,4 @@
-"""Serving each connection in a thread of its own, by the standard library's web server."""
+"""The standard library's web server: each connection is served in a thread of its own."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ from collections.abc import Callable, Iterable
 from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
-from recorder.server.connection_guard import CROWD, END_S, MOST_CONNECTIONS, Said, Visitor, Visits
+from recorder.server.connection_guard import (
+    END_S,
+    MAX_CONNECTIONS,
+    NOTICE_TOO_MANY,
+    GuardedHandler,
+    Notify,
+    OpenConnections,
+)
 from recorder.server.engineio_connection import Lock
 from recorder.server.listening_socket import QuickAckSocket, listen
 
 
-class _Handler(Visitor, WSGIRequestHandler):
+class _Handler(GuardedHandler, WSGIRequestHandler):
     def get_stderr(self) -> io.StringIO:
         return io.StringIO()  # for the tracebacks of clients that have gone
 
@@ -24,12 +31,12 @@ class _Handler(Visitor, WSGIRequestHandler):
 class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
     """Connections are accepted by the thread that runs the server, while it waits for its next tick."""
 
-    def __init__(self, host: str, port: int, said: Said) -> None:
+    def __init__(self, host: str, port: int, notify: Notify) -> None:
         """Starts to listen. Raises ListenError if that is not possible."""
         listener: QuickAckSocket = listen(host, port, QuickAckSocket)
-        self._said = said
-        self._visits = Visits(said)
-        handler: Any = functools.partial(_Handler, said=said, visits=self._visits)
+        self._notify = notify
+        self._open_connections = OpenConnections(notify)
+        handler: Any = functools.partial(_Handler, notify=notify, open_connections=self._open_connections)
         # Not TCPServer's, which opens a socket of its own, nor HTTPServer's, which asks for the host's full name.
         socketserver.BaseServer.__init__(self, listener.getsockname(), handler)
         self.socket = listener
@@ -40,8 +47,8 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
     def make_lock(self) -> Lock:
         return threading.Lock()
 
-    def give_way(self) -> None:
-        pass  # the system does not ask
+    def let_others_run(self) -> None:
+        pass  # the system switches threads by itself
 
     def start(self, application: Callable[..., Iterable[bytes]]) -> None:
         self.set_app(application)
@@ -51,31 +58,31 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
         while (left_s := until_s - time.monotonic()) > 0:
             self.timeout = left_s
             self.handle_request()
-        self._visits.cut_late_ones()
+        self._open_connections.close_overdue()
 
     def after_websocket(self) -> Iterable[bytes]:
-        raise ConnectionAbortedError  # nothing more is written then, nor said
+        raise ConnectionAbortedError  # then nothing more is written, and nothing logged
 
     def end(self) -> None:
         until_s = time.monotonic() + END_S
-        while len(self._visits) and time.monotonic() < until_s:
+        while len(self._open_connections) and time.monotonic() < until_s:
             time.sleep(0.01)
-        self._visits.cut()
+        self._open_connections.cut()
         self.server_close()
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        if len(self._visits) < MOST_CONNECTIONS:
+        if len(self._open_connections) < MAX_CONNECTIONS:
             return True
-        self._said(CROWD)
+        self._notify(NOTICE_TOO_MANY)
         return False
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        self._visits.begin(request)  # before its thread does: the server may end first
+        self._open_connections.begin(request)  # before its thread does: the server may end first
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         super().shutdown_request(request)
-        self._visits.end(request)  # also where it got no thread
+        self._open_connections.end(request)  # also where it got no thread
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        pass  # the client has gone: what the application raises it keeps to itself
+        pass  # the client has gone; the application's own errors never get here

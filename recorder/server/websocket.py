@@ -1,9 +1,9 @@
-"""A client's websocket, as python-engineio uses one: `wait`, `send` and `close`.
+"""A client's websocket with the methods that python-engineio calls: `wait`, `send` and `close`.
 
 python-engineio's own are eventlet's, which unmasks what it receives byte by byte in Python (measured: 2.5 ms a
-telemetry, 0.1 ms here), and simple-websocket's, where every telemetry changes threads before it is looked at. Here
-whoever waits also reads, in every mode of the server. The protocol is that of the websockets library: the real
-simulator cuts a telemetry into 20 frames, and it takes them apart in a third of wsproto's time.
+telemetry, 0.1 ms here), and simple-websocket's, where every telemetry passes from one thread to another. Here the
+thread that waits also reads, in every mode of the server. The protocol is that of the websockets library: the real
+simulator cuts a telemetry into 20 frames, which it parses in a third of wsproto's time.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from websockets.server import ServerProtocol
 
 RECEIVE_BYTES: Final = 1 << 16
 FRAME_BYTES: Final = 100
-"""What a frame counts for beside its content: keeping it costs that, were it empty."""
+"""The memory that a frame takes beside its content."""
 DRAIN_S: Final = 1.0
-"""How long a client that was hung up on may go on sending: closed at once, it might lose what it was sent last."""
+"""How long a disconnected client may go on sending: closed at once, it might lose what it was sent last."""
 PARSED_BYTES: Final = 1 << 13
-"""So much is taken apart before others may be let in: 1,400 empty frames, in some 3 ms."""
+"""The most that is parsed before others may run: 1,400 empty frames, in some 3 ms."""
 FEW_FRAMES: Final = 50
-"""No simulator sends more at once; who does, lets others in."""
+"""No simulator sends more frames at once; after more, others run first."""
 DATA_OPCODES: Final = frozenset((Opcode.TEXT, Opcode.BINARY, Opcode.CONT))
 
 TOO_LARGE, BROKEN_FRAME = "message too large", "broken frame"
 
 
-class WireError(ValueError):
-    """A request that is no websocket's."""
+class HandshakeError(ValueError):
+    """A request that is not a websocket's handshake."""
 
 
-class Wire:
+class WebSocket:
     """An open websocket. One thread waits for messages; any thread may send."""
 
     def __init__(
@@ -48,23 +48,26 @@ class Wire:
         stream: socket.socket,
         headers: list[tuple[str, str]],
         *,
-        most_bytes: int,
+        max_bytes: int,
         lock: contextlib.AbstractContextManager[Any],
-        give_way: Callable[[], object],
+        let_others_run: Callable[[], object],
     ) -> None:
-        """Accept the upgrade that `headers` ask for. A message is at most `most_bytes` long, each of its frames
-        counting `FRAME_BYTES`. `lock` keeps what several threads send apart; `give_way` is called between
-        messages, and lets other green threads in, which a client that always has something to say would keep out.
-        Raises WireError if it is none, OSError if the client has gone."""
+        """Accept the upgrade that `headers` ask for.
+
+        A message is at most `max_bytes` long, each of its frames counting `FRAME_BYTES` more. `lock` keeps apart
+        what several threads send. `let_others_run` is called between messages: a client that sends without a pause
+        would keep all other green threads from running.
+        Raises HandshakeError if the headers ask for no websocket, OSError if the client has gone.
+        """
         self.received_s = 0.0
-        """`time.perf_counter()` when the last byte of the last message had come."""
-        self.broke = ""
-        """Why the client was hung up on (TOO_LARGE, BROKEN_FRAME); empty if it was not."""
+        """`time.perf_counter()` at which the last byte of the last message had arrived."""
+        self.broken_by = ""
+        """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty if there was none."""
         self._stream = stream
-        self._most_bytes = most_bytes
+        self._max_bytes = max_bytes
         self._lock = lock
-        self._give_way = give_way
-        self._protocol = Protocol(Side.SERVER, max_size=most_bytes)
+        self._let_others_run = let_others_run
+        self._protocol = Protocol(Side.SERVER, max_size=max_bytes)
         self._parts: list[bytes] = []
         self._size = 0
         self._is_text = False
@@ -75,14 +78,14 @@ class Wire:
         try:
             response = handshake.accept(Request("/", Headers(headers)))
         except InvalidHandshake as error:
-            raise WireError(str(error)) from None
+            raise HandshakeError(str(error)) from None
         if handshake.handshake_exc is not None:
-            raise WireError(str(handshake.handshake_exc))
+            raise HandshakeError(str(handshake.handshake_exc))
         stream.sendall(response.serialize())
 
     def wait(self) -> str | bytes | None:
         """The next message; None when the connection is over."""
-        self._give_way()
+        self._let_others_run()
         while not self._messages:
             if self._is_over:
                 return None
@@ -98,11 +101,11 @@ class Wire:
             else:
                 self._is_over = self.received_s - self._closed_s > DRAIN_S
             if len(data) == RECEIVE_BYTES:  # there may be more without end
-                self._give_way()
+                self._let_others_run()
         return self._messages.popleft()
 
     def send(self, message: str | bytes) -> None:
-        """Returns when the system has taken it. Raises OSError if the client has gone."""
+        """Send a message; returns when the system has taken it. Raises OSError if the client has gone."""
         with self._lock:
             try:
                 if isinstance(message, str):
@@ -114,11 +117,11 @@ class Wire:
             self._flush()
 
     def close(self) -> None:
-        """Say so and send no more; whoever waits hears of it when the client has closed too."""
+        """Send a close frame and nothing more; `wait` returns None when the client has closed, too."""
         self._close(CloseCode.NORMAL_CLOSURE)
 
     def cut(self) -> None:
-        """End it at once, also where somebody waits for the client to read what it is sent."""
+        """End the connection at once, also while `send` waits for the client to read."""
         self._is_over = True
         with contextlib.suppress(OSError):
             self._stream.shutdown(socket.SHUT_RDWR)
@@ -129,10 +132,10 @@ class Wire:
             if self._is_over or self._closed_s is not None:
                 return
             if count > FEW_FRAMES:
-                self._give_way()
+                self._let_others_run()
 
     def _parse(self, data: bytes) -> int:
-        """The number of frames that are now whole."""
+        """Parse received bytes; the number of frames that they complete."""
         with self._lock:
             self._protocol.receive_data(data)
             frames = [event for event in self._protocol.events_received() if isinstance(event, Frame)]
@@ -140,8 +143,8 @@ class Wire:
                 self._flush()  # answers to pings, and to a close
         for frame in frames:
             if frame.opcode in DATA_OPCODES:
-                self._take(frame)
-            if self.broke:
+                self._add_frame(frame)
+            if self.broken_by:
                 return len(frames)
         why = self._protocol.parser_exc
         if self._protocol.close_rcvd is not None:  # also in the middle of a message, which breaks the parser off
@@ -151,13 +154,13 @@ class Wire:
             self._break(TOO_LARGE if isinstance(why, PayloadTooBig) else BROKEN_FRAME)
         return len(frames)
 
-    def _take(self, frame: Frame) -> None:
-        """A frame of a message."""
+    def _add_frame(self, frame: Frame) -> None:
+        """Add a frame to the message that it is part of."""
         if frame.opcode is not Opcode.CONT:
             self._is_text = frame.opcode is Opcode.TEXT
         self._parts.append(bytes(frame.data))
         self._size += len(frame.data) + FRAME_BYTES
-        if self._size > self._most_bytes:
+        if self._size > self._max_bytes:
             self._break(TOO_LARGE, CloseCode.MESSAGE_TOO_BIG)
         elif frame.fin:
             message = b"".join(self._parts)
@@ -168,8 +171,8 @@ class Wire:
                 self._break(BROKEN_FRAME, CloseCode.INVALID_DATA)
 
     def _break(self, reason: str, code: CloseCode = CloseCode.PROTOCOL_ERROR) -> None:
-        """Hang up on the client."""
-        self.broke = reason
+        """Close the connection of a client that broke the protocol."""
+        self.broken_by = reason
         self._close(code)
 
     def _close(self, code: CloseCode) -> None:
@@ -181,12 +184,12 @@ class Wire:
             self._stream.shutdown(socket.SHUT_WR)
 
     def _flush(self) -> None:
-        """Send what the protocol has to say. Raises OSError if the client has gone."""
+        """Send the protocol's pending bytes. Raises OSError if the client has gone."""
         data = b"".join(self._protocol.data_to_send())
         if not data:
             return
         try:
             self._stream.sendall(data)
-        except OSError:  # it may have got a part, or wait for ever: nothing more can be told
+        except OSError:  # it may have received a part: nothing more can be sent
             self.cut()
             raise

@@ -1,4 +1,7 @@
-"""The `world`: what a simulator may tell beside its telemetry. It comes from outside, and may be anything."""
+"""The optional `world` member of a telemetry: the pose, the road, the clock, an expert's command.
+
+It comes from outside and may be anything; each member is checked by itself.
+"""
 
 from __future__ import annotations
 
@@ -10,24 +13,24 @@ from typing import Any, Final
 from recorder.server.locale_numbers import POINT
 from simulator.pose import Pose
 
-MAX_WORLD_NUMBER: Final = 1e9  # of any unit but time_s: a million kilometres; what is beyond is no world
-MAX_TIME_S: Final = 1e12  # Unix time is about 2e9; milliseconds of it are beyond
+MAX_WORLD_NUMBER: Final = 1e9  # of any unit but time_s: a million kilometres
+MAX_TIME_S: Final = 1e12  # Unix time in seconds is about 2e9; in milliseconds it is beyond
 
-CLOCK_STANDS: Final = "time_s does not advance: this computer's clock counts instead"
-"""What is said of a clock that does (`recorder.log.log_time.StandingClock`)."""
+CLOCK_STANDING: Final = "time_s does not advance: this computer's clock counts instead"
+"""The notice about a clock that stands still (`recorder.log.log_time.StandingClock`)."""
 
-_TOGETHER: Final = (
+_GROUPS: Final = (
     ("x_m", "y_m", "z_m", "heading_rad", "pitch_rad", "roll_rad"),
     ("expert_steering", "expert_throttle"),
 )
-"""Members that say nothing without each other."""
+"""Members that mean nothing without each other."""
 
 
 @dataclass(frozen=True)
 class World:
-    """What the real simulator never tells, and others may, each member by itself: None is what was not told.
+    """The checked members of a telemetry's `world`; None for those that were not sent.
 
-    Of the pose there is all or nothing, as of the expert.
+    The real simulator sends none of them. Of the pose there is all or nothing, as of the expert.
     """
 
     time_s: float | None = None  # the simulated clock; it may begin anywhere, as Unix time does
@@ -45,28 +48,28 @@ class World:
 
     @property
     def pose(self) -> Pose | None:
-        values = [getattr(self, name) for name in _TOGETHER[0]]
+        values = [getattr(self, name) for name in _GROUPS[0]]
         return None if None in values else Pose(*values)
 
     @property
     def expert(self) -> tuple[float, float] | None:
-        """Its steering and throttle."""
+        """The expert's steering and throttle."""
         if self.expert_steering is None or self.expert_throttle is None:
             return None
         return self.expert_steering, self.expert_throttle
 
 
-class WorldProblems:
-    """Says of everything that is wrong with what one simulator tells of its world, once."""
+class WorldNotices:
+    """The notices about one simulator's `world`, each of them once."""
 
     def __init__(self) -> None:
-        self._said: set[str] = set()
+        self._noticed: set[str] = set()
 
-    def news(self, problems: Iterable[str], *, clock_stands: bool) -> list[str]:
-        """What there is to say of a telemetry with these problems (`parse_world`)."""
-        told = [*problems, CLOCK_STANDS] if clock_stands else problems
-        new = [problem for problem in told if problem not in self._said]
-        self._said.update(new)
+    def new_notices(self, problems: Iterable[str], *, clock_stands: bool) -> list[str]:
+        """The notices that are due after a telemetry with these problems (`parse_world`)."""
+        found = [*problems, CLOCK_STANDING] if clock_stands else problems
+        new = [problem for problem in found if problem not in self._noticed]
+        self._noticed.update(new)
         return [f"the simulator's world is not used whole: {problem}" for problem in new]
 
 
@@ -74,42 +77,42 @@ MEMBERS: Final = tuple(field.name for field in fields(World))
 
 
 def parse_world(value: object, decimal: str = POINT) -> tuple[World | None, tuple[str, ...]]:
-    """What can be used of a telemetry's `world`, None if nothing can, and what is wrong with the rest of it.
+    """The usable members of a telemetry's `world`, None if there are none, and the problems with the others.
 
     Numbers may stand in strings, with `decimal` for the point; whole ones may be written as 2.0.
-    Members that are null, or that nobody here knows, are passed over. What is wrong is told by name and kind,
-    without values: the same from one telemetry to the next.
+    Members that are null or unknown are ignored. A problem has a member's name and no value: it is the same text
+    from one telemetry to the next.
     """
     if value is None:
         return None, ()
     if not isinstance(value, Mapping):
         return None, (f"it is not an object but a {type(value).__name__}",)
     problems: list[str] = []
-    told: dict[str, Any] = {}
+    members: dict[str, Any] = {}
     for name in MEMBERS:
         if value.get(name) is None:
             continue
         try:
-            told[name] = _member(name, value[name], decimal)
+            members[name] = _member(name, value[name], decimal)
         except ValueError as error:
             problems.append(f"{name} {error}")
-    if not told and not problems:
+    if not members and not problems:
         return None, (f"none of its members is known, which are {', '.join(MEMBERS)}",)
-    for group in _TOGETHER:
-        known = [name for name in group if name in told]
+    for group in _GROUPS:
+        known = [name for name in group if name in members]
         if known and len(known) < len(group):
             missing = [name for name in group if value.get(name) is None]
             if missing:
                 problems.append(f"{' and '.join(missing)} missing beside {known[0]}: they go together")
             for name in known:
-                del told[name]
-    return (World(**told) if told else None), tuple(problems)
+                del members[name]
+    return (World(**members) if members else None), tuple(problems)
 
 
 def _member(name: str, value: object, decimal: str) -> float | int:
-    """Raises ValueError that says what is wrong."""
+    """A member's number. Raises ValueError with the problem."""
     if isinstance(value, str):
-        # no separator of thousands: in 1,234 nobody knows which it is
+        # no thousands separator: 1,234 would be ambiguous
         if len(value) >= 64 or not re.fullmatch(
             rf"\s*[+-]?[0-9]+({re.escape(decimal)}[0-9]+)?([eE][+-]?[0-9]+)?\s*", value
         ):
@@ -119,7 +122,7 @@ def _member(name: str, value: object, decimal: str) -> float | int:
         number = value
     else:
         raise ValueError(f"is not a number but a {type(value).__name__}")
-    # neither NaN, nor what overflows where somebody calculates with it
+    # refuses NaN, and numbers that overflow in calculations
     most = MAX_TIME_S if name == "time_s" else MAX_WORLD_NUMBER
     if not -most <= number <= most:
         raise ValueError(f"is beyond {most:g}, or no number")
@@ -127,4 +130,4 @@ def _member(name: str, value: object, decimal: str) -> float | int:
         if number != int(number) or number < 0:
             raise ValueError("is no count: a whole number from 0 on was expected")
         return int(number)
-    return min(max(float(number), -1.0), 1.0) if name in _TOGETHER[1] else float(number)
+    return min(max(float(number), -1.0), 1.0) if name in _GROUPS[1] else float(number)

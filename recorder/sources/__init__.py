@@ -1,1 +1,1 @@
-"""Where sessions come from: other programs' recordings and logs, the built-in simulator, live telemetry."""
+"""The sources of sessions: other programs' recordings and logs, the built-in simulator, live telemetry."""

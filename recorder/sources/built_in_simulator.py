@@ -17,11 +17,11 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.writer import LogWriter
 from recorder.server.pose_message import pose_message
-from recorder.sources.import_recording import Imported
+from recorder.sources.import_result import Imported
 from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import MOST_RECOVERY, drive_for_recording, steps_each
 from simulator.driving.simulation import Simulation
-from simulator.protocol.udacity_writer import UdacityFolder
+from simulator.protocol.udacity_writer import UdacityWriter
 from simulator.rendering.camera import MOUNT_LEFT_M
 
 # Simulated time has no date. This one makes the same drive the same log, byte for byte.
@@ -77,7 +77,7 @@ def record_simulated(
     length_m = drive.laps * simulation.track.line.length_m
     rows = 0
     with (
-        UdacityFolder(udacity) if udacity is not None else contextlib.nullcontext() as folder,
+        UdacityWriter(udacity) if udacity is not None else contextlib.nullcontext() as folder,
         LogWriter(log, metadata, overwrite=overwrite) as writer,
         progress_bar() as bar,
     ):

@@ -1,9 +1,10 @@
-"""A DonkeyCar tub, of version 1 or 2: where its records, its pictures and its list of deleted records are.
+"""Reading a DonkeyCar tub, of version 1 or 2: its records, its pictures and its list of deleted records.
 
 Version 2 (donkeycar/parts/tub_v2.py and datastore_v2.py): `manifest.json` of five JSON lines, of which the fourth
-tells when the tub was created and the fifth names the catalogues and the deleted records; catalogues of one JSON
-record a line; pictures in `images/`. Version 1 (donkeycar/parts/datastore.py, up to release 3): `meta.json`, one
-`record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of deleted records.
+holds the time when the tub was created, and the fifth names the catalogues and the deleted records; catalogues of
+one JSON record a line; pictures in `images/`. Version 1 (donkeycar/parts/datastore.py, up to release 3):
+`meta.json`, one `record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of
+deleted records.
 
 A tub is somebody else's data: of every path only the file's name counts, and no link out of it is followed but
 `images` itself: who puts a link in its place keeps the pictures elsewhere.
@@ -33,7 +34,7 @@ _MOST_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thous
 
 
 @dataclass(frozen=True)
-class Record:
+class TubRecord:
     name: str  # for a person: where it is
     index: int
     values: dict[str, object]
@@ -41,7 +42,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Tub:
-    """What importing needs to know of a tub, whatever its version."""
+    """A tub of either version, as far as importing needs it."""
 
     version: str
     pictures: dict[str, Path]
@@ -50,11 +51,11 @@ class Tub:
     time_field: str  # milliseconds
     is_time_from_start: bool  # else from 1970
     count: int  # of lines or files that may be records
-    records: Callable[[Skipped], Iterator[Record]]  # in the tub's order; what is no record is skipped
+    records: Callable[[Skipped], Iterator[TubRecord]]  # in the tub's order; what is no record is skipped
 
 
 def is_tub(folder: Path) -> bool:
-    """Whether `folder` looks like a DonkeyCar tub, whole or damaged."""
+    """True if `folder` looks like a DonkeyCar tub, whole or damaged."""
     try:
         names = {path.name for path in folder.iterdir()}
     except OSError:
@@ -88,11 +89,11 @@ def _open_version_1(files: dict[str, Path], skipped: Skipped) -> Tub:
     matches = [match for match in map(_RECORD.fullmatch, files) if match]
     numbered = sorted((int(match[1]), match[0]) for match in matches)
 
-    def records(skipped: Skipped) -> Iterator[Record]:
+    def records(skipped: Skipped) -> Iterator[TubRecord]:
         for index, name in numbered:
             values = _load(files[name])
             if isinstance(values, dict):
-                yield Record(name, index, values)
+                yield TubRecord(name, index, values)
             else:
                 skipped.add("records that cannot be read as a JSON object", name)
 
@@ -122,17 +123,17 @@ def _open_version_2(root: Path, files: dict[str, Path], all_catalogs: bool, skip
             for name in unlisted:
                 skipped.add("catalogues that the manifest does not name (--all-catalogs takes them)", name)
 
-    def records(skipped: Skipped) -> Iterator[Record]:
+    def records(skipped: Skipped) -> Iterator[TubRecord]:
         position = 0
         for name in catalogs:
-            for number, line in _lines(files[name]):
+            for line_number, line in _lines(files[name]):
                 values = _parse(line)
                 if isinstance(values, dict):
-                    told = values.get("_index")
-                    index = told if isinstance(told, int) and not isinstance(told, bool) else position
-                    yield Record(f"{name} line {number}", index, values)
+                    number = values.get("_index")
+                    index = number if isinstance(number, int) and not isinstance(number, bool) else position
+                    yield TubRecord(f"{name} line {line_number}", index, values)
                 else:
-                    skipped.add("records that cannot be read as a JSON object", f"{name} line {number}")
+                    skipped.add("records that cannot be read as a JSON object", f"{name} line {line_number}")
                 position += 1
 
     images = root / IMAGES
@@ -200,7 +201,7 @@ def _load(path: Path) -> object:
 
 
 def _parse(text: bytes) -> object:
-    """What a piece of JSON says; None where it is not JSON, or deeper or longer than Python reads."""
+    """The value of a piece of JSON; None where it is not JSON, or deeper or longer than Python reads."""
     try:
         parsed: object = json.loads(text)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Where the recording is of somebody who named a folder above it, a folder in it, or one of its files."""
+"""Finding the recording near a path that is none: a folder above it, a folder in it, or one of its files."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.ros2_bag import is_bag
 from recorder.sources.udacity_recording import CSV_NAME
 
-_MOST_FOLDERS: Final = 200  # that are looked into: somebody's home may hold anything
-_MOST_NAMED: Final = 3
+_MOST_FOLDERS: Final = 200  # that are searched: somebody's home may hold anything
+_MOST_SUGGESTED: Final = 3
 
 
 def is_udacity(folder: Path) -> bool:
     return os.path.isfile(folder / CSV_NAME)  # noqa: PTH113  (never raises)
 
 
-def did_you_mean(source: Path) -> str:
-    """ " did you mean ...?" if recordings are near `source`, else ""."""
-    found = list(islice(_recordings_near(source), _MOST_NAMED + 1))
+def recordings_near(source: Path) -> str:
+    """ " did you mean ...?", naming the recordings near `source`; "" without any."""
+    found = list(islice(_search(source), _MOST_SUGGESTED + 1))
     if not found:
         return ""
-    more = " or another one there" if len(found) > _MOST_NAMED else ""
-    return f" did you mean {' or '.join(map(str, found[:_MOST_NAMED]))}{more}?"
+    more = " or another one there" if len(found) > _MOST_SUGGESTED else ""
+    return f" did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
 
 
-def _recordings_near(source: Path) -> Iterator[Path]:
-    """The folder that `source` is a part of; else those in it, and in the folders in it."""
+def _search(source: Path) -> Iterator[Path]:
+    """The recording that `source` is a part of; else those in it, and in the folders in it."""
     for folder in list(source.absolute().parents)[:2]:
         if _is_recording(folder) and source.exists():
             yield _as_given(folder, source)

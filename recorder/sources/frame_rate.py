@@ -1,4 +1,4 @@
-"""What is told of a recording whose frames tell no time of their own: so many a second."""
+"""The frame rate of a recording whose frames have no times of their own, as the user gives it."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ def check_rate(rate_hz: float | None) -> None:
         raise RecordingError(f"--rate {rate_hz:g}: give frames a second, {LEAST_HZ:g} to {MOST_HZ:,.0f}")
 
 
-def clock(rate_hz: float) -> str:
-    """What a log's metadata says of such times."""
+def describe_clock(rate_hz: float) -> str:
+    """Describe such times in a log's metadata."""
     return f"{rate_hz:g} Hz, as --rate said, because the recording does not tell its times"

@@ -1,6 +1,6 @@
-"""Importing what other programs logged: MCAP files of any program, and ROS 2 bags.
+"""Importing other programs' logs: MCAP files of any program, and ROS 2 bags.
 
-The user tells which topic holds the pictures and which field of which topic the steering.
+The user names the topic of the pictures, and the topic and the field of the steering.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.topics import PROFILE
 from recorder.log.writer import LogWriter
-from recorder.sources.import_recording import Imported, SkippedEvents
+from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,
@@ -46,13 +46,15 @@ MOST_STEERING_AGE_S: Final = 1.0
 
 _TIME_END_NS: Final = 2**63
 # magic, then the header's opcode, length, and the length of its profile
-_OWN_START: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
-_BEYOND: Final = "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
+_OWN_HEADER: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
+_OUT_OF_RANGE: Final = (
+    "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
+)
 
 
 @dataclass(frozen=True)
-class ForeignTopics:
-    """What to take out of another program's log."""
+class McapTopics:
+    """The topics that are taken out of another program's log."""
 
     image: str
     """The topic of the pictures: foxglove.CompressedImage or sensor_msgs/CompressedImage, JPEG or PNG."""
@@ -71,7 +73,7 @@ class _File(Protocol):
 
     def types(self, skipped: Skipped) -> dict[str, str]: ...
 
-    def messages(self, topic: str, what: str) -> Iterator[tuple[Schema | None, Channel, Message]]: ...
+    def messages(self, topic: str, bar: str) -> Iterator[tuple[Schema | None, Channel, Message]]: ...
 
 
 @dataclass(frozen=True)
@@ -89,10 +91,10 @@ class _McapFile:
         with Log(self.path) as log:
             return log.has_crcs
 
-    def messages(self, topic: str, what: str) -> Iterator[tuple[Schema | None, Channel, Message]]:
-        """The messages on `topic` in the order of the file, while a bar named `what` counts its chunks."""
+    def messages(self, topic: str, bar: str) -> Iterator[tuple[Schema | None, Channel, Message]]:
+        """The messages on `topic` in the order of the file, with a progress bar named `bar`."""
         with Log(self.path) as log:
-            for chunk in track(log.chunks, what, len(log.chunks)):
+            for chunk in track(log.chunks, bar, len(log.chunks)):
                 for schema, channel, message in log.messages_of(chunk):
                     if channel.topic == topic:
                         yield schema, channel, message
@@ -113,16 +115,16 @@ class _Row:
     picture: bytes
 
 
-def is_foreign(source: Path) -> bool:
-    """Whether `source` looks like another program's log: an MCAP file, finished or not, or a ROS 2 bag."""
+def is_mcap_or_bag(source: Path) -> bool:
+    """True if `source` looks like another program's log: an MCAP file, finished or not, or a ROS 2 bag."""
     return is_bag(source) if source.is_dir() else bool({MCAP, SQLITE} & set(source.suffixes))
 
 
 def is_own_log(source: Path) -> bool:
-    """Whether `source` is a log of this toolkit: an MCAP file whose header names its profile."""
+    """True if `source` is a log of this toolkit: an MCAP file whose header names its profile."""
     try:
         with open_regular(source) as stream:
-            return _OWN_START.match(stream.read(64)) is not None
+            return _OWN_HEADER.match(stream.read(64)) is not None
     except OSError:
         return False
 
@@ -133,7 +135,7 @@ def check_scale(steering_scale: float) -> None:
         raise RecordingError(f"--steering-scale {steering_scale:g}: a number other than 0 was expected")
 
 
-def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite: bool = False) -> Imported:
+def import_mcap(source: Path, log: Path, topics: McapTopics, *, overwrite: bool = False) -> Imported:
     """Write the pictures of another program's log to `log`, byte for byte, each with the last steering before it.
 
     Pictures without a steering that is at most a second old are left out. Speed is NaN, the pedals are 0.
@@ -146,7 +148,7 @@ def import_foreign(source: Path, log: Path, topics: ForeignTopics, *, overwrite:
     skipped = events.skipped
     files = _files(source, skipped)
     types = {topic: kind for file in files for topic, kind in file.types(skipped).items()}
-    steering_topic, field = _split(source, topics.steering, types)
+    steering_topic, field = _split_field(source, topics.steering, types)
     _check_image_topic(source, topics.image, types)
     steering = _read_steering(source, files, steering_topic, field, topics.steering_scale, skipped)
     rows = _rows(files, topics.image, steering, f"importing {source.name}", skipped)
@@ -185,7 +187,7 @@ def _files(source: Path, skipped: Skipped) -> list[_File]:
     return [SqliteFile(path) if path.suffix == SQLITE else _McapFile(path) for path in paths]
 
 
-def _split(source: Path, text: str, types: dict[str, str]) -> tuple[str, str]:
+def _split_field(source: Path, text: str, types: dict[str, str]) -> tuple[str, str]:
     """The topic and the field that `text` names; the field is empty if it names a topic alone."""
     topics = [topic for topic in types if text == topic or text.startswith(f"{topic}.")]
     if not topics:
@@ -237,9 +239,9 @@ def _read_steering(
     return _Steering(np.array(times, np.int64)[order], np.array(values, np.float64)[order])
 
 
-def _rows(files: list[_File], topic: str, steering: _Steering, what: str, skipped: Skipped) -> Iterator[_Row]:
+def _rows(files: list[_File], topic: str, steering: _Steering, bar: str, skipped: Skipped) -> Iterator[_Row]:
     """The pictures that can be used, one at a time in the order of the files."""
-    for time_ns, name, message in _decoded(files, topic, what, skipped):
+    for time_ns, name, message in _decoded(files, topic, bar, skipped):
         at = int(np.searchsorted(steering.time_ns, time_ns, "right")) - 1
         if at < 0:
             skipped.add("pictures before the first steering", name)
@@ -257,15 +259,15 @@ def _rows(files: list[_File], topic: str, steering: _Steering, what: str, skippe
             continue
         value = float(steering.value[at])
         if abs(value) > 1:
-            skipped.add(_BEYOND, f"{name}: {value:g}")
+            skipped.add(_OUT_OF_RANGE, f"{name}: {value:g}")
         yield _Row(time_ns, value, picture)
 
 
-def _decoded(files: list[_File], topic: str, what: str, skipped: Skipped) -> Iterator[tuple[int, str, object]]:
+def _decoded(files: list[_File], topic: str, bar: str, skipped: Skipped) -> Iterator[tuple[int, str, object]]:
     """The messages on `topic`: log time, what to call it, content."""
     for file in files:
         decoders: dict[int, Decoder] = {}
-        for schema, channel, message in file.messages(topic, what):
+        for schema, channel, message in file.messages(topic, bar):
             time_ns = message.log_time
             if not isinstance(time_ns, int) or not 0 <= time_ns < _TIME_END_NS:
                 skipped.add("messages of a time that no log can hold", f"{brief(topic)} at {brief(repr(time_ns))}")

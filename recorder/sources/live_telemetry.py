@@ -1,4 +1,4 @@
-"""Recording live telemetry: whatever a connected simulator tells becomes a log."""
+"""Recording the telemetry of connected simulators into a log."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from recorder.log.log_time import LogClock
 from recorder.log.writer import EventLevel, LogWriter
 from recorder.server.pose_message import pose_message
 from recorder.server.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
-from recorder.server.telemetry_server import QUIET_S, Answer, Steer, TelemetryServer
-from recorder.server.world import WorldProblems
-from recorder.sources.import_recording import Imported
+from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
+from recorder.server.world import WorldNotices
+from recorder.sources.import_result import Imported
 
 RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
@@ -36,8 +36,8 @@ def listen_for_telemetry(
     overwrite: bool = False,
     on_started: Callable[[Path], None] | None = None,
 ) -> Imported:
-    """Record to `log` what Socket.IO clients tell on host:port (port 0: a free one); every telemetry is answered
-    by `manual`, which asks for the next one.
+    """Record the telemetry of Socket.IO clients on host:port (port 0: a free one) to `log`. Every telemetry is
+    answered by `manual`, which asks for the next one.
 
     Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last telemetry; outside the main thread, which alone
     hears signals, only on the latter. `on_started` gets the path of the growing file, once the server listens.
@@ -50,7 +50,7 @@ def listen_for_telemetry(
         writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
         with StatusLine() as status:
             session = _Session(writer, status)
-            server = TelemetryServer(session, host=host, port=port, said=session.warn, first="manual")
+            server = TelemetryServer(session, host=host, port=port, notify=session.warn, first_command="manual")
             session.say(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
                 on_started(writer.part)
@@ -64,18 +64,18 @@ def listen_for_telemetry(
 
 
 class _Session:
-    """Writes telemetry down; rows are numbered from 0, and no time is the same as or before the last one."""
+    """Writes telemetry to a log; rows are numbered from 0, and no time is the same as or before the last one."""
 
     def __init__(self, writer: LogWriter, status: StatusLine) -> None:
         self._writer = writer
         self._status = status
         self._text = ""
         self._connections = 0
-        self._first_connected_s: float | None = None  # until it has told something, or nothing for too long
+        self._first_connected_s: float | None = None  # until its first telemetry, or none came for too long
         self._telemetries = 0
         self._manuals = 0
         self._clock = LogClock(from_wall_clock=True)
-        self._problems = WorldProblems()
+        self._world_notices = WorldNotices()
         self._separators: dict[str, str] = {}  # of decimals, by connection
         self._last_s = 0.0
         self._rate_from = (time.monotonic(), 0)
@@ -100,7 +100,7 @@ class _Session:
         self._last_s = time.monotonic()
         return Answer(None, lambda _: self._note(sid, received_ns, data))
 
-    def stopping(self, sid: str) -> Steer | None:
+    def final_command(self, sid: str) -> Steer | None:
         return None  # nobody was steered
 
     def tick(self) -> None:
@@ -117,13 +117,13 @@ class _Session:
                 f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} rows/s,"
                 f" {len(self.skipped):,} skipped"
             )
-        elif self._first_connected_s is not None and now_s - self._first_connected_s >= QUIET_S:
+        elif self._first_connected_s is not None and now_s - self._first_connected_s >= NO_TELEMETRY_S:
             self._first_connected_s = None
             self.say("connected, but no telemetry comes: choose Autonomous Mode in the simulator")
         self._status.show(self._text)
 
     def warn(self, text: str) -> None:
-        """Something else than a simulator has connected, or it tells what cannot be used."""
+        """Report a client that is no simulator, or telemetry that cannot be used."""
         self._event(time.time_ns(), text, "WARNING")
         self.say(text)
 
@@ -138,7 +138,7 @@ class _Session:
             self._event(time.time_ns(), text, "WARNING")
 
     def is_idle_for(self, idle_s: float) -> bool:
-        """Whether the last telemetry came so long ago; False before the first."""
+        """True if the last telemetry came so long ago; False before the first."""
         return self._telemetries > 0 and time.monotonic() - self._last_s >= idle_s
 
     def why_nothing(self) -> str:
@@ -161,10 +161,10 @@ class _Session:
                 self._event(received_ns, "manual: a human drives")
             return
         try:
-            told = parse_telemetry(data, self._separators.get(sid))
-            if told.told_separator is not None:
-                self._separators[sid] = told.told_separator
-            size = check_whole_jpeg(told.jpeg)
+            telemetry = parse_telemetry(data, self._separators.get(sid))
+            if telemetry.observed_separator is not None:
+                self._separators[sid] = telemetry.observed_separator
+            size = check_whole_jpeg(telemetry.jpeg)
         except TelemetryError as error:
             if error.kind not in self._bad.counts:
                 print_message(f"telemetry that cannot be used: {error}")
@@ -172,13 +172,15 @@ class _Session:
             if (text := self._bad.take(error.kind, str(error))) is not None:
                 self._event(received_ns, text, "WARNING")
             return
-        time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
-        for text in self._problems.news(told.world_problems, clock_stands=self._clock.stands):
+        time_ns = self._clock.row(received_ns, None if telemetry.world is None else telemetry.world.time_s)
+        for text in self._world_notices.new_notices(telemetry.world_problems, clock_stands=self._clock.stands):
             self.warn(text)
-        self._writer.picture("center", time_ns, self.rows, told.jpeg, size)
-        state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
+        self._writer.picture("center", time_ns, self.rows, telemetry.jpeg, size)
+        state = VehicleState(
+            steering=telemetry.steering, throttle=telemetry.throttle, brake=0.0, speed_mph=telemetry.speed_mph
+        )
         self._writer.vehicle(time_ns, self.rows, state)
-        pose = None if told.world is None else told.world.pose
+        pose = None if telemetry.world is None else telemetry.world.pose
         if pose is not None:
             self._writer.pose(time_ns, self.rows, pose_message(pose, time_ns))
         self.rows += 1

@@ -1,4 +1,4 @@
-"""What a message of another program says: its decoder, the number in one of its fields, the picture in it.
+"""Reading another program's messages: their decoders, the number in one of their fields, the picture in them.
 
 Both the definitions and the messages are somebody else's: no decoder here runs code that it made of a definition.
 """
@@ -35,7 +35,7 @@ Decoder = Callable[[bytes], object]
 
 
 class FieldError(Exception):
-    """What was looked for is not in a message.
+    """A field, or a picture, is not in a message.
 
     `is_final` where it is in no other message of its type either.
     """
@@ -76,15 +76,15 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
             f"{brief(channel.topic)}: the definition of its type cannot be read ({brief(str(error))})"
         ) from None
     if decoder is None:
-        told = "none" if schema is None else brief(schema.encoding)
-        raise RecordingError(f"{brief(channel.topic)}: no definition of its type that can be read (it is {told})")
+        found = "none" if schema is None else brief(schema.encoding)
+        raise RecordingError(f"{brief(channel.topic)}: no definition of its type that can be read (it is {found})")
     return decoder
 
 
 def number_in(message: object, field: str) -> float:
     """The finite number in `field`, such as `drive.steering_angle` or `axes.0`.
 
-    Raises FieldError, telling what there is instead.
+    Raises FieldError, which names what there is instead.
     """
     names = field.split(".") if field else []
     try:
@@ -125,7 +125,7 @@ def picture_in(message: object) -> bytes:
 
 
 def is_whole_picture(data: bytes) -> bool:
-    """Whether `data` is one complete JPEG or PNG that OpenCV decodes."""
+    """True if `data` is one complete JPEG or PNG that OpenCV decodes."""
     return decodes(data) if data.startswith(PNG_START) else is_whole_jpeg(data)
 
 

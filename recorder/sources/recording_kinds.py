@@ -1,4 +1,4 @@
-"""What somebody else has recorded: which kind it is, and who reads it."""
+"""The kinds of recordings that can be imported: telling which one it is, and calling its importer."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import tyro
 
 from common.files import PART_SUFFIX
 from recorder.errors import RecordingError
-from recorder.sources.donkeycar import import_tub
 from recorder.sources.donkeycar_tub import is_tub
-from recorder.sources.find_recording import did_you_mean, is_udacity
-from recorder.sources.import_mcap import ForeignTopics, import_foreign, is_foreign, is_own_log
-from recorder.sources.import_recording import Imported, import_udacity
+from recorder.sources.find_recording import is_udacity, recordings_near
+from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.import_mcap import McapTopics, import_mcap, is_mcap_or_bag, is_own_log
+from recorder.sources.import_result import Imported
+from recorder.sources.import_udacity import import_udacity
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Topics:
     """What makes -1 (left) .. 1 (right) of that field; ROS counts left as positive: a negative scale."""
 
 
-def import_from(
+def import_recording(
     source: Path,
     log: Path,
     topics: Topics | None = None,
@@ -45,44 +46,44 @@ def import_from(
     `overwrite` is off.
     """
     topics = topics or Topics()
-    is_log = is_foreign(source)
-    of_donkeycar = not is_log and is_tub(source)
-    if not (is_log or of_donkeycar or is_udacity(source)) and (meant := did_you_mean(source)):
-        raise RecordingError(f"{source}: no recording itself;{meant}")
-    if all_catalogs and not of_donkeycar:
+    is_log = is_mcap_or_bag(source)
+    is_donkeycar = not is_log and is_tub(source)
+    if not (is_log or is_donkeycar or is_udacity(source)) and (hint := recordings_near(source)):
+        raise RecordingError(f"{source}: no recording itself;{hint}")
+    if all_catalogs and not is_donkeycar:
         raise RecordingError(f"{source}: --all-catalogs is for DonkeyCar tubs, which this is not")
     if topics != Topics() and not is_log:
         raise RecordingError(f"{source}: --image and --steering are for other programs' logs, which this is not")
     if rate_hz is not None and is_log:
         raise RecordingError(f"{source}: --rate: its messages tell their times; leave it out")
     if is_log:
-        return import_foreign(source, log, _chosen(source, log, topics), overwrite=overwrite)
-    if of_donkeycar:
+        return import_mcap(source, log, _mcap_topics(source, log, topics), overwrite=overwrite)
+    if is_donkeycar:
         return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, overwrite=overwrite)
     return import_udacity(source, log, rate_hz=rate_hz, overwrite=overwrite)
 
 
-def _chosen(source: Path, log: Path, topics: Topics) -> ForeignTopics:
+def _mcap_topics(source: Path, log: Path, topics: Topics) -> McapTopics:
     if topics == Topics() and is_own_log(source):
-        raise RecordingError(f"{source}: a log of this toolkit, {_instead_of_importing(source, log)}")
+        raise RecordingError(f"{source}: a log of this toolkit, {_what_to_do_instead(source, log)}")
     if topics.image is None or topics.steering is None:
         raise RecordingError(
             f"{source}: which topics? Give --image TOPIC and --steering TOPIC.FIELD;"
             f" `bc-log info {source}` lists them"
         )
-    return ForeignTopics(topics.image, topics.steering, topics.steering_scale)
+    return McapTopics(topics.image, topics.steering, topics.steering_scale)
 
 
 def refuse_to_watch(source: Path) -> None:
     """Raise RecordingError for what is no folder that the Udacity simulator may write into."""
-    if not is_udacity(source) and (is_foreign(source) or is_tub(source)):
+    if not is_udacity(source) and (is_mcap_or_bag(source) or is_tub(source)):
         raise RecordingError(
             f"{source}: --watch follows folders of the Udacity simulator, which this is not; import it when it is"
             " finished, without --watch"
         )
 
 
-def _instead_of_importing(source: Path, log: Path) -> str:
+def _what_to_do_instead(source: Path, log: Path) -> str:
     if source.suffix == PART_SUFFIX:
         return f"still unfinished: `bc-log recover {source}` makes a whole one of it"
     if source.resolve().parent == log.resolve().parent:

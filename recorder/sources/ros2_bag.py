@@ -53,7 +53,7 @@ _DEFINITIONS: Final = {
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether `folder` looks like a ROS 2 bag."""
+    """True if `folder` looks like a ROS 2 bag."""
     try:
         names = {path.name for path in folder.iterdir()}
     except OSError:
@@ -62,7 +62,7 @@ def is_bag(folder: Path) -> bool:
 
 
 def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
-    """The bag's files in their order; what is not there, or not told in metadata.yaml, is skipped.
+    """The bag's files in their order; files that are missing, or not named in metadata.yaml, are skipped.
 
     Raises RecordingError if metadata.yaml cannot be read, or nothing that it names.
     """
@@ -75,11 +75,11 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
     except (OSError, KeyError, RuntimeError):
         raise RecordingError(f"{folder}: {METADATA} cannot be read; `ros2 bag reindex` writes a new one") from None
     metadata = _parse(folder, text)
-    told = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
-    names = told.get("relative_file_paths") if isinstance(told, dict) else None
-    if not isinstance(told, dict) or not isinstance(names, list):
+    information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
+    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    if not isinstance(information, dict) or not isinstance(names, list):
         raise RecordingError(f"{folder}: {METADATA} names no files; `ros2 bag reindex` writes a new one")
-    if str(told.get("compression_mode") or "none").lower() not in ("none", "storage"):
+    if str(information.get("compression_mode") or "none").lower() not in ("none", "storage"):
         raise RecordingError(f"{folder}: a compressed bag, which is not read; `ros2 bag convert` unpacks it")
     listed = list(dict.fromkeys(re.split(r"[/\\]", name)[-1] for name in names if isinstance(name, str)))
     files = []

@@ -35,16 +35,16 @@ _TIME_IN_NAME = re.compile(
     r"_(\d{4})_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d{3})\.jpe?g$", re.IGNORECASE | re.ASCII
 )
 _HEADER = re.compile(r'^\s*"?center"?\s*,', re.IGNORECASE)
-_AROUND_A_NAME = string.whitespace + '"'
+_NAME_PADDING = string.whitespace + '"'
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
 # .NET writes a number as its user's country does. Besides the comma: 0/5 (Persian in Mono and .NET Framework), and
 # where it asks ICU, U+066B for the point, U+2212 for the minus, and marks that tell the direction of writing.
-_OF_COUNTRIES = str.maketrans({"/": ".", "\u066b": ".", "\u2212": "-", "\u200e": "", "\u200f": "", "\u061c": ""})
+_LOCALIZED = str.maketrans({"/": ".", "\u066b": ".", "\u2212": "-", "\u200e": "", "\u200f": "", "\u061c": ""})
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_MINUS_BEHIND = re.compile(r"([0-9.]+)-")  # 0.5-: Arabic and Persian, with a fixed number of decimals
+_TRAILING_MINUS = re.compile(r"([0-9.]+)-")  # 0.5-: Arabic and Persian, with a fixed number of decimals
 _WHOLE = re.compile(r"-?(0|[1-9][0-9]*)")
 _FRACTION = re.compile(r"[0-9]*[1-9]([eE][+-]?[0-9]+)?")  # the simulator prints no trailing zeros
 
@@ -87,7 +87,7 @@ class RowReader:
     def read(self, line: int, content: bytes) -> Row | None:
         """The row of this line, the first being number 1, or None if there is none in it.
 
-        Raises RecordingError if the first row's pictures tell their time, and a rate was given all the same.
+        Raises RecordingError if the names of the first row's pictures hold their time, but a rate was given.
         """
         if len(content) > MOST_LINE_BYTES:
             self._position += 1
@@ -113,18 +113,18 @@ class RowReader:
         return row
 
     def _time_ns(self, names: tuple[str, str, str]) -> int:
-        told_ns = _time_in(names)
+        name_time_ns = _time_in(names)
         if self._rate_hz is not None:
-            if self._is_first and told_ns is not None:
+            if self._is_first and name_time_ns is not None:
                 raise RecordingError("--rate: the pictures' names tell when they were taken; leave it out")
             return round(self._position * 1e9 / self._rate_hz)
-        if told_ns is None:
+        if name_time_ns is None:
             raise ValueError("no time in their pictures' names (--rate 20 takes them as 20 a second)")
-        return told_ns
+        return name_time_ns
 
 
 class _ValueReader:
-    """Reads steering, throttle, brake and speed; what a row alone does not tell, the rows before it do."""
+    """Reads steering, throttle, brake and speed; where a row is ambiguous, the rows before it decide."""
 
     def __init__(self) -> None:
         self._speed_mph = 0.0
@@ -133,7 +133,7 @@ class _ValueReader:
 
     def read(self, text: str) -> _Values:
         """The values at the end of a line. Raises ValueError, which says what is wrong with a row."""
-        text = text.strip().rstrip(", ").translate(_OF_COUNTRIES)
+        text = text.strip().rstrip(", ").translate(_LOCALIZED)
         if text.count('"') % 2:  # its other one is before the paths, or was cut off
             text = text.replace('"', "")
         values = self._read(text)
@@ -146,8 +146,8 @@ class _ValueReader:
         if len(cells) < 4:
             raise ValueError("fewer than four values, or cut off")
         spaced = text.split(", ")
-        is_told = "." in text or '"' in text or len(spaced) > 4  # what is a cell, and what a decimal comma
-        if not is_told and len(cells) > 4 == len(spaced):
+        is_unambiguous = "." in text or '"' in text or len(spaced) > 4  # what is a cell, and what a decimal comma
+        if not is_unambiguous and len(cells) > 4 == len(spaced):
             cells = spaced  # a comma without a space is then a decimal comma
         if len(cells) == 4:
             values = _four_numbers(cells)
@@ -155,7 +155,7 @@ class _ValueReader:
             self._has_commas |= "," in "".join(cells)
             return values
         # A column of whole numbers may follow, or one value have a decimal comma: who had points has no commas.
-        if is_told or (len(cells) == 5 and self._has_points and not self._has_commas):
+        if is_unambiguous or (len(cells) == 5 and self._has_points and not self._has_commas):
             raise ValueError("more than four values")
         readings = list(_decimal_comma_readings(cells))
         if not readings:
@@ -176,8 +176,8 @@ def _four_numbers(cells: list[str]) -> _Values:
 def _number(text: str) -> float:
     """A number as .NET prints it; not all that Python takes for one: 1_0, nan, digits of other scripts."""
     text = text.replace(",", ".")
-    if behind := _MINUS_BEHIND.fullmatch(text):
-        text = f"-{behind[1]}"
+    if match := _TRAILING_MINUS.fullmatch(text):
+        text = f"-{match[1]}"
     if not _NUMBER.fullmatch(text):
         raise ValueError("a value that is not a number")
     return float(text)
@@ -207,16 +207,16 @@ def _names(text: str) -> tuple[tuple[str, str, str], str]:
     match = _PATHS.match(text)
     if match is None:
         raise ValueError("fewer than three columns of pictures, or cut off")
-    center, left, right = (re.split(r"[/\\]", path)[-1].strip(_AROUND_A_NAME) for path in match.group(1, 2, 3))
+    center, left, right = (re.split(r"[/\\]", path)[-1].strip(_NAME_PADDING) for path in match.group(1, 2, 3))
     return (center, left, right), match.group(4)
 
 
 def _time_in(names: tuple[str, str, str]) -> int | None:
-    """The time that one of the names tells. Raises ValueError if no log can hold it."""
-    is_told = False
+    """The time in one of the names. Raises ValueError if no log can hold it."""
+    has_time = False
     for name in names:
         if match := _TIME_IN_NAME.search(name):
-            is_told = True
+            has_time = True
             year, month, day, hour, minute, second, ms = map(int, match.groups())
             try:
                 moment = datetime(year, month, day, hour, minute, second, ms * 1000, tzinfo=UTC)
@@ -224,6 +224,6 @@ def _time_in(names: tuple[str, str, str]) -> int | None:
                 continue
             if _EPOCH <= moment < _LAST:
                 return (moment - _EPOCH) // timedelta(microseconds=1) * 1000
-    if is_told:
+    if has_time:
         raise ValueError("a time in their pictures' names that no log can hold")
     return None

@@ -24,16 +24,10 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.sources.find_recording import did_you_mean
+from recorder.sources.find_recording import recordings_near
 from recorder.sources.frame_rate import check_rate
-from recorder.sources.import_recording import (
-    NOT_WHOLE,
-    UNREADABLE,
-    Imported,
-    SkippedEvents,
-    udacity_metadata,
-    vehicle_state,
-)
+from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE, udacity_metadata, vehicle_state
 from recorder.sources.udacity_csv import COLUMNS, MOST_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import (
     CSV_NAME,
@@ -77,29 +71,29 @@ def watch_udacity(
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
         StatusLine() as status,
     ):
-        watched = _Watched(folder, writer, rate_hz)
+        recording = _GrowingRecording(folder, writer, rate_hz)
         if on_started is not None:
             on_started(writer.part)
-        if not watched.has_csv():
-            meant = did_you_mean(folder)
-            status.say(f"waiting for {folder / CSV_NAME};{meant}" if meant else f"waiting for {folder / CSV_NAME}")
+        if not recording.has_csv():
+            hint = recordings_near(folder)
+            status.say(f"waiting for {folder / CSV_NAME};{hint}" if hint else f"waiting for {folder / CSV_NAME}")
         while not stopped.is_set():
-            is_busy = watched.poll()
+            is_busy = recording.poll()
             writer.flush_if_due()
-            status.show(watched.status())
+            status.show(recording.status())
             if is_busy:
                 continue
-            if idle_s is not None and watched.idle_s() >= idle_s:
+            if idle_s is not None and recording.idle_s() >= idle_s:
                 break
             stopped.wait(POLL_S)
-        watched.finish()
-        if not watched.rows:
-            raise RecordingError(watched.why_nothing())
-    return Imported(log, watched.rows, watched.pictures, watched.skipped, writer.notices)
+        recording.finish()
+        if not recording.rows:
+            raise RecordingError(recording.why_nothing())
+    return Imported(log, recording.rows, recording.pictures, recording.skipped, writer.notices)
 
 
-class _Watched:
-    """What has come of a recording, and what is still awaited."""
+class _GrowingRecording:
+    """A recording that grows: counts what is in the log by now, and knows which pictures are still awaited."""
 
     def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None) -> None:
         self.rows = 0
@@ -111,10 +105,10 @@ class _Watched:
         self._csv = FileTail(folder / CSV_NAME, MOST_LINE_BYTES)
         self._reader = RowReader(self.skipped, rate_hz)
         self._files = PictureFiles(folder, self.skipped)
-        self._looked: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
+        self._scanned: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
         self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
         self._ready: dict[str, str] = {}  # awaited and there: file name -> path; in this order
-        self._partly: dict[str, tuple[str, _Stamp | None]] = {}  # the same, but not whole when last read
+        self._incomplete: dict[str, tuple[str, _Stamp | None]] = {}  # the same, but not whole when last read
         self._last_ns = 0
         self._last_s: float | None = None
         self._rate_from = (time.monotonic(), 0)
@@ -128,10 +122,10 @@ class _Watched:
         with contextlib.suppress(OSError):
             check_csv(self._folder)
         self._take_rows(self._new_lines())
-        self._look(everywhere=False)
-        for name, (path, stamp) in list(self._partly.items()):
+        self._scan_folders(all_folders=False)
+        for name, (path, stamp) in list(self._incomplete.items()):
             if _stamp(path) != stamp:
-                del self._partly[name]
+                del self._incomplete[name]
                 self._ready[name] = path
         self._take_pictures(_PICTURES_A_ROUND)
         return bool(self._ready) or self._csv.is_behind
@@ -142,8 +136,8 @@ class _Watched:
         while self._csv.is_behind:
             self._take_rows(self._new_lines())
         self._take_rows(self._csv.rest())
-        self._look(everywhere=True)
-        self._ready |= {name: path for name, (path, _) in self._partly.items()}
+        self._scan_folders(all_folders=True)
+        self._ready |= {name: path for name, (path, _) in self._incomplete.items()}
         self._take_pictures(len(self._ready))
         for name, uses in self._awaited.items():
             for _, _, time_ns in uses:
@@ -198,31 +192,31 @@ class _Watched:
                 if not name:
                     continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
-                self._notice(name, places)
+                self._check_picture(name, places)
             self.rows += 1
 
-    def _notice(self, name: str, places: list[Path]) -> None:
-        """An awaited picture may be there."""
-        if name not in self._partly and (path := self._files.find(name, places)) is not None:
+    def _check_picture(self, name: str, places: list[Path]) -> None:
+        """Mark an awaited picture as ready, if it is there."""
+        if name not in self._incomplete and (path := self._files.find(name, places)) is not None:
             self._ready[name] = path
 
-    def _look(self, everywhere: bool) -> None:
-        """Look for new pictures in the folders that have changed."""
+    def _scan_folders(self, all_folders: bool) -> None:
+        """Find awaited pictures in the folders that have changed."""
         now_s = time.monotonic()
-        # A folder that vanishes meanwhile, or cannot be read now, is looked at the next time.
+        # A folder that vanishes meanwhile, or cannot be read now, is scanned the next time.
         with contextlib.suppress(OSError):
             places = self._files.places()
             for place in places:
                 changed_ns = place.stat().st_mtime_ns
-                last_ns, since_s = self._looked.get(place, (None, now_s))
+                last_ns, since_s = self._scanned.get(place, (None, now_s))
                 if changed_ns != last_ns:
                     since_s = now_s
-                elif not everywhere and now_s - since_s > _SETTLING_S:
+                elif not all_folders and now_s - since_s > _SETTLING_S:
                     continue
                 for name in self._files.names_in(place):
                     if name in self._awaited and name not in self._ready:
-                        self._notice(name, places)
-                self._looked[place] = (changed_ns, since_s)
+                        self._check_picture(name, places)
+                self._scanned[place] = (changed_ns, since_s)
 
     def _places(self) -> list[Path]:
         with contextlib.suppress(OSError):
@@ -232,11 +226,11 @@ class _Watched:
     def _take_pictures(self, most: int) -> None:
         for name in list(islice(self._ready, most)):
             path = self._ready.pop(name)
-            self._partly.pop(name, None)
+            self._incomplete.pop(name, None)
             stamp = _stamp(path)
             jpeg = self._read(path)
             if jpeg is None or not is_whole_jpeg(jpeg):
-                self._partly[name] = path, stamp
+                self._incomplete[name] = path, stamp
                 continue
             self._last_s = time.monotonic()
             for camera, sequence, time_ns in self._awaited.pop(name):
@@ -244,7 +238,7 @@ class _Watched:
                 self.pictures += 1
 
     def _skip(self, name: str) -> None:
-        """Say why an awaited picture is not in the log."""
+        """Count an awaited picture as skipped, with the reason why it is not in the log."""
         places = self._places()
         path = self._files.find(name, places)
         if path is None:

@@ -1,6 +1,6 @@
 """A folder that the simulator's training mode has written: `driving_log.csv` and the pictures that its rows name.
 
-Pictures are found wherever people have put them. What cannot be used is named in `Recording.skipped`.
+Pictures are found wherever people have put them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import contextlib
 import os
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -29,16 +28,6 @@ LINKS = "pictures that are links out of the recording"
 _BLOCK_BYTES: Final = 1 << 16
 
 
-@dataclass(frozen=True)
-class Recording:
-    """All of a recording at once: some kilobytes a row."""
-
-    folder: Path
-    rows: list[Row]
-    pictures: dict[str, str]  # file name -> path, of all that a row names
-    skipped: Skipped
-
-
 class PictureFiles:
     """The JPEG files of a recording: in IMG/ beside the csv, in the csv's folder, in ../IMG; the first wins.
 
@@ -56,7 +45,7 @@ class PictureFiles:
         return [place for place in self._places() if place.is_dir()]
 
     def find(self, name: str, places: list[Path]) -> str | None:
-        """Where the picture called `name` is, in the first of `places` that has it."""
+        """The path of the picture called `name`, in the first of `places` that has it."""
         for place in places:
             path = f"{place}/{name}"
             try:
@@ -79,7 +68,7 @@ class PictureFiles:
                     yield entry.name
 
     def skip_missing(self, name: str, places: list[Path]) -> None:
-        """Skip a picture that a row names and `find` does not; a link out of the recording is told as one."""
+        """Skip a picture that a row names and `find` does not; a link out of the recording is counted as one."""
         for place in places:
             path = f"{place}/{name}"
             if os.path.islink(path) and not self.is_inside(path):  # noqa: PTH114
@@ -99,12 +88,12 @@ class PictureFiles:
             self._skipped.add(WITHOUT_ROW, name)
 
     def is_inside(self, path: str) -> bool:
-        """Whether a picture is, all links followed, in one of the places."""
+        """True if a picture is, all links followed, in one of the places."""
         real = Path(os.path.realpath(path))
         return any(real.is_relative_to(os.path.realpath(place)) for place in self._places())
 
     def why_none(self) -> str:
-        """Why not one picture is there, as far as it can be told."""
+        """The probable reason why not one picture is there."""
         places = self._places()
         for place in places:
             if place.is_symlink() and not place.exists():
@@ -121,7 +110,7 @@ class PictureFiles:
         return root / "IMG", root, root.parent / "IMG"
 
 
-class UdacityFolder:
+class UdacityRecording:
     """A recording, read from its first line to its last without ever being held as a whole."""
 
     def __init__(self, folder: Path, skipped: Skipped, rate_hz: float | None = None) -> None:
@@ -131,7 +120,7 @@ class UdacityFolder:
         self._skipped = skipped
         self._reader = RowReader(skipped, rate_hz)
         self._files = PictureFiles(folder, skipped)
-        with _told(folder):
+        with _readable(folder):
             if folder.is_file():
                 raise RecordingError(f"{folder}: a file; give the folder that holds {CSV_NAME} and IMG/")
             if not folder.is_dir():
@@ -151,7 +140,7 @@ class UdacityFolder:
         To be called once. At its end raises RecordingError if there was no row, or not a single picture.
         """
         row_count = found = 0
-        with _told(self.folder):
+        with _readable(self.folder):
             places = self._files.places()
             for place in places:
                 # of a folder that cannot be read, every picture would seem to be missing
@@ -172,36 +161,23 @@ class UdacityFolder:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
             raise RecordingError(f"{self.csv}: no usable row{self._skipped.because()}")
         if not found:
-            with _told(self.folder):
+            with _readable(self.folder):
                 raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
-        with _told(self.folder):
+        with _readable(self.folder):
             self._files.skip_without_row(self._reader.named)
 
     def _lines(self) -> Iterator[bytes]:
         splitter = LineSplitter(MOST_LINE_BYTES)
-        with _told(self.csv), open_regular(self.csv) as stream:
+        with _readable(self.csv), open_regular(self.csv) as stream:
             while block := stream.read(_BLOCK_BYTES):
                 yield from splitter.feed(block)
         if last := splitter.rest():
             yield last
 
 
-def read_recording(folder: Path) -> Recording:
-    """Read the csv of `folder` and find its pictures; no picture is opened.
-
-    Raises RecordingError if there is no csv, no usable row, or not a single picture.
-    """
-    skipped = Skipped()
-    rows, pictures = [], {}
-    for row, paths in UdacityFolder(folder, skipped).rows():
-        rows.append(row)
-        pictures.update({name: path for name, path in zip(row.names, paths, strict=True) if path is not None})
-    return Recording(folder, rows, pictures, skipped)
-
-
 @contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """What cannot be read, in one line."""
+def _readable(path: Path) -> Iterator[None]:
+    """Turn an OSError into a RecordingError of one line."""
     try:
         yield
     except OSError as error:

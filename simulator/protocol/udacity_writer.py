@@ -18,7 +18,7 @@ from common.interrupts import uninterrupted
 ORDER: tuple[Camera, ...] = ("center", "left", "right")
 
 
-class UdacityFolder:
+class UdacityWriter:
     """A recording being written into `folder`, which must be empty or not exist.
 
     As a context manager it gives the csv its name in the end; if anything was raised, nothing of it stays.

@@ -24,8 +24,8 @@ from logs import read_messages
 from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.pictures.image_check import decodes
-from recorder.sources.donkeycar import import_tub
-from recorder.sources.import_mcap import import_foreign
+from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.import_mcap import import_mcap
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import jpeg, make_recording, paths, picture_name
@@ -140,7 +140,7 @@ def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
     with_hole(bag / "metadata.yaml")
     with pytest.raises(RecordingError, match=r"metadata\.yaml cannot be read"):
-        import_foreign(bag, tmp_path / "log.mcap", ROS_TOPICS)
+        import_mcap(bag, tmp_path / "log.mcap", ROS_TOPICS)
 
 
 # ROS bags that are programs
@@ -164,7 +164,7 @@ def test_a_view_in_the_place_of_a_bags_table_is_not_run(tmp_path: Path, table: s
     database.close()
     told = "malformed" if doctored else f"{table} is not a table"  # the former by SQLite itself
     with pytest.raises(RecordingError, match=told):
-        import_foreign(bag, tmp_path / "log.mcap", ROS_TOPICS)
+        import_mcap(bag, tmp_path / "log.mcap", ROS_TOPICS)
 
 
 def test_a_bag_that_keeps_sqlite_busy_can_be_stopped(tmp_path: Path) -> None:
@@ -316,9 +316,9 @@ def test_importing_takes_no_memory_to_speak_of(tmp_path: Path) -> None:
         make_recording(folder, CSV + "".join(lines), [0])
         code = (
             "import resource, sys; from pathlib import Path;"
-            "from recorder.sources.udacity_recording import UdacityFolder;"
+            "from recorder.sources.udacity_recording import UdacityRecording;"
             "from common import Skipped\n"
-            "rows = sum(1 for _ in UdacityFolder(Path(sys.argv[1]), Skipped()).rows())\n"
+            "rows = sum(1 for _ in UdacityRecording(Path(sys.argv[1]), Skipped()).rows())\n"
             "print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
         )
         done = subprocess.run(

@@ -16,7 +16,7 @@ from common.car import Camera
 from dataset import Batch, DatasetError, IndexConfig, SamplesDataset, build_index, load
 from logs import write_log
 from model.evaluation.predict import predict
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.training.batches import DeviceBatches
 from recorder import LogError
 

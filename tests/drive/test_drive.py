@@ -339,7 +339,7 @@ def test_so_many_simulators_are_driven_at_once_and_no_more(pilot_run: Path, tmp_
             server.connected(name)
         answers = [server.telemetry(name, fields(0), time.perf_counter()) for name in names]
         for answer in answers:
-            answer.then(1.0)
+            answer.on_sent(1.0)
     assert [answer.command is None for answer in answers] == [False] * MOST_SIMULATORS + [True] * 2
     assert len(list(tmp_path.glob("*.mcap"))) == MOST_SIMULATORS
     assert sum("are not driven" in line for line in said) == 1
@@ -350,7 +350,7 @@ def test_who_connects_and_tells_nothing_takes_nobody_the_log(pilot_run: Path, tm
     with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0) as server:
         server.connected("in its menu")
         server.connected("a simulator")
-        server.telemetry("a simulator", fields(0), time.perf_counter()).then(1.0)
+        server.telemetry("a simulator", fields(0), time.perf_counter()).on_sent(1.0)
     assert list(tmp_path.iterdir()) == [log]
     assert len(images(log, "/camera/center")) == 1
 
@@ -362,7 +362,7 @@ def test_who_comes_back_or_takes_anothers_place_goes_on_in_its_log_and_that_is_s
     with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
         for name in ("a", "b"):
             server.connected(name)
-            server.telemetry(name, fields(0), time.perf_counter()).then(1.0)
+            server.telemetry(name, fields(0), time.perf_counter()).on_sent(1.0)
             server.disconnected(name, "gone")
     assert [line for line in said if "again" in line] == [f"connected again: {log} goes on"]
     assert len(images(log, "/camera/center")) == 2
@@ -372,11 +372,11 @@ def test_a_simulator_that_comes_while_the_others_are_braked_is_braked_too(pilot_
     rolling = fields(0, speed="9.0000")
     with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
         server.connected("a")
-        server.telemetry("a", rolling, time.perf_counter()).then(1.0)
+        server.telemetry("a", rolling, time.perf_counter()).on_sent(1.0)
         server.stop()  # as at a Ctrl-C
         server.connected("b")
         answer = server.telemetry("b", rolling, time.perf_counter())
-        answer.then(1.0)
+        answer.on_sent(1.0)
     assert answer.command is not None
     assert answer.command.throttle == -1.0
 
@@ -387,7 +387,7 @@ def test_a_second_log_that_cannot_be_opened_leaves_the_first_drive_alone(pilot_r
         commands = []
         for name in ("a", "b", "a", "b"):
             answer = server.telemetry(name, fields(0), time.perf_counter())
-            answer.then(1.0)
+            answer.on_sent(1.0)
             commands.append(answer.command)
     assert [command is None for command in commands] == [False, True, False, True]
     assert sum("is not driven" in line for line in said) == 1
@@ -401,7 +401,7 @@ def test_who_goes_when_he_is_sent_something_unasked_ends_nobodys_drive(
     with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
         for name in ("a", "b"):
             server.connected(name)
-            server.telemetry(name, fields(0), time.perf_counter()).then(1.0)
+            server.telemetry(name, fields(0), time.perf_counter()).on_sent(1.0)
         monkeypatch.setattr(server._server, "push", lambda sid, steer: server.disconnected(sid, "gone"))
         server.tick()
         assert not any(session.is_connected for session in server.sessions)
@@ -684,7 +684,7 @@ def test_a_brake_is_released_after_the_stopping_time_and_said_only_once_it_was_s
         session = server.session
         monkeypatch.setattr(time, "monotonic", lambda: now_s)
         server.connected("a")
-        server.telemetry("a", fields(0), time.perf_counter()).then(1.0)
+        server.telemetry("a", fields(0), time.perf_counter()).on_sent(1.0)
         now_s += 0.5
         session.stop()
         assert session.stopping == ""
@@ -700,7 +700,7 @@ def test_a_brake_is_released_after_the_stopping_time_and_said_only_once_it_was_s
         assert session.is_braked
         assert session.end() == "the car may still roll: it tells nothing any more"
         session.connected()  # silence on the drive: a brake is not repeated
-        server.telemetry("a", fields(0, speed="30.0000"), time.perf_counter()).then(1.0)
+        server.telemetry("a", fields(0, speed="30.0000"), time.perf_counter()).on_sent(1.0)
         for _ in range(30):
             now_s += 0.1
             answer = server.telemetry("a", fields(0, speed="30.0000", image="@"), time.perf_counter())
@@ -718,7 +718,7 @@ def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path)
 
         def tell(speed: str, **changed: Any) -> float:
             answer = server.telemetry("a", fields(0, speed=speed, **changed), time.perf_counter())
-            answer.then(1.0)
+            answer.on_sent(1.0)
             assert answer.command is not None
             return answer.command.throttle
 
@@ -738,7 +738,7 @@ def test_a_simulator_that_comes_and_goes_does_not_fill_the_screen(pilot_run: Pat
     with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
         for number in range(20):
             server.connected(str(number))
-            server.telemetry(str(number), fields(0), time.perf_counter()).then(1.0)
+            server.telemetry(str(number), fields(0), time.perf_counter()).on_sent(1.0)
             server.disconnected(str(number), "gone")
     assert len(said) < 12
     assert sum("it comes and goes" in line for line in said) == 1
@@ -752,7 +752,7 @@ def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_pat
         load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0, show=shown.append
     ) as server:
         server.connected("a")
-        server.telemetry("a", fields(0), time.perf_counter()).then(1.0)
+        server.telemetry("a", fields(0), time.perf_counter()).on_sent(1.0)
         server.tick()
         server.disconnected("a", "gone")
         server.tick()

@@ -32,7 +32,7 @@ from recorder.log.bad_telemetry import MOST_OF_EACH
 from recorder.log.check import check
 from recorder.log.log_time import LogClock
 from recorder.log.recover import recover
-from recorder.server.eventlet_host import GreenHost
+from recorder.server.eventlet_host import EventletHost
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from repository import HELPERS, ROOT
@@ -462,7 +462,7 @@ def test_a_mistake_of_ours_is_no_silent_loss(tmp_path: Path) -> None:
 
 def test_it_is_written_while_the_driving_loop_waits_in_eventlet(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    host = GreenHost("127.0.0.1", 0, lambda problem: None)
+    host = EventletHost("127.0.0.1", 0, lambda problem: None)
     host.start(lambda environ, start_response: [])
     with LogWriter(path, {"source": "drive"}, live=True) as writer, DriveLog(writer) as log:
         begin = writer.bytes_written

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import signal
 import sys
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from driving import Process, command, environment, road_jpeg, untrained_run
+from driving import Process, command, command_with_viewer, environment, road_jpeg, untrained_run
 from logs import read_messages
 from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told
 from waiting import wait_until
@@ -32,14 +31,10 @@ def pilot_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def found_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the viewer of a drive is found before ours; there is a display."""
-    (tmp_path / "viz").mkdir()
-    (tmp_path / "viz" / "__init__.py").touch()
-    path = os.pathsep.join((str(tmp_path), environment()["PYTHONPATH"]))
-    with_a_display = {**environment(), "PYTHONPATH": path, "DISPLAY": ":77"}
+def display(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes have a display."""
+    with_a_display = {**environment(), "DISPLAY": ":77"}
     monkeypatch.setattr("driving.environment", lambda: with_a_display)
-    return tmp_path / "viz" / "preview.py"
 
 
 def drive(process: Process) -> None:
@@ -76,14 +71,15 @@ def test_without_a_display_the_command_that_shows_the_drive_is_said(pilot_run: P
     assert len(read_messages(log)["/camera/center"]) == FRAMES
 
 
+@pytest.mark.usefixtures("display")
 @pytest.mark.skipif(sys.platform == "win32", reason="no log is shown there while it grows")
 @pytest.mark.parametrize("viewer", [(), ("--viewer", "off")])
 def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
-    viewer: tuple[str, ...], pilot_run: Path, tmp_path: Path, found_first: Path
+    viewer: tuple[str, ...], pilot_run: Path, tmp_path: Path
 ) -> None:
-    found_first.write_text(STAND_IN)
     log = tmp_path / "run.mcap"
-    with Process(command("bc-drive", pilot_run, "--log", log, "--port", 0, *viewer)) as process:
+    line = command_with_viewer(STAND_IN, "bc-drive", pilot_run, "--log", log, "--port", 0, *viewer)
+    with Process(line) as process:
         if not viewer:
             assert process.wait_for(r"^stand-in (\S+) --follow$")[1].startswith(f"{log}.")
         drive(process)
@@ -93,13 +89,11 @@ def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
     assert len(read_messages(log)["/camera/center"]) == FRAMES
 
 
+@pytest.mark.usefixtures("display")
 @pytest.mark.skipif(sys.platform == "win32", reason="no log is shown there while it grows")
-def test_a_viewer_that_cannot_be_shown_costs_a_line_and_no_answer(
-    pilot_run: Path, tmp_path: Path, found_first: Path
-) -> None:
-    found_first.write_text(FAILING)
+def test_a_viewer_that_cannot_be_shown_costs_a_line_and_no_answer(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    with Process(command("bc-drive", pilot_run, "--log", log, "--port", 0)) as process:
+    with Process(command_with_viewer(FAILING, "bc-drive", pilot_run, "--log", log, "--port", 0)) as process:
         process.wait_for("^viewer: no graphics$")
         drive(process)
         assert process.end(signal.SIGINT) == 0

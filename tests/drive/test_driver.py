@@ -22,7 +22,7 @@ from drive.control.telemetry_picture import MOST_PIXELS
 from drive.errors import DriveError
 from driving import road_jpeg
 from model import Pilot
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from recorder.server.world import World
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import STEP_S, VehicleState, step
@@ -51,7 +51,7 @@ def untrained_pilot() -> Pilot:
 @pytest.fixture(scope="module")
 def half_right() -> Pilot:
     pilot = pilot_that_says(0.5)
-    pilot.get_ready()
+    pilot.warm_up()
     return pilot
 
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import torch
 
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
 from waiting import PATIENCE_S as PATIENCE_S
@@ -39,6 +39,13 @@ def command(name: str, *arguments: object) -> list[str]:
     """A `bc-` command line that runs without being installed."""
     code = f"from behavioural_cloning_toolkit import {name.replace('-', '_')} as main; main()"
     return [sys.executable, "-c", code, *map(str, arguments)]
+
+
+def command_with_viewer(viewer: str, name: str, *arguments: object) -> list[str]:
+    """The same, with this Python code in the place of the viewer that the command starts."""
+    replace = f"import common.preview; common.preview.VIEWER = ('-c', {viewer!r})"
+    python, flag, code, *rest = command(name, *arguments)
+    return [python, flag, f"{replace}; {code}", *rest]
 
 
 def environment() -> dict[str, str]:

@@ -69,8 +69,8 @@ class Book:
         with self._alone(""):
             self.ticks += 1
 
-    def stopping(self, sid: str) -> Steer | None:
-        with self._alone("stopping"):
+    def final_command(self, sid: str) -> Steer | None:
+        with self._alone("final_command"):
             return self.last
 
     @contextlib.contextmanager
@@ -92,7 +92,7 @@ class Serving:
     def __init__(self, mode: ServerMode, book: Any, port: int = 0, **options: Any) -> None:
         self.said: list[str] = []
         self.error: BaseException | None = None
-        self.server = TelemetryServer(book, port=port, mode=mode, said=self.said.append, **options)
+        self.server = TelemetryServer(book, port=port, mode=mode, notify=self.said.append, **options)
         self.port = self.server.port
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._run)

@@ -11,7 +11,7 @@ from torch import nn
 from torch.nn import functional
 
 from model.evaluation.predict import as_input
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 
 
 def test_every_layer_has_the_shape_of_the_design() -> None:

@@ -17,7 +17,7 @@ from dataset import decode
 from dataset.preprocess import Image
 from driving import road_jpeg, untrained_run
 from model import Pilot, load_pilot
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.network.packing import pack_weights
 from model.network.pooling import SlicedMaxPool
 from model.runs.run_folder import load_network
@@ -76,7 +76,7 @@ def test_by_default_it_is_one_of_the_two_and_says_which(run: Path, crops: list[I
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_the_same_picture_always_gives_the_same_number(run: Path, crops: list[Image], precision: str) -> None:
     pilots = [load_pilot(run, precision), load_pilot(run, precision)]  # type: ignore[arg-type]
-    pilots[0].get_ready()
+    pilots[0].warm_up()
     said = [[pilot.predict(crop) for crop in crops] for pilot in pilots]
     backwards = [pilots[0].predict(crop.copy()) for crop in reversed(crops)]
     assert said[0] == said[1] == backwards[::-1]

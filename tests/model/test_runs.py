@@ -18,7 +18,7 @@ from dataset import decode
 from driving import run_code
 from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate_sessions
-from model.runs.run_folder import create_run, find_started
+from model.runs.run_folder import create_run, find_any_run
 from toy import TINY, road, toy_index
 
 
@@ -138,7 +138,7 @@ def test_a_name_that_is_nearly_that_of_a_run_is_recognised(tmp_path: Path) -> No
     for name in ("first", "second", "2026-01-01_10-00-00"):
         create_run(tmp_path / name, {})
         (tmp_path / name / "model.safetensors").touch()
-    for find in (find_run, find_started):
+    for find in (find_run, find_any_run):
         with pytest.raises(RunError, match=r"frist: no .*; did you mean first\?$"):
             find("frist", tmp_path)
         with pytest.raises(RunError, match=r"; in \S+ are 2026-01-01_10-00-00, first, second$"):

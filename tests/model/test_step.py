@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from model import TrainConfig
 from model.device import choose_machine, training_dtype
-from model.network.layers import SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.training.step import learn, make_optimizer
 
 CPU = torch.device("cpu")

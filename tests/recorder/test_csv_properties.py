@@ -13,8 +13,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from common import Skipped
 from recorder import RecordingError
-from recorder.sources.udacity_recording import Recording, read_recording
+from recorder.sources.udacity_csv import Row
+from recorder.sources.udacity_recording import UdacityRecording
 from udacity import paths, picture_name
 
 Values = tuple[float, float, float, float]
@@ -107,12 +109,24 @@ def folder() -> Iterator[Path]:
         yield Path(name)
 
 
-def read(folder: Path, csv: bytes) -> Recording:
+@dataclass
+class Read:
+    """All that was read of a recording."""
+
+    rows: list[Row]
+    pictures: dict[str, str]  # file name -> path
+    skipped: Skipped
+
+
+def read(folder: Path, csv: bytes) -> Read:
     (folder / "driving_log.csv").write_bytes(csv)
-    return read_recording(folder)
+    skipped = Skipped()
+    found = list(UdacityRecording(folder, skipped).rows())
+    pictures = {Path(path).name: path for _, paths in found for path in paths if path is not None}
+    return Read([row for row, _ in found], pictures, skipped)
 
 
-def rows_skipped(recording: Recording) -> int:
+def rows_skipped(recording: Read) -> int:
     return sum(reason.startswith("rows with ") for reason, _ in recording.skipped)
 
 

@@ -466,8 +466,8 @@ def test_a_record_that_lies_about_its_length_takes_no_memory(
     whole: Path, monkeypatch: pytest.MonkeyPatch, opcode: int
 ) -> None:
     """The file is as long as the record says, but sparse."""
-    for module in ("chunks", "structure"):
-        monkeypatch.setattr(f"recorder.{module}.MAX_RECORD_BYTES", 1 << 20)
+    for module in ("mcap_file", "scan"):
+        monkeypatch.setattr(f"recorder.log.{module}.MAX_RECORD_BYTES", 1 << 20)
     complete = contents(whole).chunks[-1]
     path = whole.with_name("damaged.mcap")
     path.write_bytes(whole.read_bytes()[: complete.end] + struct.pack("<BQ", opcode, 1 << 24))
@@ -480,8 +480,8 @@ def test_a_record_that_lies_about_its_length_takes_no_memory(
 
 def test_a_footer_that_points_far_back_takes_no_memory(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A summary of the size of the file is none."""
-    for module in ("chunks", "structure"):
-        monkeypatch.setattr(f"recorder.{module}.MAX_RECORD_BYTES", 1 << 20)
+    for module in ("mcap_file", "scan"):
+        monkeypatch.setattr(f"recorder.log.{module}.MAX_RECORD_BYTES", 1 << 20)
     path = whole.with_name("damaged.mcap")
     footer = struct.pack("<BQQQI", 2, 20, MAGIC_BYTES, 0, 1) + b"\x89MCAP0\r\n"
     path.write_bytes(whole.read_bytes()[: contents(whole).chunks[-1].end])

@@ -15,8 +15,8 @@ from logs import read_messages
 from other_logs import DRIVE, write_bag, write_mcap
 from recorder import Log, RecordingError, import_udacity
 from recorder.cli import main
-from recorder.sources.donkeycar import import_tub
-from recorder.sources.recording_kinds import Topics, import_from
+from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.recording_kinds import Topics, import_recording
 from tubs import record_2, write_tub_2
 from udacity import call, make_recording, paths
 
@@ -54,26 +54,26 @@ def home(tmp_path: Path) -> Path:
 def test_what_was_meant_is_said(home: Path, monkeypatch: pytest.MonkeyPatch, given: str, meant: str) -> None:
     monkeypatch.chdir(home)
     with pytest.raises(RecordingError) as error:
-        import_from(Path(given), Path("x.mcap"))
+        import_recording(Path(given), Path("x.mcap"))
     assert str(error.value) == f"{given}: no recording itself; did you mean {meant}?"
     with pytest.raises(RecordingError, match=rf"did you mean {home / meant}\?"):
-        import_from(home / given, home / "x.mcap")
+        import_recording(home / given, home / "x.mcap")
 
 
 def test_several_recordings_are_all_named_and_many_are_not(home: Path) -> None:
     with pytest.raises(RecordingError) as error:
-        import_from(home, home / "x.mcap")
+        import_recording(home, home / "x.mcap")
     names = ["mycar/data", "robot/bag", "udacity/recording"]
     assert str(error.value).endswith(f"did you mean {' or '.join(str(home / name) for name in names)}?")
     shutil.copytree(home / "udacity", home / "udacity 2")
     with pytest.raises(RecordingError, match=r"recording or another one there\?"):
-        import_from(home, home / "x.mcap")
+        import_recording(home, home / "x.mcap")
 
 
 @pytest.mark.parametrize("given", ["nowhere", "mycar/models", "mycar/manage.py", "mycar/data/nothing"])
 def test_nothing_is_guessed_where_nothing_is_near(home: Path, given: str) -> None:
     with pytest.raises(RecordingError) as error:
-        import_from(home / given, home / "x.mcap")
+        import_recording(home / given, home / "x.mcap")
     assert "did you mean" not in str(error.value)
 
 
@@ -82,7 +82,7 @@ def test_folders_that_go_in_circles_end(tmp_path: Path) -> None:
     (tmp_path / "a" / "b").symlink_to(tmp_path / "a")
     os.mkfifo(tmp_path / "a" / "driving_log.csv")
     with pytest.raises(RecordingError, match=r"no driving_log\.csv in it"):
-        import_from(tmp_path / "a", tmp_path / "x.mcap")
+        import_recording(tmp_path / "a", tmp_path / "x.mcap")
 
 
 # Logs of this toolkit
@@ -97,17 +97,17 @@ def test_a_log_of_this_toolkit_needs_no_import(tmp_path: Path) -> None:
         one_line_of(done)
     )
     with pytest.raises(RecordingError, match="a session already: `bc-index`"):
-        import_from(log, log.with_name("x.mcap"))
+        import_recording(log, log.with_name("x.mcap"))
     part = shutil.copy(log, tmp_path / "log.mcap.1a2b3c.part")
     with pytest.raises(RecordingError, match=r"`bc-log recover .*part`"):
-        import_from(Path(part), tmp_path / "x.mcap")
+        import_recording(Path(part), tmp_path / "x.mcap")
 
 
 def test_one_whose_topics_are_given_is_read_like_any_other(tmp_path: Path) -> None:
     """The left camera as if it were the centre."""
     make_recording(tmp_path / "drive", CSV, [0])
     log = import_udacity(tmp_path / "drive", tmp_path / "log.mcap").path
-    done = import_from(log, tmp_path / "left.mcap", Topics("/camera/left", "/vehicle.steering"))
+    done = import_recording(log, tmp_path / "left.mcap", Topics("/camera/left", "/vehicle.steering"))
     [(_, picture)] = read_messages(done.path)["/camera/center"]
     [(_, left)] = read_messages(log)["/camera/left"]
     assert picture.data == left.data
@@ -117,10 +117,10 @@ def test_one_whose_topics_are_given_is_read_like_any_other(tmp_path: Path) -> No
 def test_what_is_hardly_a_file_is_no_log_of_ours(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.mcap").write_bytes(content)
     with pytest.raises(RecordingError, match="which topics"):
-        import_from(tmp_path / "x.mcap", tmp_path / "y.mcap")
+        import_recording(tmp_path / "x.mcap", tmp_path / "y.mcap")
     write_mcap(tmp_path / "x.mcap", DRIVE)
     with pytest.raises(RecordingError, match="which topics"):
-        import_from(tmp_path / "x.mcap", tmp_path / "y.mcap")
+        import_recording(tmp_path / "x.mcap", tmp_path / "y.mcap")
 
 
 # Watching
@@ -161,7 +161,7 @@ def test_catalogues_that_the_manifest_does_not_name_are_taken_if_asked_for(tmp_p
 def test_a_tub_without_any_manifest_is_still_one(tmp_path: Path) -> None:
     folder = without_its_last_catalogue(tmp_path / "data")
     (folder / "manifest.json").unlink()
-    done = import_from(folder, tmp_path / "log.mcap")
+    done = import_recording(folder, tmp_path / "log.mcap")
     assert steerings(done.path) == [-1.0, 0.0, 0.25, 1.0, -1.0]
     assert done.skipped.counts == {"lists of deleted records that cannot be read": 1}
     assert import_tub(folder, tmp_path / "again.mcap").rows == 5

@@ -16,8 +16,8 @@ from driving import PATIENCE_S, Process, command
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import import_udacity
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
-from recorder.sources.donkeycar import import_tub
-from recorder.sources.import_mcap import import_foreign
+from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.import_mcap import import_mcap
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_2, write_tub_2
 from udacity import make_recording, paths
@@ -48,8 +48,8 @@ def bag(folder: Path) -> Path:
     [
         (recording, import_udacity),
         (tub, import_tub),
-        (mcap, lambda source, log: import_foreign(source, log, TOPICS)),
-        (bag, lambda source, log: import_foreign(source, log, ROS_TOPICS)),
+        (mcap, lambda source, log: import_mcap(source, log, TOPICS)),
+        (bag, lambda source, log: import_mcap(source, log, ROS_TOPICS)),
         (recording, lambda _, log: record_simulated(SHORT_DRIVE, log)),
     ],
     ids=["Udacity", "tub", "mcap", "bag", "built-in"],

@@ -32,7 +32,7 @@ from recorder.server import (
     telemetry_server,
     threaded_host,
 )
-from recorder.server.allowed_hosts import LetIn
+from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, ServerMode
 from recorder.server.websocket import FRAME_BYTES, TOO_LARGE
 from serving import (
@@ -111,11 +111,11 @@ def test_more_connections_than_are_served_are_told_and_their_places_come_free(
     mode: ServerMode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for host in (eventlet_host, threaded_host):
-        monkeypatch.setattr(host, "MOST_CONNECTIONS", 4)
+        monkeypatch.setattr(host, "MAX_CONNECTIONS", 4)
     with Serving(mode, Book()) as serving, ExitStack() as crowd:
         for _ in range(8):
             crowd.enter_context(socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S))
-        wait_until(lambda: connection_guard.CROWD in serving.said)
+        wait_until(lambda: connection_guard.NOTICE_TOO_MANY in serving.said)
         crowd.close()
         assert len(tell(serving.port, range(3))) == 3
 
@@ -123,14 +123,14 @@ def test_more_connections_than_are_served_are_told_and_their_places_come_free(
 def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(
     mode: ServerMode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(telemetry_server, "MOST_CONNECTIONS", 5)
+    monkeypatch.setattr(telemetry_server, "MAX_CONNECTIONS", 5)
     with Serving(mode, Book()) as serving:
         for _ in range(5):
             PollingClient(serving.port)
         with pytest.raises(urllib.error.HTTPError) as refused:
             PollingClient(serving.port)
         refused.value.close()
-        assert connection_guard.CROWD in serving.said
+        assert connection_guard.NOTICE_TOO_MANY in serving.said
         assert len(tell(serving.port, range(3))) == 3  # it keeps no simulator out
 
 
@@ -158,11 +158,11 @@ def test_what_a_client_does_not_read_is_bounded(mode: ServerMode) -> None:
     book = Book()
     with Serving(mode, book) as serving:
         client = PollingClient(serving.port)
-        for _ in range(engineio_connection.MOST_UNREAD + 1):
+        for _ in range(engineio_connection.MAX_UNREAD_PACKETS + 1):
             client.request('42["telemetry",1]')
         wait_until(lambda: "disconnected" in book.calls)
-        assert book.calls.count("telemetry") <= engineio_connection.MOST_UNREAD + 1
-        assert engineio_connection.NOT_READ in serving.said
+        assert book.calls.count("telemetry") <= engineio_connection.MAX_UNREAD_PACKETS + 1
+        assert engineio_connection.NOTICE_NOT_READING in serving.said
 
 
 def test_heartbeats_that_nobody_reads_are_not_kept(mode: ServerMode) -> None:
@@ -174,7 +174,7 @@ def test_heartbeats_that_nobody_reads_are_not_kept(mode: ServerMode) -> None:
         with contextlib.suppress(ConnectionError):
             for _ in range(enough // 100):
                 deaf.stream.sendall(ping * 100)
-        wait_until(lambda: engineio_connection.NOT_READ in serving.said)
+        wait_until(lambda: engineio_connection.NOTICE_NOT_READING in serving.said)
         deaf.vanish()
         assert len(tell(serving.port, range(3))) == 3
 
@@ -193,7 +193,7 @@ def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: byte
             for _ in range(most // 1000):
                 client.stream.sendall((b"\x00" + size + bytes(4) + content) * 1000)
         client.until_hung_up()
-        wait_until(lambda: engineio_connection.HUNG_UP[TOO_LARGE] in serving.said)
+        wait_until(lambda: engineio_connection.NOTICES_HUNG_UP[TOO_LARGE] in serving.said)
 
 
 @pytest.mark.parametrize("header", ["Content-Length: -1", "Content-Length: x", "Transfer-Encoding: chunked"])
@@ -215,7 +215,7 @@ def test_what_a_client_sends_is_not_sent_back_at_length(mode: ServerMode) -> Non
         assert len(message) <= 101
         client.websocket.send("40/" + "x" * 100_000 + ",")
         client.until_hung_up()
-        assert malformed_packets.BROKEN in serving.said
+        assert malformed_packets.NOTICE_BROKEN in serving.said
 
 
 def test_a_client_has_one_place_however_often_it_connects(mode: ServerMode) -> None:
@@ -381,4 +381,4 @@ def test_names_that_are_tried_one_after_the_other_are_one_line(mode: ServerMode)
 )
 def test_what_host_names_is_let_in(host: str, name: str, origin: str | None, is_let_in: bool) -> None:
     environ = {"HTTP_HOST": name} | ({} if origin is None else {"HTTP_ORIGIN": origin})
-    assert (LetIn(host).refused(environ) == "") == is_let_in
+    assert (AllowedHosts(host).why_refused(environ) == "") == is_let_in

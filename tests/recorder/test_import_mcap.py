@@ -52,7 +52,7 @@ from other_logs import (
     write_mcap,
 )
 from recorder import Imported, Log, LogError, RecordingError
-from recorder.sources.import_mcap import ForeignTopics, import_foreign, is_foreign
+from recorder.sources.import_mcap import McapTopics, import_mcap, is_mcap_or_bag
 
 
 def png(level: int) -> bytes:
@@ -72,11 +72,11 @@ def rows_of(log: Path) -> list[Row]:
     return rows
 
 
-def imported(source: Path, topics: ForeignTopics = TOPICS) -> Imported:
-    return import_foreign(source, source.parent / "imported" / "log.mcap", topics)
+def imported(source: Path, topics: McapTopics = TOPICS) -> Imported:
+    return import_mcap(source, source.parent / "imported" / "log.mcap", topics)
 
 
-def error_of(source: Path, topics: ForeignTopics = TOPICS) -> str:
+def error_of(source: Path, topics: McapTopics = TOPICS) -> str:
     """The one line of the error; nothing is written."""
     with pytest.raises(RecordingError) as error:
         imported(source, topics)
@@ -109,7 +109,7 @@ def test_a_file_without_chunks(tmp_path: Path) -> None:
 
 def test_the_log_says_where_it_comes_from(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    topics = ForeignTopics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
+    topics = McapTopics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
     with Log(imported(source, topics).path) as log:
         expected = {
             "source": "mcap",
@@ -150,7 +150,7 @@ def test_a_field_of_a_protobuf_message_may_be_nested_and_in_a_list(tmp_path: Pat
     poses.poses.add().position.y = 0.125
     poses.poses.add().position.y = 0.5
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, poses), (CAMERA, 0.1, image(PICTURES[0]))])
-    done = imported(source, ForeignTopics(CAMERA, f"{WHEEL}.poses.1.position.y"))
+    done = imported(source, McapTopics(CAMERA, f"{WHEEL}.poses.1.position.y"))
     assert rows_of(done.path) == [(0.1, 0.5, PICTURES[0])]
 
 
@@ -160,7 +160,7 @@ def test_the_topic_is_the_longest_one(tmp_path: Path) -> None:
         ("/car.wheel", 0.0, {"x": 0.2}),
         (CAMERA, 0.1, image(PICTURES[0])),
     ]
-    done = imported(write_mcap(tmp_path / "other.mcap", told), ForeignTopics(CAMERA, "/car.wheel.x"))
+    done = imported(write_mcap(tmp_path / "other.mcap", told), McapTopics(CAMERA, "/car.wheel.x"))
     assert [steering for _, steering, _ in rows_of(done.path)] == [0.2]
 
 
@@ -189,13 +189,13 @@ def test_pictures_without_a_steering_in_time_are_left_out_and_named(tmp_path: Pa
 
 
 def test_the_scale_turns_left_into_minus(tmp_path: Path) -> None:
-    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), ForeignTopics(CAMERA, TOPICS.steering, -2.0))
+    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), McapTopics(CAMERA, TOPICS.steering, -2.0))
     assert [steering for _, steering, _ in rows_of(done.path)] == [-0.5, 1.0, 1.0]
     assert len(done.skipped) == 0
 
 
 def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
-    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), ForeignTopics(CAMERA, TOPICS.steering, 8.0))
+    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), McapTopics(CAMERA, TOPICS.steering, 8.0))
     assert [steering for _, steering, _ in rows_of(done.path)] == [2.0, -4.0, -4.0]
     assert len(done.skipped) == 3
     assert all("--steering-scale" in reason for reason in done.skipped.counts)
@@ -205,7 +205,7 @@ def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
 def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
     with pytest.raises(RecordingError, match="--steering-scale"):
-        imported(source, ForeignTopics(CAMERA, TOPICS.steering, scale))
+        imported(source, McapTopics(CAMERA, TOPICS.steering, scale))
 
 
 def test_png_pictures_stay_png(tmp_path: Path) -> None:
@@ -276,7 +276,7 @@ def test_a_damaged_chunk_is_an_error_that_says_what_to_do(tmp_path: Path) -> Non
 
 def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    for topics in (ForeignTopics("/cam", TOPICS.steering), ForeignTopics(CAMERA, "/wheels.steering.angle")):
+    for topics in (McapTopics("/cam", TOPICS.steering), McapTopics(CAMERA, "/wheels.steering.angle")):
         told = error_of(source, topics)
         assert f"{CAMERA} (foxglove.CompressedImage), /lidar (car.Wheel), {WHEEL} (car.Wheel)" in told
 
@@ -295,12 +295,12 @@ def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
 )
 def test_an_unknown_field_lists_those_that_there_are(tmp_path: Path, field: str, told: str) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    assert told in error_of(source, ForeignTopics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
+    assert told in error_of(source, McapTopics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
 
 
 def test_an_unknown_field_of_a_protobuf_message_too(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, PosesInFrame()), DRIVE[1]])
-    told = error_of(source, ForeignTopics(CAMERA, f"{WHEEL}.angle"))
+    told = error_of(source, McapTopics(CAMERA, f"{WHEEL}.angle"))
     assert "the message has no angle; it has timestamp, frame_id, poses" in told
     assert "messages without" not in told  # the first one tells it of all
 
@@ -342,15 +342,15 @@ def test_an_existing_log_is_kept(tmp_path: Path) -> None:
     log.write_bytes(b"somebody's work")
     for existing_or_not in (source, tmp_path / "nowhere.mcap"):  # told before anything is read
         with pytest.raises(UserError, match="--force"):
-            import_foreign(existing_or_not, log, TOPICS)
+            import_mcap(existing_or_not, log, TOPICS)
     assert log.read_bytes() == b"somebody's work"
-    import_foreign(source, log, TOPICS, overwrite=True)
+    import_mcap(source, log, TOPICS, overwrite=True)
     assert rows_of(log) == ROWS
 
 
 def test_the_same_file_gives_the_same_bytes(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    logs = [import_foreign(source, tmp_path / name, TOPICS).path.read_bytes() for name in ("1.mcap", "2.mcap")]
+    logs = [import_mcap(source, tmp_path / name, TOPICS).path.read_bytes() for name in ("1.mcap", "2.mcap")]
     assert logs[0] == logs[1]
 
 
@@ -366,7 +366,7 @@ STORAGES = pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin
     ids=["Twist", "Joy", "AckermannDriveStamped"],
 )
 def test_a_ros2_bag(tmp_path: Path, storage: StoragePlugin, kind: Kind, field: str) -> None:
-    done = imported(write_bag(tmp_path / "bag", storage, kind), ForeignTopics(CAMERA, field, -1.0))
+    done = imported(write_bag(tmp_path / "bag", storage, kind), McapTopics(CAMERA, field, -1.0))
     assert rows_of(done.path) == ROWS
     assert list(done.skipped) == []
     with Log(done.path) as log:
@@ -380,7 +380,7 @@ def test_an_older_bag_that_holds_no_definitions(tmp_path: Path, kind: Kind) -> N
     database.executescript("DROP TABLE message_definitions; DROP TABLE schema; DROP TABLE metadata;")
     database.close()
     field = "/cmd_vel.angular.z" if kind is twist else "/drive.drive.steering_angle"
-    assert rows_of(imported(bag, ForeignTopics(CAMERA, field, -1.0)).path) == ROWS
+    assert rows_of(imported(bag, McapTopics(CAMERA, field, -1.0)).path) == ROWS
 
 
 def test_a_time_that_no_log_can_hold_is_left_out(tmp_path: Path) -> None:
@@ -407,7 +407,7 @@ def test_a_definition_that_cannot_be_read_is_one_line(tmp_path: Path, capfd: pyt
 
 def test_a_file_out_of_a_bag(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
-    done = import_foreign(bag / "bag.mcap", tmp_path / "log.mcap", ROS_TOPICS)
+    done = import_mcap(bag / "bag.mcap", tmp_path / "log.mcap", ROS_TOPICS)
     assert rows_of(done.path) == ROWS
     write_bag(tmp_path / "old", StoragePlugin.SQLITE3)
     assert "give the folder" in error_of(tmp_path / "old" / "old.db3", ROS_TOPICS)
@@ -467,7 +467,7 @@ def test_nothing_outside_of_the_bag_is_read(tmp_path: Path, storage: StoragePlug
 def test_an_unknown_field_of_a_ros_message_lists_those_that_there_are(
     tmp_path: Path, storage: StoragePlugin
 ) -> None:
-    told = error_of(write_bag(tmp_path / "bag", storage), ForeignTopics(CAMERA, "/cmd_vel.angular.w"))
+    told = error_of(write_bag(tmp_path / "bag", storage), McapTopics(CAMERA, "/cmd_vel.angular.w"))
     assert "angular has no w; it has x, y, z" in told
 
 
@@ -478,7 +478,7 @@ def test_raw_pictures_of_ros_are_named_by_their_type(tmp_path: Path, storage: St
         return "/raw", kind, STORE.types[kind](header(), 1, 1, "mono8", 0, 1, np.zeros(1, np.uint8))
 
     bag = write_bag(tmp_path / "bag", storage, raw)
-    assert "are sensor_msgs/msg/Image" in error_of(bag, ForeignTopics("/raw", "/raw.width"))
+    assert "are sensor_msgs/msg/Image" in error_of(bag, McapTopics("/raw", "/raw.width"))
 
 
 @pytest.mark.parametrize("package", ["mcap_ros2.decoder", "ruamel.yaml"])
@@ -490,14 +490,14 @@ def test_what_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_what_looks_like_another_programs_log(tmp_path: Path) -> None:
-    assert is_foreign(write_bag(tmp_path / "mcap", StoragePlugin.MCAP))
-    assert is_foreign(write_bag(tmp_path / "sqlite", StoragePlugin.SQLITE3))
-    assert is_foreign(tmp_path / "drive.mcap")
-    assert is_foreign(tmp_path / "drive.mcap.1a2b3c.part")
-    assert not is_foreign(tmp_path)
-    assert not is_foreign(tmp_path / "nowhere")
+    assert is_mcap_or_bag(write_bag(tmp_path / "mcap", StoragePlugin.MCAP))
+    assert is_mcap_or_bag(write_bag(tmp_path / "sqlite", StoragePlugin.SQLITE3))
+    assert is_mcap_or_bag(tmp_path / "drive.mcap")
+    assert is_mcap_or_bag(tmp_path / "drive.mcap.1a2b3c.part")
+    assert not is_mcap_or_bag(tmp_path)
+    assert not is_mcap_or_bag(tmp_path / "nowhere")
     (tmp_path / "metadata.yaml").write_text("")
-    assert not is_foreign(tmp_path)
+    assert not is_mcap_or_bag(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["bag.mcap", "bag.db3", "metadata.yaml"])
@@ -515,8 +515,8 @@ def test_a_damaged_bag_is_never_worse_than_a_clear_error(tmp_path: Path, name: s
             damaged = damaged[: generator.randrange(len(damaged))]
         (bag / name).write_bytes(damaged)
         try:
-            topics = ForeignTopics(CAMERA, "/drive.drive.steering_angle")
-            import_foreign(bag, tmp_path / "log.mcap", topics, overwrite=True)
+            topics = McapTopics(CAMERA, "/drive.drive.steering_angle")
+            import_mcap(bag, tmp_path / "log.mcap", topics, overwrite=True)
         except UserError as error:
             errors.append(str(error))
     assert len(errors) > 5

@@ -54,7 +54,7 @@ run_command("listen", Listen, listen)
 """
 DRIVEN = [Telemetry(steering=i / 20 - 1, throttle=i / 40, speed_mph=i / 4, jpeg=road_jpeg(i)) for i in range(40)]
 # Text and binary messages that break Engine.IO, Socket.IO or JSON, or name an event that is not a client's.
-BROKEN = (
+NOTICE_BROKEN = (
     *("42[]", "42", "42{}", '42"telemetry"', "42null", "42[1]", "421", "49", "44", "45", "4", "4{}", "x", ""),
     *(
         '42["connect",{}]',
@@ -322,7 +322,7 @@ def test_broken_packets_cost_no_traceback_and_others_are_served_on(tmp_path: Pat
         port = process.wait_until_it_listens()
         url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
         for hello in ([], ["40"]):
-            for packet in BROKEN:
+            for packet in NOTICE_BROKEN:
                 opcode = ABNF.OPCODE_BINARY if isinstance(packet, bytes) else ABNF.OPCODE_TEXT
                 with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
                     connection = websocket.create_connection(url, socket=stream)
@@ -343,7 +343,7 @@ def test_broken_packets_cost_no_traceback_and_others_are_served_on(tmp_path: Pat
     messages = read_messages(tmp_path / "live.mcap")
     assert len(messages["/camera/center"]) == 3
     events = [decoded.message for _, decoded in messages["/events"]]
-    assert events.count("disconnected: broken packet") >= len(BROKEN)
+    assert events.count("disconnected: broken packet") >= len(NOTICE_BROKEN)
     assert sum(event.startswith("hung up on a client") for event in events) == 1
     assert events.count("connected") == sum(event.startswith("disconnected: ") for event in events)
 

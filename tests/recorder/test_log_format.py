@@ -30,8 +30,8 @@ from recorder.log.edit import merge, split, trim
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
-from recorder.sources.donkeycar import import_tub
-from recorder.sources.import_mcap import import_foreign
+from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.import_mcap import import_mcap
 from repository import ROOT
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import make_recording, paths
@@ -225,8 +225,8 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
         del record["milliseconds"]
     import_tub(write_tub_1(folder / "tub 1", untimed, start_s=None), path["tub 1"])
     import_tub(write_tub_2(folder / "tub 2", map(record_2, range(4))), path["tub 2"])
-    import_foreign(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
-    import_foreign(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
+    import_mcap(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
+    import_mcap(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
 
     evaluated = run(
         "bc-eval", untrained_run(folder / "pilot"), "--simulator", "lake", "--laps", 0.002, "--logs", folder

@@ -12,7 +12,7 @@ from driving import one_line_of, run
 from logs import read_messages
 from recorder import Imported, Log, RecordingError, import_udacity
 from recorder.cli import main
-from recorder.sources.donkeycar import import_tub
+from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_1, write_tub_1
 from udacity import call, jpeg, make_recording, paths

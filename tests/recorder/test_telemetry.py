@@ -36,7 +36,7 @@ def telemetry(**fields: Any) -> dict[str, Any]:
 
 
 def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
-    assert parse_telemetry(telemetry()) == Telemetry(-0.5, 0.25, 9.01, PICTURE, told_separator=".")
+    assert parse_telemetry(telemetry()) == Telemetry(-0.5, 0.25, 9.01, PICTURE, observed_separator=".")
 
 
 @pytest.mark.parametrize(

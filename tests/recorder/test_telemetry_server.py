@@ -26,7 +26,7 @@ from driving import PATIENCE_S, environment
 from recorder.errors import ListenError
 from recorder.server import connection_guard, eventlet_host, telemetry_server, threaded_host
 from recorder.server.engineio_connection import Connection
-from recorder.server.eventlet_host import GreenSocket
+from recorder.server.eventlet_host import QuickAckGreenSocket
 from recorder.server.listening_socket import QuickAckSocket, listen
 from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, ServerMode, Steer, TelemetryServer
 from serving import (
@@ -105,7 +105,7 @@ def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving(mode: Se
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_QUICKACK"), reason="only Linux delays and can be told not to")
-@pytest.mark.parametrize("kind", [QuickAckSocket, GreenSocket])
+@pytest.mark.parametrize("kind", [QuickAckSocket, QuickAckGreenSocket])
 def test_what_comes_is_acknowledged_at_once_and_what_leaves_is_not_held_back(kind: type) -> None:
     """In the middle of question and answer, where Linux by itself delays."""
     listener = listen("127.0.0.1", 0, kind)
@@ -213,21 +213,21 @@ def test_who_was_steered_gets_a_last_command_at_the_end(mode: ServerMode) -> Non
         assert driven.command() == steered(book.last)
         for client in (driven, manual):
             client.until_hung_up()
-    assert book.calls.count("stopping") == 1
+    assert book.calls.count("final_command") == 1
     assert "disconnected" not in book.calls
 
 
 def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread may be put to sleep between an answer and its sending, and the car keeps what it is sent last."""
     is_answering, goes_on = threading.Event(), threading.Event()
-    send_now = Connection.send_now
+    send_directly = Connection.send_directly
 
     def send_late(connection: Connection, message: str) -> bool:
         is_answering.set()
         assert goes_on.wait(PATIENCE_S)
-        return send_now(connection, message)
+        return send_directly(connection, message)
 
-    monkeypatch.setattr(Connection, "send_now", send_late)
+    monkeypatch.setattr(Connection, "send_directly", send_late)
     monkeypatch.setattr(telemetry_server, "END_S", PATIENCE_S)
     book = Book()
     book.last = Steer(0.0, -0.125)
@@ -242,7 +242,7 @@ def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch)
         assert [client.command(), client.command()] == [steered(UNUSED), steered(book.last)]
         client.until_hung_up()
         ender.join(PATIENCE_S)
-    assert book.calls[-2:] == ["answered", "stopping"]
+    assert book.calls[-2:] == ["answered", "final_command"]
 
 
 def test_nothing_of_it_is_left_when_it_has_ended_whoever_was_connected(mode: ServerMode) -> None:
@@ -292,7 +292,7 @@ def test_clients_that_come_and_go_leave_nothing_behind(mode: ServerMode) -> None
         wait_until(lambda: connections() == 0)
 
 
-@pytest.mark.parametrize("where", ["connected", "telemetry", "answered", "tick", "disconnected", "stopping"])
+@pytest.mark.parametrize("where", ["connected", "telemetry", "answered", "tick", "disconnected", "final_command"])
 def test_what_the_handler_raises_ends_the_run_and_is_raised_there(
     where: str, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -314,7 +314,7 @@ def test_what_the_handler_raises_ends_the_run_and_is_raised_there(
             client.command()
         if where == "disconnected":
             client.close()
-        if where != "stopping":
+        if where != "final_command":
             serving.join()
         serving.stop()
         client.until_hung_up()
@@ -438,7 +438,7 @@ def test_who_speaks_something_else_costs_one_line_that_says_what_to_do(
 
 def test_who_says_nothing_at_all_costs_a_line(mode: ServerMode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_guard, "REQUEST_S", 0.01)
-    monkeypatch.setattr(telemetry_server, "QUIET_S", 0.01)
+    monkeypatch.setattr(telemetry_server, "NO_TELEMETRY_S", 0.01)
     with Serving(mode, Book()) as serving:
         for _ in range(2):
             with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
@@ -515,12 +515,12 @@ def test_who_waits_for_a_first_command_gets_one_and_whoever_tells_at_once_none(
 ) -> None:
     """A classic server sends a steer when a client connects. For the real simulator each is one telemetry more in
     flight for ever."""
-    monkeypatch.setattr(telemetry_server, "FIRST_S", PATIENCE_S)
-    with Serving(mode, Book(), first=first) as serving:
+    monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", PATIENCE_S)
+    with Serving(mode, Book(), first_command=first) as serving:
         busy = RawClient(serving.port, *hello)
         busy.tell(fields(0))
         assert busy.command() == steered(Steer(-steering(0), 0.5))
-        monkeypatch.setattr(telemetry_server, "FIRST_S", 0.0)
+        monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", 0.0)
         waiting = RawClient(serving.port, *hello)
         name, command = waiting.command()
         assert (name, command) == (("manual", {}) if first == "manual" else steered(Steer(0.0, 0.0)))

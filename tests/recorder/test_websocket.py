@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from websocket import ABNF
 
-from recorder.server.websocket import BROKEN_FRAME, PARSED_BYTES, TOO_LARGE, Wire, WireError
+from recorder.server.websocket import BROKEN_FRAME, PARSED_BYTES, TOO_LARGE, HandshakeError, WebSocket
 from waiting import PATIENCE_S
 
 MOST_BYTES = 100_000
@@ -33,22 +33,22 @@ TEXT, BINARY, CONTINUATION, PING, CLOSE = (
 
 
 def make_wire(
-    stream: socket.socket, headers: dict[str, str], give_way: Callable[[], object] = lambda: None
-) -> Wire:
+    stream: socket.socket, headers: dict[str, str], let_others_run: Callable[[], object] = lambda: None
+) -> WebSocket:
     named = list(headers.items())
-    return Wire(stream, named, most_bytes=MOST_BYTES, lock=threading.Lock(), give_way=give_way)
+    return WebSocket(stream, named, max_bytes=MOST_BYTES, lock=threading.Lock(), let_others_run=let_others_run)
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[Wire, socket.socket]]:
+def ends() -> Iterator[tuple[WebSocket, socket.socket]]:
     """The server's end, and the client's, which has shaken hands."""
     near, far = socket.socketpair()
     with near, far:
         near.settimeout(PATIENCE_S)
         far.settimeout(PATIENCE_S)
-        wire = make_wire(near, HEADERS)
+        websocket = make_wire(near, HEADERS)
         assert ACCEPTED in far.recv(1000)
-        yield wire, far
+        yield websocket, far
 
 
 def frame(opcode: int, data: bytes, *, is_last: bool = True) -> bytes:
@@ -77,8 +77,10 @@ def received(far: socket.socket) -> tuple[int, bytes]:
 
 
 @pytest.mark.parametrize("size", [1, 7, 1016, 30_000])
-def test_messages_in_frames_of_any_size_and_in_any_pieces(ends: tuple[Wire, socket.socket], size: int) -> None:
-    wire, far = ends
+def test_messages_in_frames_of_any_size_and_in_any_pieces(
+    ends: tuple[WebSocket, socket.socket], size: int
+) -> None:
+    websocket, far = ends
     chance = random.Random(size)
     text = "".join(chance.choice("aä€😀") for _ in range(200 if size < 1016 else 20_000))
     binary = chance.randbytes(min(900 * size, 60_000))
@@ -91,15 +93,15 @@ def test_messages_in_frames_of_any_size_and_in_any_pieces(ends: tuple[Wire, sock
 
     sender = threading.Thread(target=send)
     sender.start()
-    assert wire.wait() == text
-    assert wire.wait() == binary
+    assert websocket.wait() == text
+    assert websocket.wait() == binary
     sender.join()
 
 
-def test_a_ping_within_a_message_is_answered_at_once(ends: tuple[Wire, socket.socket]) -> None:
-    wire, far = ends
+def test_a_ping_within_a_message_is_answered_at_once(ends: tuple[WebSocket, socket.socket]) -> None:
+    websocket, far = ends
     far.sendall(frame(TEXT, b"a", is_last=False) + frame(PING, b"there?"))
-    waiting = threading.Thread(target=wire.wait)
+    waiting = threading.Thread(target=websocket.wait)
     waiting.start()
     assert received(far) == (ABNF.OPCODE_PONG, b"there?")
     far.sendall(frame(CONTINUATION, b"b"))
@@ -112,13 +114,13 @@ def test_who_sends_without_end_lets_others_in(opcode: int) -> None:
     given_way: list[int] = []
     near, far = socket.socketpair()
     with near, far:
-        wire = make_wire(near, HEADERS, lambda: given_way.append(1))
+        websocket = make_wire(near, HEADERS, lambda: given_way.append(1))
         flood = frame(opcode, b"") * 20_000
         sender = threading.Thread(target=send_and_end, args=(far, flood))
         sender.start()
         reader = threading.Thread(target=lambda: [None for _ in iter(lambda: far.recv(1 << 16), b"")])
         reader.start()
-        assert wire.wait() is None
+        assert websocket.wait() is None
         near.shutdown(socket.SHUT_RDWR)
         sender.join()
         reader.join()
@@ -129,10 +131,10 @@ def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
     given_way: list[int] = []
     near, far = socket.socketpair()
     with near, far:
-        wire = make_wire(near, HEADERS, lambda: given_way.append(1))
+        websocket = make_wire(near, HEADERS, lambda: given_way.append(1))
         sender = threading.Thread(target=send_and_end, args=(far, b"\x83\x80\0\0\0\0" + bytes(1 << 22)))
         sender.start()
-        assert wire.wait() is None
+        assert websocket.wait() is None
         sender.join()
     assert len(given_way) >= 4
 
@@ -160,44 +162,46 @@ def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
     ],
 )  # masks are random, and names of tests must not be
 def test_who_breaks_the_protocol_is_told_and_heard_no_more(
-    ends: tuple[Wire, socket.socket], data: bytes, reason: str, code: int
+    ends: tuple[WebSocket, socket.socket], data: bytes, reason: str, code: int
 ) -> None:
-    wire, far = ends
+    websocket, far = ends
     far.sendall(frame(TEXT, b"before") + data + frame(TEXT, b"after"))
     far.shutdown(socket.SHUT_WR)
-    assert wire.wait() == "before"
-    assert wire.wait() is None
-    assert wire.broke == reason
+    assert websocket.wait() == "before"
+    assert websocket.wait() is None
+    assert websocket.broken_by == reason
     opcode, content = received(far)
     assert (opcode, struct.unpack("!H", content[:2])) == (CLOSE, (code,))
     with pytest.raises(ConnectionResetError):
-        wire.send("x")
+        websocket.send("x")
 
 
-def test_a_client_that_closes_gets_its_messages_handled_and_an_answer(ends: tuple[Wire, socket.socket]) -> None:
-    wire, far = ends
+def test_a_client_that_closes_gets_its_messages_handled_and_an_answer(
+    ends: tuple[WebSocket, socket.socket],
+) -> None:
+    websocket, far = ends
     far.sendall(frame(TEXT, b"last") + frame(CLOSE, struct.pack("!H", 1001)) + frame(TEXT, b"too late"))
-    assert wire.wait() == "last"
-    assert wire.wait() is None
-    assert not wire.broke
+    assert websocket.wait() == "last"
+    assert websocket.wait() is None
+    assert not websocket.broken_by
     assert received(far) == (CLOSE, struct.pack("!H", 1001))
 
 
-def test_a_client_that_closes_within_a_message_breaks_nothing(ends: tuple[Wire, socket.socket]) -> None:
-    wire, far = ends
+def test_a_client_that_closes_within_a_message_breaks_nothing(ends: tuple[WebSocket, socket.socket]) -> None:
+    websocket, far = ends
     far.sendall(frame(TEXT, b"half", is_last=False) + frame(CLOSE, struct.pack("!H", 1001)))
-    assert wire.wait() is None
-    assert not wire.broke
+    assert websocket.wait() is None
+    assert not websocket.broken_by
     assert received(far)[0] == CLOSE
 
 
-def test_a_message_that_was_sent_in_part_is_the_last_one(ends: tuple[Wire, socket.socket]) -> None:
-    wire, far = ends
-    wire._stream.settimeout(0.05)
+def test_a_message_that_was_sent_in_part_is_the_last_one(ends: tuple[WebSocket, socket.socket]) -> None:
+    websocket, far = ends
+    websocket._stream.settimeout(0.05)
     far.sendall(frame(TEXT, b"hi"))
     with pytest.raises(OSError, match="timed out"):
-        wire.send("x" * 10_000_000)
-    assert wire.wait() is None
+        websocket.send("x" * 10_000_000)
+    assert websocket.wait() is None
 
 
 @pytest.mark.parametrize(
@@ -217,7 +221,7 @@ def test_a_request_that_is_no_websockets_is_refused_in_one_line(
 ) -> None:
     near, far = socket.socketpair()
     with near, far:
-        with pytest.raises(WireError) as refused:
+        with pytest.raises(HandshakeError) as refused:
             make_wire(near, HEADERS | wrong)
         assert str(refused.value)
         assert "\n" not in str(refused.value)

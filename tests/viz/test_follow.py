@@ -7,7 +7,6 @@ What a viewer gets is read back from an .rrd file by Rerun's own reader; what is
 from __future__ import annotations
 
 import itertools
-import os
 import random
 import re
 import signal
@@ -25,7 +24,7 @@ import rerun as rr
 
 from common import UserError
 from common.car import CAMERAS
-from driving import Process, command, environment
+from driving import Process, command, command_with_viewer, environment
 from logs import START_NS, STEP_NS, read_messages
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -534,18 +533,10 @@ time.sleep(1000)
 """
 
 
-def test_a_preview_that_does_not_end_is_ended_with_all_its_processes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_preview_that_does_not_end_is_ended_with_all_its_processes(tmp_path: Path) -> None:
     """Both a viewer and what starts it may be frozen; the recording ends all the same."""
-    (tmp_path / "viz").mkdir()
-    (tmp_path / "viz" / "__init__.py").touch()
-    (tmp_path / "viz" / "preview.py").write_text(DEAF_VIEWER)
-    path = os.pathsep.join((str(tmp_path), environment()["PYTHONPATH"]))  # found before the real one
-    found_first = {**environment(), "PYTHONPATH": path}
-    monkeypatch.setattr("driving.environment", lambda: found_first)
-    flags = ("--listen", "--port", 0, "--viewer")
-    with Process(command("bc-record", "live", *flags), cwd=tmp_path) as record:
+    line = command_with_viewer(DEAF_VIEWER, "bc-record", "live", "--listen", "--port", 0, "--viewer")
+    with Process(line, cwd=tmp_path) as record:
         record.wait_for("^stand-in")
         record_process = psutil.Process(record.popen.pid)
         wait_until(lambda: len(record_process.children(recursive=True)) == 2)

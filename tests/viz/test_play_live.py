@@ -277,10 +277,10 @@ def test_a_window_that_cannot_open_names_a_command_and_no_flag_that_others_do_no
 def test_a_viewer_that_runs_gets_the_end_of_the_log_before_it_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("common.preview._OTHERS_GRACE_S", PATIENCE_S)
+    monkeypatch.setattr("common.preview.CONNECTED_GRACE_S", PATIENCE_S)
     writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
     with contextlib.ExitStack() as client, running_viewer() as ports:
-        with preview(writer.part, f"127.0.0.1:{ports.data}", said=print):
+        with preview(writer.part, f"127.0.0.1:{ports.data}", notify=print):
             for row in range(ROWS):
                 for camera in CAMERAS:
                     writer.picture(camera, START_NS + row * STEP_NS, row, picture(camera, row))
@@ -296,11 +296,11 @@ def test_a_viewer_that_runs_gets_the_end_of_the_log_before_it_is_left(
 def test_a_viewer_that_is_stopped_by_who_started_it_says_nothing_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("common.preview._OTHERS_GRACE_S", 0.1)
-    monkeypatch.setattr("common.preview._SAID_S", 0.1)
+    monkeypatch.setattr("common.preview.CONNECTED_GRACE_S", 0.1)
+    monkeypatch.setattr("common.preview.NOTICE_AFTER_S", 0.1)
     with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, running_viewer() as ports:
         writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
-        with preview(writer.part, f"127.0.0.1:{ports.data}", said=lambda text: None):
+        with preview(writer.part, f"127.0.0.1:{ports.data}", notify=lambda text: None):
             said = line_from(capfd)
             assert said.startswith(f"viewer: 127.0.0.1:{ports.data}: it does not tell its version")
         assert capfd.readouterr().err == ""
@@ -319,18 +319,18 @@ def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system knows no lowest priority of all")
-@pytest.mark.parametrize("never_in_the_way", [False, True])
-def test_a_viewer_has_a_lower_priority_than_what_it_shows(never_in_the_way: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("idle_priority", [False, True])
+def test_a_viewer_has_a_lower_priority_than_what_it_shows(idle_priority: bool, tmp_path: Path) -> None:
     before = set(children_of(os.getpid()))
     writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
-    with preview(writer.part, str(tmp_path / "a.rrd"), never_in_the_way=never_in_the_way):
+    with preview(writer.part, str(tmp_path / "a.rrd"), idle_priority=idle_priority):
         (viewer,) = set(children_of(os.getpid())) - before
-        scheduled = os.SCHED_IDLE if never_in_the_way else os.SCHED_OTHER
+        scheduled = os.SCHED_IDLE if idle_priority else os.SCHED_OTHER
         assert os.sched_getscheduler(viewer.pid) == scheduled
         assert os.getpriority(os.PRIO_PROCESS, viewer.pid) >= max(10, os.getpriority(os.PRIO_PROCESS, 0))
         group = Path(f"/proc/{viewer.pid}/autogroup")
         if group.exists():  # "/autogroup-7 nice 19"
-            assert group.read_text().split()[-1] == ("19" if never_in_the_way else "0")
+            assert group.read_text().split()[-1] == ("19" if idle_priority else "0")
         writer.close()
 
 
@@ -374,7 +374,7 @@ def test_a_preview_ends_when_who_started_it_is_killed(tmp_path: Path) -> None:
 def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    for grace, seconds in (("_FILE_GRACE_S", 0.2), ("_SAID_S", 0.1), ("_GRACE_S", 0.1)):
+    for grace, seconds in (("FILE_GRACE_S", 0.2), ("NOTICE_AFTER_S", 0.1), ("EXIT_GRACE_S", 0.1)):
         monkeypatch.setattr(f"common.preview.{grace}", seconds)
     others = set(children_of(os.getpid()))
     rrd, foreign = tmp_path / "a.rrd", tmp_path / "a.rrd.0123ab.part"

@@ -11,14 +11,15 @@ from google.protobuf.message import DecodeError
 from mcap.records import Channel
 
 from common import Skipped
-from common.closing import Closing
+from common.closeable import Closeable
 from common.files import final_path
 from common.locks import is_being_written
 from recorder.errors import LogError
 from recorder.log.mcap_file import MAGIC, Chunk, McapFile, StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.scan import Structure, has_summary, walk_on
-from viz.live.live_messages import KINDS, PICTURE_TOPICS, Shown
+from recorder.log.topics import PICTURE_TOPICS
+from viz.live.live_messages import SHOWN, Shown
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
 QUIET_S: Final = 2.0
@@ -49,7 +50,7 @@ def is_finished(path: Path) -> bool:
         file.close()
 
 
-class GrowingLog(Closing):
+class GrowingLog(Closeable):
     """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
 
     Either `is_finished` or `notice` tells that nothing more will come: the recording was killed, says the notice.
@@ -146,7 +147,7 @@ class GrowingLog(Closing):
                     yield shown
 
     def _can_be_shown(self, channel: Channel) -> bool:
-        kind = KINDS.get(channel.topic)
+        kind = SHOWN.get(channel.topic)
         return kind is not None and self._found.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
 
     def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> Shown | None:
@@ -155,7 +156,7 @@ class GrowingLog(Closing):
             self.skipped.add(LATE, name)
             return None
         try:
-            content = KINDS[channel.topic].FromString(records[stored.offset : stored.offset + stored.length])
+            content = SHOWN[channel.topic].FromString(records[stored.offset : stored.offset + stored.length])
         except DecodeError:
             self.skipped.add("messages that cannot be decoded", name)
             return None

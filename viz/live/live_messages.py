@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -10,26 +10,19 @@ import numpy as np
 import rerun as rr
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message as ProtobufMessage
 
-from common.car import CAMERAS
-from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
-from viz.playback.blueprint import log_layout
+from recorder.log.topics import EVENTS, PICTURE_TOPICS, POSE, TOPICS
+from viz.playback.blueprint import CENTER, log_layout
 from viz.playback.curves import Drawing, frame_size
 from viz.timelines import Times, log_clock
 
-CENTER: Final = camera_topic("center")
-PICTURE_TOPICS: Final = (*map(camera_topic, CAMERAS), PILOT_INPUT)
-KINDS: Final[dict[str, type[ProtobufMessage]]] = {
-    **dict.fromkeys(PICTURE_TOPICS, CompressedImage),
-    VEHICLE: VehicleState,
-    PILOT_COMMAND: PilotCommand,
-    POSE: PoseInFrame,
-    EVENTS: LogMessage,
+SHOWN: Final[Mapping[str, type[ProtobufMessage]]] = {
+    name: topic.message.load()
+    for name, topic in TOPICS.items()
+    if topic.is_picture or topic.lines or name in (POSE, EVENTS)
 }
-"""What is shown, and what it must be."""
+"""The topics that are shown, and what their messages must be."""
 
 # As Rerun's MCAP reader calls them.
 _LEVELS: Final = {
@@ -43,7 +36,7 @@ _LEVELS: Final = {
 
 @dataclass(frozen=True)
 class Shown:
-    """A message to show; `content` is of the kind that KINDS tells for its topic."""
+    """A message to show; `content` is of the type that SHOWN has for its topic."""
 
     topic: str
     row: int
@@ -72,9 +65,9 @@ class MessageSender:
             found = by_topic[topic]
             time_ns = np.array([message.log_time_ns for message in found], np.int64)
             contents = [message.content for message in found]
-            if KINDS[topic] is CompressedImage:
+            if TOPICS[topic].is_picture:
                 self._send_pictures(topic, time_ns, contents)
-            elif KINDS[topic] is LogMessage:
+            elif topic == EVENTS:
                 self._send_events(topic, time_ns, contents)
             else:
                 self._drawing.send(topic, time_ns, contents)

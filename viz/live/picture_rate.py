@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from viz.live.live_messages import PICTURE_TOPICS, Shown
+from recorder.log.topics import PICTURE_TOPICS
+from viz.live.live_messages import Shown
 
 PICTURES_PER_S: Final = 30.0
 """Of each camera, by the clock on the wall."""

@@ -10,20 +10,35 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
-from common.car import CAMERAS
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, PREDICTIONS, VEHICLE, camera_topic
+from recorder.log.topics import (
+    EVENTS,
+    PILOT_COMMAND,
+    PILOT_INPUT,
+    PLOTS,
+    POSE,
+    PREDICTIONS,
+    SPEED,
+    STEERING,
+    TOPICS,
+    VEHICLE,
+    ColorName,
+    Plot,
+    Topic,
+    camera_topic,
+)
 from viz.timelines import SINCE_START
 
 AROUND_S: Final = 1.0
 """So long before and after the moment that is asked for is played, where the time cursor cannot be set."""
 
+CENTER: Final = camera_topic("center")
 ERRORS: Final = "/error_deg"
 DRIVER: Final = "/driver"
 HISTOGRAM: Final = "/histogram/recorded"
 PATH: Final = "/path/driven"
 CAR: Final = "/path/car"
-SPEED: Final = "/speed_mph/driven"
+DRIVEN_SPEED: Final = f"{SPEED.path}/driven"
 
 Color = tuple[int, int, int]
 Part = rrb.View | rrb.Container
@@ -36,6 +51,15 @@ GREEN: Final = (110, 210, 110)
 VIOLET: Final = (200, 140, 230)
 GREY: Final = (160, 160, 160)
 RED: Final = (230, 90, 90)
+COLORS: Final[Mapping[ColorName, Color]] = {
+    "blue": BLUE,
+    "orange": ORANGE,
+    "green": GREEN,
+    "violet": VIOLET,
+    "grey": GREY,
+    "red": RED,
+}
+"""By the names that the registry of topics has for them."""
 
 DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
     PilotCommand.UNKNOWN: ("unknown", GREY),
@@ -49,40 +73,21 @@ DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
 LOG_COLORS: Final = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY)
 """Of logs beside each other."""
 
-STEERING: Final = "steering, -1 left .. 1 right"
 WHO: Final = "who drives"
 ERROR: Final = "error in degrees: predicted - recorded"
-_SHARES: Final = {WHO: 0.9, STEERING: 2.0}  # of the height; the others have 1.0 each
+_WHO_SHARE: Final = 0.9  # of the height
 _FRAME_SHARE: Final = 3.0  # of the height, where logs are beside each other
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot: a field of the messages on a topic."""
+    """One line of a plot."""
 
     entity: str
     name: str
     color: Color
-    topic: str
-    field: str
-    is_optional: bool = False  # messages may lack it
 
 
-CURVES: Final = (
-    Curve("/steering/recorded", "recorded", BLUE, VEHICLE, "steering"),
-    Curve("/steering/predicted", "predicted", ORANGE, PILOT_COMMAND, "predicted_steering"),
-    Curve("/steering/sent", "sent", GREEN, PILOT_COMMAND, "steering"),
-    Curve("/steering/expert", "expert", VIOLET, PILOT_COMMAND, "expert_steering", is_optional=True),
-    Curve(SPEED, "driven", BLUE, VEHICLE, "speed_mph"),
-    Curve("/speed_mph/set", "set", GREY, PILOT_COMMAND, "set_speed_mph"),
-    Curve("/pedals/throttle", "throttle", GREEN, VEHICLE, "throttle"),
-    Curve("/pedals/brake", "brake", RED, VEHICLE, "brake"),
-    Curve("/pedals/sent", "throttle sent", ORANGE, PILOT_COMMAND, "throttle"),
-    Curve("/latency_ms/total", "telemetry to answer", VIOLET, PILOT_COMMAND, "total_ms"),
-    Curve("/latency_ms/network", "network", ORANGE, PILOT_COMMAND, "network_ms"),
-    Curve("/latency_ms/decode", "JPEG and crop", BLUE, PILOT_COMMAND, "decode_ms"),
-    Curve("/latency_ms/parse", "reading the message", GREY, PILOT_COMMAND, "parse_ms"),
-)
 ARCS: Final[Mapping[str, float]] = {"/steering/recorded": 2.5, "/steering/predicted": 2.0, "/steering/sent": 1.5}
 """Steering that is also drawn over the frame, and half its width there."""
 
@@ -103,7 +108,7 @@ def log_layout(
     looks = [rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention]
     plots = _plots(topics, has_errors=bool(runs) or _has_predictions(topics))
     if runs or EVENTS in topics or not topics:
-        plots.append((rrb.TextLogView(origin=EVENTS, name="events"), 1.0))
+        plots.append((rrb.TextLogView(origin=EVENTS, name=TOPICS[EVENTS].title), 1.0))
     parts = _side_by_side([_pictures(topics, looks), _upright(plots)], shares=[2, 3])
     return _blueprint(parts, _time_panel(SINCE_START, grows=grows, at_s=at_s))
 
@@ -115,11 +120,11 @@ def comparison_layout(
     their start, or `at_s` seconds after it."""
     columns = [_of_one(name, topics) for name, topics in logs.items()]
     together: list[Part] = []
-    with_states = [name for name, topics in logs.items() if {VEHICLE, PILOT_COMMAND} & set(topics)]
+    with_states = [name for name, topics in logs.items() if _has_lines(SPEED, topics)]
     with_poses = [name for name, topics in logs.items() if POSE in topics]
     if with_states:
-        driven = [log_entity(name) + SPEED for name in with_states]
-        together.append(rrb.TimeSeriesView(origin="/", contents=driven, name="speed, mph"))
+        driven = [log_entity(name) + DRIVEN_SPEED for name in with_states]
+        together.append(rrb.TimeSeriesView(origin="/", contents=driven, name=SPEED.title))
     if with_poses:
         ways = [f"{log_entity(name)}/path/**" for name in with_poses]
         together.append(rrb.Spatial2DView(origin="/", contents=ways, name="paths from above, m"))
@@ -144,15 +149,12 @@ def entity_part(name: str) -> str:
 
 def _pictures(topics: Collection[str], looks: Sequence[rrb.View]) -> Part | None:
     parts: list[Shared] = []
-    if camera_topic("center") in topics:
-        parts.append((rrb.Spatial2DView(origin=camera_topic("center"), name="centre camera"), 3.0))
-    sides = [camera for camera in CAMERAS[1:] if camera_topic(camera) in topics]
-    if sides:
-        views = [rrb.Spatial2DView(origin=camera_topic(camera), name=f"{camera} camera") for camera in sides]
-        parts.append((rrb.Horizontal(*views), 1.5))
-    small: list[Part] = []
-    if PILOT_INPUT in topics:
-        small.append(rrb.Spatial2DView(origin=PILOT_INPUT, name="what the network sees"))
+    if CENTER in topics:
+        parts.append((_view(TOPICS[CENTER]), 3.0))
+    pictures = [topic for name, topic in TOPICS.items() if topic.is_picture and name in topics and name != CENTER]
+    if sides := [_view(topic) for topic in pictures if topic.camera is not None]:
+        parts.append((rrb.Horizontal(*sides), 1.5))
+    small: list[Part] = [_view(topic) for topic in pictures if topic.camera is None]
     small.extend(looks)
     if POSE in topics:
         small.append(rrb.Spatial2DView(origin="/path", name="path from above, m"))
@@ -163,15 +165,10 @@ def _pictures(topics: Collection[str], looks: Sequence[rrb.View]) -> Part | None
 
 def _plots(topics: Collection[str], *, has_errors: bool) -> list[Shared]:
     """The plots of a log with these topics."""
-    has_states = VEHICLE in topics or PILOT_COMMAND in topics
-    plots = _driving(topics, "", "", has_steering=has_states or has_errors)
+    plots = _driving(topics, "", "", has_steering=has_errors or _has_lines(STEERING, topics))
     if has_errors:
         plots.append((rrb.TimeSeriesView(origin=ERRORS, name=ERROR), 1.0))
-    if has_states:
-        plots.append((rrb.TimeSeriesView(origin="/speed_mph", name="speed, mph"), 1.0))
-        plots.append((rrb.TimeSeriesView(origin="/pedals", name="throttle and brake"), 1.0))
-    if PILOT_COMMAND in topics:
-        plots.append((rrb.TimeSeriesView(origin="/latency_ms", name="latency, ms"), 1.0))
+    plots += [_plot(plot) for plot in PLOTS if plot != STEERING and _has_lines(plot, topics)]
     if VEHICLE in topics:
         plots.append((rrb.BarChartView(origin="/histogram", name="frames by steering, 25 bins"), 1.0))
     return plots
@@ -181,30 +178,37 @@ def _driving(topics: Collection[str], at: str, of: str, *, has_steering: bool) -
     """Who drives, and the steering; entities begin with `at`, names of views with `of`."""
     plots: list[Shared] = []
     if PILOT_COMMAND in topics:
-        plots.append((rrb.StateTimelineView(origin=at + DRIVER, name=of + WHO), _SHARES[WHO]))
+        plots.append((rrb.StateTimelineView(origin=at + DRIVER, name=of + WHO), _WHO_SHARE))
     if has_steering:
-        axis = rrb.ScalarAxis(range=(-1.0, 1.0), zoom_lock=True)
-        view = rrb.TimeSeriesView(origin=f"{at}/steering", name=of + STEERING, axis_y=axis)
-        plots.append((view, _SHARES[STEERING]))
+        plots.append(_plot(STEERING, at, of))
     return plots
+
+
+def _plot(plot: Plot, at: str = "", of: str = "") -> Shared:
+    axis = None if plot.range is None else rrb.ScalarAxis(range=plot.range, zoom_lock=True)
+    return rrb.TimeSeriesView(origin=at + plot.path, name=of + plot.title, axis_y=axis), plot.height
+
+
+def _has_lines(plot: Plot, topics: Collection[str]) -> bool:
+    return any(line.plot == plot for name in topics if name in TOPICS for line in TOPICS[name].lines)
+
+
+def _view(picture: Topic, at: str = "", of: str = "") -> rrb.View:
+    return rrb.Spatial2DView(origin=at + picture.name, name=of + picture.title)
 
 
 def _of_one(name: str, topics: Collection[str]) -> rrb.Container:
     """The column of one of several logs."""
     at, of = log_entity(name), f"{name}: "
     frames: list[Part] = []
-    if camera_topic("center") in topics:
-        frames.append(rrb.Spatial2DView(origin=at + camera_topic("center"), name=f"{of}centre camera"))
-    if PILOT_INPUT in topics:
-        frames.append(rrb.Spatial2DView(origin=at + PILOT_INPUT, name=f"{of}what the network sees"))
+    frames += [_view(TOPICS[name], at, of) for name in (CENTER, PILOT_INPUT) if name in topics]
     parts: list[Shared] = [(_side_by_side(frames, shares=[2, 1][: len(frames)]), _FRAME_SHARE)] if frames else []
-    has_states = VEHICLE in topics or PILOT_COMMAND in topics
     has_predictions = _has_predictions(topics)
-    parts += _driving(topics, at, of, has_steering=has_states or has_predictions)
+    parts += _driving(topics, at, of, has_steering=has_predictions or _has_lines(STEERING, topics))
     if has_predictions:
         parts.append((rrb.TimeSeriesView(origin=at + ERRORS, name=of + ERROR), 1.0))
     if EVENTS in topics or not parts:
-        parts.append((rrb.TextLogView(origin=at + EVENTS, name=f"{of}events"), 1.0))
+        parts.append((rrb.TextLogView(origin=at + EVENTS, name=of + TOPICS[EVENTS].title), 1.0))
     return rrb.Vertical(*(part for part, _ in parts), row_shares=[share for _, share in parts], name=name)
 
 

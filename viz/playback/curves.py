@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
@@ -11,10 +12,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from dataset.index.balance import bin_of
-from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import PILOT_COMMAND, POSE, VEHICLE
+from recorder.log.topics import PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from recorder.pictures.picture_size import can_be_decoded, width_and_height
-from viz.playback.blueprint import ARCS, CAR, CURVES, DRIVER, DRIVERS, HISTOGRAM, PATH, SPEED, Curve
+from viz.playback.blueprint import ARCS, CAR, CENTER, COLORS, DRIVEN_SPEED, DRIVER, DRIVERS, HISTOGRAM, PATH, Curve
 from viz.playback.trail import Trail
 from viz.timelines import Clock, Times
 
@@ -77,7 +77,7 @@ class Drawing:
         entity = self._prefix + curve.entity
         if self._is_new(entity):
             name, color = curve.name, curve.color
-            if self._color is not None and curve.entity == SPEED:
+            if self._color is not None and curve.entity == DRIVEN_SPEED:
                 name, color = self._name, self._color
             style = rr.SeriesLines(names=name, colors=[color], widths=1.5)
             self._recording.log(entity, style, static=True)
@@ -85,7 +85,7 @@ class Drawing:
 
     def arcs(self, curve: Curve, time_ns: Times, values: Values) -> None:
         """Steering as arcs over the frame: log times (N,) in ns, steering (N,), -1..1."""
-        entity = f"{self._prefix}/camera/center{curve.entity}"
+        entity = self._prefix + CENTER + curve.entity
         if self._is_new(entity):
             width = ARCS.get(curve.entity, 1.5)
             style = rr.LineStrips2D.from_fields(colors=[curve.color], radii=[-width], draw_order=60 - width)
@@ -146,24 +146,17 @@ class Drawing:
             self._recording.send_columns(entity, self.clock(time_ns), columns)
 
 
-def curve_values(
-    topic: str, time_ns: Times, contents: Sequence[VehicleState | PilotCommand]
-) -> Iterator[tuple[Curve, Times, Values]]:
+def curve_values(topic: str, time_ns: Times, contents: Sequence[Any]) -> Iterator[tuple[Curve, Times, Values]]:
     """The lines that are drawn of N messages on `topic`: which, log times and values; a field that a message may
     lack has no value there."""
-    for curve in CURVES:
-        if curve.topic != topic:
+    for line in TOPICS[topic].lines:
+        curve, value = Curve(line.path, line.label, COLORS[line.color]), operator.attrgetter(line.field)
+        if not line.is_optional:
+            yield curve, time_ns, np.array([value(content) for content in contents], np.float64)
             continue
-        if not curve.is_optional:
-            yield curve, time_ns, np.array([getattr(content, curve.field) for content in contents], np.float64)
-            continue
-        known = np.array([content.HasField(curve.field) for content in contents], np.bool_)
+        known = np.array([content.HasField(line.field) for content in contents], np.bool_)
         if known.any():
-            values = [
-                getattr(content, curve.field)
-                for content, is_known in zip(contents, known, strict=True)
-                if is_known
-            ]
+            values = [value(content) for content, is_known in zip(contents, known, strict=True) if is_known]
             yield curve, time_ns[known], np.array(values, np.float64)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dataset.preprocess import Image
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict_log import predict_log, run_names
+from recorder.log.topics import STEERING
 from viz.playback.attention_overlay import send_overlays
 from viz.playback.blueprint import attention_entity, entity_part
 from viz.playback.curves import Drawing
@@ -37,10 +38,10 @@ def prepared_predictions(
     """
 
     def send(recording: rr.RecordingStream, drawing: Drawing, flush: Callable[[], object]) -> None:
-        def on_look(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
+        def on_attention(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
             send_overlays(recording, attention_entity(run), drawing.clock, time_ns, crops, maps)
 
-        found = predict_log(path, runs, on_look if attention else None, flush)
+        found = predict_log(path, runs, on_attention if attention else None, flush)
         _draw(found, recording, drawing)
         flush()
         on_found(found)
@@ -52,7 +53,7 @@ def prepared_predictions(
 def _draw(found: LogPredictions, recording: rr.RecordingStream, drawing: Drawing) -> None:
     for curve, time_ns, values in prediction_curves(found):
         drawing.curve(curve, time_ns, values)
-        if curve.field == "steering":
+        if curve.entity.startswith(STEERING.path):
             drawing.arcs(curve, time_ns, values)
     for run in found.predicted:
         if moments := found.worst_moments(run):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.evaluation.log_predictions import LogPredictions
-from recorder.log.topics import prediction_topic
+from recorder.log.topics import STEERING
 from viz.playback.blueprint import ERRORS, Curve, entity_part
 
 COLORS: Final = ((240, 90, 190), (240, 220, 90), (90, 220, 220), (170, 120, 240), (230, 90, 90), (150, 200, 80))
@@ -22,8 +22,7 @@ def prediction_curves(
     runs are told apart. There is no error where nothing was recorded."""
     known = np.isfinite(found.recorded)
     for number, (run, steering) in enumerate(found.predicted.items(), first):
-        color, topic, part = COLORS[number % len(COLORS)], prediction_topic(run), entity_part(run)
-        yield Curve(f"/steering/predicted_by/{part}", run, color, topic, "steering"), found.log_time_ns, steering
+        color, part = COLORS[number % len(COLORS)], entity_part(run)
+        yield Curve(f"{STEERING.path}/predicted_by/{part}", run, color), found.log_time_ns, steering
         if known.any():
-            error = Curve(f"{ERRORS}/{part}", run, color, topic, "error")
-            yield error, found.log_time_ns[known], found.error_deg(run)[known]
+            yield Curve(f"{ERRORS}/{part}", run, color), found.log_time_ns[known], found.error_deg(run)[known]

@@ -13,10 +13,8 @@ from typing import Any, Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
-from google.protobuf.message import Message as ProtobufMessage
 from rerun.chunk import Chunk, McapReader
 
 from common import UserError
@@ -24,22 +22,14 @@ from common.errors import shown
 from common.files import refuse_existing
 from common.progress import progress_bar, track
 from recorder import Log
-from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.recover import recover
-from recorder.log.topics import PILOT_COMMAND, POSE, VEHICLE, camera_topic
-from viz.playback.blueprint import Curve, log_layout
+from recorder.log.topics import COMPRESSED_IMAGE, POSE, TOPICS, VEHICLE
+from viz.playback.blueprint import CENTER, Curve, log_layout
 from viz.playback.curves import Drawing, Values, curve_values, frame_size
 from viz.playback.prediction_curves import prediction_curves
 from viz.playback.prediction_log import prediction_topics, read_predictions
 from viz.rrd_file import rrd_file
 from viz.timelines import Times, log_clock, on_clock
-
-KINDS: Final[dict[str, type[ProtobufMessage]]] = {
-    VEHICLE: VehicleState,
-    PILOT_COMMAND: PilotCommand,
-    POSE: PoseInFrame,
-}
-"""What the messages on a topic must be for it to be drawn."""
 
 _ROWS_AT_ONCE: Final = 500  # pictures on their way to a viewer, some megabytes: more would only pile up here
 
@@ -146,7 +136,8 @@ def read_drawn(log: Log) -> Drawn:
     where it is damaged."""
     found: dict[str, tuple[Times, list[Any]]] = {}
     log.messages(VEHICLE)  # the pass over the file, with a bar of its own
-    for topic, messages in ((VEHICLE, log.vehicle_states()), (PILOT_COMMAND, log.commands()), (POSE, _poses(log))):
+    for topic in (name for name, topic in TOPICS.items() if topic.lines or name == POSE):
+        messages = _poses(log) if topic == POSE else log.decoded(topic)
         pairs = list(track(messages, f"reading {topic}", log.counts[topic])) if _is_ours(log, topic) else []
         if pairs:
             time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
@@ -176,7 +167,8 @@ def topics_of(log: Log) -> list[str]:
 
 def chunks_of(log: Log) -> Generator[Chunk]:
     """What Rerun's own reader makes of a log, as far as it is not drawn; with a progress bar."""
-    drawn = [topic for topic in (VEHICLE, PILOT_COMMAND) if _is_ours(log, topic)] + prediction_topics(log)
+    drawn = [name for name, topic in TOPICS.items() if topic.lines and _is_ours(log, name)]
+    drawn += prediction_topics(log)
     others = sum(count for topic, count in log.counts.items() if topic not in drawn)
     with progress_bar() as bar:
         task = bar.add_task("sending messages", total=others, note="")
@@ -221,7 +213,7 @@ def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
 
 
 def _is_ours(log: Log, topic: str) -> bool:
-    return log.schemas.get(topic, "") == str(KINDS[topic].DESCRIPTOR.full_name)
+    return log.schemas.get(topic, "") == TOPICS[topic].message.name
 
 
 def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
@@ -231,8 +223,7 @@ def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
 
 
 def _picture_size(log: Log) -> tuple[int, int] | None:
-    topic = camera_topic("center")
-    if topic not in topics_of(log) or log.schemas[topic] != CompressedImage.DESCRIPTOR.full_name:
+    if CENTER not in topics_of(log) or log.schemas[CENTER] != COMPRESSED_IMAGE.name:
         return None
-    found = log.pictures(topic)
+    found = log.pictures(CENTER)
     return frame_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))

@@ -1,74 +1,34 @@
-"""Importing a recorded drive into a log."""
+"""Importing a recording of the Udacity simulator into a log."""
 
 from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from common import Skipped
-from common.errors import KEPT_NAMES
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.sources.frame_rate import clock
+from recorder.sources.frame_rate import describe_clock
+from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.udacity_csv import COLUMNS, Row
-from recorder.sources.udacity_recording import MOST_PICTURE_BYTES, UdacityFolder
+from recorder.sources.udacity_recording import MOST_PICTURE_BYTES, UdacityRecording
 
 NOT_WHOLE = "pictures that are not whole JPEG files"
 UNREADABLE = "pictures that cannot be read"
 
 
-@dataclass(frozen=True)
-class Imported:
-    """What went into a log."""
-
-    path: Path
-    rows: int
-    pictures: int
-    skipped: Skipped
-    notices: Sequence[str] = ()  # what a person should know of what is in it
-
-
-class SkippedEvents:
-    """What an import leaves out, each one also an event in its log as it comes.
-
-    What is left out before the first row waits for it, and is only counted where a thousand of its kind wait.
-    """
-
-    def __init__(self) -> None:
-        self.skipped = Skipped(self._added)
-        self._writer: LogWriter | None = None
-        self._time_ns = 0
-
-    def at(self, writer: LogWriter, time_ns: int) -> None:
-        """What follows belongs to, or comes after, the row of this time."""
-        is_first = self._writer is None
-        self._writer, self._time_ns = writer, time_ns
-        if is_first:
-            for reason, name in self.skipped:
-                self._added(reason, name)
-            for reason, count in self.skipped.counts.items():
-                if count > KEPT_NAMES:
-                    self._added(reason, f"and {count - KEPT_NAMES:,} more")
-
-    def _added(self, reason: str, name: str) -> None:
-        if self._writer is not None:
-            self._writer.event(self._time_ns, f"skipped {reason}: {name}", "WARNING", "recorder")
-
-
 def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, overwrite: bool = False) -> Imported:
     """Write the Udacity recording in `folder` to `log`; its pictures byte for byte, its rows in their order.
 
-    `rate_hz` is of one whose pictures' names tell no times: its rows are taken as so many a second, from 1970 on.
+    `rate_hz` is for a recording whose pictures' names hold no times: its rows are so many a second, from 1970 on.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     events = SkippedEvents()
-    recording = UdacityFolder(folder, events.skipped, rate_hz)
+    recording = UdacityRecording(folder, events.skipped, rate_hz)
     metadata = udacity_metadata(folder, rate_hz)
     row_count = pictures = 0
     rows = recording.rows()
@@ -88,10 +48,10 @@ def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, ove
 
 
 def udacity_metadata(folder: Path, rate_hz: float | None) -> dict[str, str]:
-    """What the log of a Udacity recording says of itself."""
+    """The metadata of a Udacity recording's log."""
     metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
     if rate_hz is not None:
-        metadata["clock"] = clock(rate_hz)
+        metadata["clock"] = describe_clock(rate_hz)
         metadata["start"] = "1970, because the recording does not tell it"
     return metadata
 

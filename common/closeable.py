@@ -1,4 +1,4 @@
-"""What is open until it is closed."""
+"""A base class for objects that hold an open resource."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Self
 
 
-class Closing(ABC):
-    """A context manager that closes itself in the end."""
+class Closeable(ABC):
+    """A context manager that calls `close` when it is left."""
 
     @abstractmethod
     def close(self) -> None: ...

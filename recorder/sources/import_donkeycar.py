@@ -1,4 +1,4 @@
-"""Importing what DonkeyCar records: a tub becomes a log."""
+"""Importing a DonkeyCar tub into a log."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.sources.donkeycar_tub import TIME_END_NS, Record, Tub, finite, open_tub
-from recorder.sources.frame_rate import check_rate, clock
-from recorder.sources.import_recording import Imported, SkippedEvents
+from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
+from recorder.sources.frame_rate import check_rate, describe_clock
+from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
 
-UNTOLD_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
+DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
 
 _PICTURE = re.compile(r"[0-9]+_cam[_-]image_array_\.jpg")  # other cameras and depths have other names
 
@@ -35,8 +35,8 @@ class _Frame:
     jpeg: bytes
 
 
-class _UnusableError(Exception):
-    """Why a record is left out."""
+class _UnusableRecordError(Exception):
+    """A record cannot be used; the message is the reason."""
 
 
 def import_tub(
@@ -50,8 +50,8 @@ def import_tub(
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
-    `rate_hz` is of one whose records tell no times: 20 without it. `all_catalogs` takes those, too, that the
-    manifest does not name; DonkeyCar does not read them.
+    `rate_hz` is for a tub whose records have no times: 20 without it. `all_catalogs` takes those catalogues, too,
+    that the manifest does not name; DonkeyCar does not read them.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     check_rate(rate_hz)
@@ -61,7 +61,7 @@ def import_tub(
     is_timed = any(finite(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
     if is_timed and rate_hz is not None:
         raise RecordingError(f"{folder}: --rate: the tub's records tell their times; leave it out")
-    step_ms = None if is_timed else 1000 / (rate_hz or UNTOLD_RATE_HZ)
+    step_ms = None if is_timed else 1000 / (rate_hz or DEFAULT_RATE_HZ)
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
     first = next(frames, None)
     if first is None:
@@ -70,10 +70,10 @@ def import_tub(
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,
         "tub_version": tub.version,
-        "clock": "recorded" if is_timed else f"{UNTOLD_RATE_HZ} Hz, because no record tells its time",
+        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record tells its time",
     }
     if rate_hz is not None:
-        metadata["clock"] = clock(rate_hz)
+        metadata["clock"] = describe_clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
         metadata["start"] = "1970, because the tub does not tell it"
     rows = 0
@@ -92,34 +92,34 @@ def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Ite
     for record in track(tub.records(skipped), what, tub.count):
         try:
             yield _frame(tub, record, step_ms, named)
-        except _UnusableError as error:
+        except _UnusableRecordError as error:
             skipped.add(str(error), record.name)
     for name in sorted(tub.pictures.keys() - named):
         if _PICTURE.fullmatch(name):
             skipped.add("pictures without a record", name)
 
 
-def _frame(tub: Tub, record: Record, step_ms: float | None, named: set[str]) -> _Frame:
+def _frame(tub: Tub, record: TubRecord, step_ms: float | None, named: set[str]) -> _Frame:
     picture = record.values.get("cam/image_array")
     name = re.split(r"[/\\]", picture)[-1] if isinstance(picture, str) else ""
     is_named_before = name in named
     named.add(name)
     if record.index in tub.deleted:
-        raise _UnusableError("deleted records")
+        raise _UnusableRecordError("deleted records")
     if record.values.get("user/mode") not in ("user", None):
-        raise _UnusableError("rows driven by DonkeyCar's pilot")
+        raise _UnusableRecordError("rows driven by DonkeyCar's pilot")
     angle, throttle = (_value(record, field) for field in ("user/angle", "user/throttle"))
     time_ns = _time_ns(tub, record, step_ms)
     if name not in tub.pictures:
-        raise _UnusableError("records without a picture")
+        raise _UnusableRecordError("records without a picture")
     if is_named_before:  # twice the same, it could be on both sides of a split
-        raise _UnusableError("records with the picture of an earlier record")
+        raise _UnusableRecordError("records with the picture of an earlier record")
     try:
         jpeg = read_bounded(tub.pictures[name], MOST_PICTURE_BYTES)
     except OSError:
-        raise _UnusableError("records with a picture that cannot be read") from None
+        raise _UnusableRecordError("records with a picture that cannot be read") from None
     if not is_whole_jpeg(jpeg):
-        raise _UnusableError("records with a picture that is not a whole JPEG file")
+        raise _UnusableRecordError("records with a picture that is not a whole JPEG file")
     state = VehicleState(
         steering=angle,
         throttle=throttle if throttle > 0 else 0.0,
@@ -129,22 +129,22 @@ def _frame(tub: Tub, record: Record, step_ms: float | None, named: set[str]) -> 
     return _Frame(time_ns, state, jpeg)
 
 
-def _value(record: Record, field: str) -> float:
+def _value(record: TubRecord, field: str) -> float:
     if record.values.get(field) is None:
-        raise _UnusableError(f"records without {field}")
+        raise _UnusableRecordError(f"records without {field}")
     number = finite(record.values[field])
     if number is None:
-        raise _UnusableError(f"records with a {field} that is not a finite number")
+        raise _UnusableRecordError(f"records with a {field} that is not a finite number")
     return float(number)
 
 
-def _time_ns(tub: Tub, record: Record, step_ms: float | None) -> int:
-    """When a record was made: as it says, or `step_ms` after the one before it."""
+def _time_ns(tub: Tub, record: TubRecord, step_ms: float | None) -> int:
+    """The time of a record: its own, or its index times `step_ms`."""
     zero_ns = (tub.start_ns or 0) if tub.is_time_from_start or step_ms is not None else 0
     ms = finite(record.values.get(tub.time_field) if step_ms is None else record.index)
     if ms is None:
-        raise _UnusableError("records without a time")
+        raise _UnusableRecordError("records without a time")
     ms *= 1 if step_ms is None else step_ms
     if not 0 <= ms < TIME_END_NS or zero_ns + round(ms * 1_000_000) >= TIME_END_NS:
-        raise _UnusableError("records with a time that no log can hold")
+        raise _UnusableRecordError("records with a time that no log can hold")
     return zero_ns + round(ms * 1_000_000)

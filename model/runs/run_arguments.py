@@ -1,4 +1,4 @@
-"""How runs and paths are named in what a person is told to type."""
+"""Runs and paths as arguments of the commands that messages suggest."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_NAMES: Final = 8
 
 
 def run_argument(run: Path) -> str:
-    """A run as an argument of a command, ready for a shell: its name if it lies in `RUNS`, else its path."""
+    """A run as an argument of a command, quoted for a shell: its name if it lies in `RUNS`, else its path."""
     return shlex.quote(run.name if run.parent == RUNS else str(run))
 
 
@@ -26,8 +26,8 @@ def short_path(path: Path) -> Path:
     return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved
 
 
-def known_runs(name: str, names: Sequence[str], runs: Path) -> str:
-    """Which runs there are in `runs`, for who has mistyped `name`."""
+def suggest_runs(name: str, names: Sequence[str], runs: Path) -> str:
+    """The runs in `runs` that somebody who mistyped `name` may have meant."""
     if not names:
         return f"none is in {runs}: `bc-train` makes one"
     if meant := did_you_mean(name, names):

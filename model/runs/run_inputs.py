@@ -1,6 +1,6 @@
-"""Where that is which a run was made from: its index, its logs, and the run whose weights it started from.
+"""The places of a run's inputs: its index, its logs, and the run whose weights it started from.
 
-A run's config.json tells places as they are seen from its folder: all can be moved together.
+A run's config.json has them relative to its folder: all can be moved together.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ import os
 from pathlib import Path
 
 from model.errors import RunError
-from model.runs.hints import short_path
-from model.runs.run_folder import CONFIG, checksum, config_folder, find_run, load_config
+from model.runs.run_arguments import short_path
+from model.runs.run_folder import CONFIG, config_folder, find_run, load_config, weights_checksum
 
 
-def seen_from(run: Path, place: Path) -> str:
-    """What a run's config says of a place."""
+def relative_place(run: Path, place: Path) -> str:
+    """A place as a run's config has it: relative to the run's folder."""
     run, place = run.resolve(), place.resolve()
     try:
         return Path(os.path.relpath(place, run)).as_posix()
@@ -61,12 +61,12 @@ def init_of(run: Path, runs: Path) -> Path | None:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{run / CONFIG}: does not say which run it was started from ({error})") from None
     init = find_run(str(place) if place is not None and place.exists() else name, runs)
-    if checksum(init) != weights_sha256:
+    if weights_checksum(init) != weights_sha256:
         raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
     return init
 
 
-def _place_of(run: Path, told: object) -> Path | None:
-    if not isinstance(told, str) or not told or "\0" in told:
+def _place_of(run: Path, stored: object) -> Path | None:
+    if not isinstance(stored, str) or not stored or "\0" in stored:
         return None
-    return short_path(config_folder(run).resolve() / told)
+    return short_path(config_folder(run).resolve() / stored)

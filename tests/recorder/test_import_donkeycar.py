@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from common import UserError
 from logs import read_messages
 from recorder import Imported, Log, RecordingError
-from recorder.sources.donkeycar import import_tub
 from recorder.sources.donkeycar_tub import is_tub
+from recorder.sources.import_donkeycar import import_tub
 from tubs import CREATED_S, FIRST_MS, VALUES, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
 
 START_NS = 1_679_574_289_750_000_000

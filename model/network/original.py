@@ -1,4 +1,4 @@
-"""The network: 5,022,327 parameters from a picture to a steering angle.
+"""The network of the original project: 5,022,327 parameters from a picture to a steering angle.
 
 After Bojarski et al. 2016, "End to End Learning for Self-Driving Cars" (arXiv 1604.07316), with max pooling in
 place of strides, a larger input, and dropout.
