@@ -23,7 +23,7 @@ import torch
 
 from common import UserError
 from dataset import IndexConfig, build_index
-from dataset.loader.crops import CROP_BYTES
+from dataset.preprocess import CROP_BYTES
 from model.config import TrainConfig
 from model.runs.training_progress import Epoch, Step
 from model.training.trainer import train

@@ -15,6 +15,8 @@ from recorder.pictures.picture_size import MOST_PIXELS, pixels
 Image = NDArray[np.uint8]
 
 SIZE_PX: Final = 128
+CROP_SHAPE: Final = (SIZE_PX, SIZE_PX, 3)
+CROP_BYTES: Final = SIZE_PX * SIZE_PX * 3
 # Of a picture 160 rows high, 50 are cut off the top (sky, trees) and 20 off the bottom (the bonnet).
 TOP_SHARE: Final = 50 / 160
 BOTTOM_SHARE: Final = 20 / 160
@@ -54,14 +56,12 @@ def is_crop(encoded: bytes) -> bool:
     return pixels(encoded) == SIZE_PX**2
 
 
-def preprocess(picture: Image, into: Image | None = None) -> Image:
+def preprocess(picture: Image) -> Image:
     """A camera picture (height, width, 3) BGR uint8 as the network's input, (128, 128, 3) BGR uint8.
-
-    Written `into` an array of this shape, if one is given.
 
     The crop is a share of the height, so that pictures of another size show the same part of the world.
     """
     height = picture.shape[0]
     cropped = picture[round(height * TOP_SHARE) : height - round(height * BOTTOM_SHARE)]
-    resized = cv2.resize(cropped, (SIZE_PX, SIZE_PX), into, interpolation=cv2.INTER_LINEAR)
+    resized = cv2.resize(cropped, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_LINEAR)
     return resized.astype(np.uint8, copy=False)

@@ -15,12 +15,22 @@ from common.car import CAMERAS
 from dataset.augment import alter
 from dataset.errors import DatasetError
 from dataset.index.samples_file import Rows
-from dataset.preprocess import SIZE_PX, Image, decode, preprocess
+from dataset.preprocess import CROP_BYTES, CROP_SHAPE, Image, decode, preprocess
 from recorder import Log
 from recorder.log.topics import camera_topic
 
-CROP_SHAPE = (SIZE_PX, SIZE_PX, 3)
-CROP_BYTES = SIZE_PX * SIZE_PX * 3
+
+def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Samples that show every crop once, sorted by picture; and for each sample (N,) which of these has its crop.
+
+    An altered sample has a crop of its own; the others share their picture's, mirrored or not.
+    """
+    is_altered = np.array([names != "" for names in rows.alterations], np.bool_)[rows.alteration]
+    order = np.lexsort((is_altered, rows.picture))
+    is_new = is_altered[order] | (np.diff(rows.picture[order], prepend=-1) != 0)
+    crop = np.empty(len(rows), np.int64)
+    crop[order] = np.cumsum(is_new) - 1
+    return order[is_new], crop
 
 
 class Crops:
@@ -43,27 +53,20 @@ class Crops:
         failed: dict[int, DatasetError] = {}
         columns = (self._rows.picture, self._rows.flip, self._rows.alteration, self._rows.seed)
         wanted = zip(pictures, samples.tolist(), *(column[samples].tolist() for column in columns), strict=True)
+        cropped = -1
         for picture, sample, number, flip, alteration, seed in wanted:
             try:
-                if flip:
-                    cv2.flip(self._crop(number), 1, picture)  # a tenth of the time of crop[:, ::-1]
-                else:
-                    self._crop(number, picture)
+                if number != cropped:  # neighbours in the index often show the same picture
+                    crop, cropped = self._crop(number), number
             except DatasetError as error:
                 failed[sample] = error
                 continue
+            if flip:
+                cv2.flip(crop, 1, picture)  # a tenth of the time of crop[:, ::-1]
+            else:
+                picture[:] = crop
             if names := self._rows.alterations[alteration]:
                 picture[:] = alter(picture, names, seed)
-        return failed
-
-    def fill_plain(self, pictures: Image, numbers: NDArray[np.int64]) -> dict[int, DatasetError]:
-        """Write the crops of the pictures called `numbers`, and keep none of them; otherwise as `fill`."""
-        failed: dict[int, DatasetError] = {}
-        for picture, number in zip(pictures, numbers.tolist(), strict=True):
-            try:
-                self._decode(number, picture)
-            except DatasetError as error:
-                failed[number] = error
         return failed
 
     def name(self, number: int) -> str:
@@ -77,24 +80,21 @@ class Crops:
                 return f"{rows.sessions[rows.session[number]]} row {found.sequence[at[0]]} {camera}"
         return f"{log.path} byte {offset}"  # an index that was not made here
 
-    def _crop(self, number: int, into: Image | None = None) -> Image:
-        """The crop of a picture, written `into` an array if one is given."""
+    def _crop(self, number: int) -> Image:
         if number >= len(self._kept):
-            return self._decode(number, into)
-        kept: Image = self._kept[number]
+            return self._decode(number)
         if not self._is_kept[number]:
-            self._decode(number, kept)
+            self._kept[number] = self._decode(number)
             self._is_kept[number] = True  # set last: another thread may look at any moment
-        if into is not None:
-            into[:] = kept
+        kept: Image = self._kept[number]
         return kept
 
-    def _decode(self, number: int, into: Image | None) -> Image:
+    def _decode(self, number: int) -> Image:
         rows = self._rows
         log = self._logs[rows.session[number]]
         offset = int(rows.offset[number])
         jpeg = log.read(offset, int(rows.length[number]), int(rows.chunk[number]))
         try:
-            return preprocess(decode(jpeg), into)
+            return preprocess(decode(jpeg))
         except ValueError as error:
             raise DatasetError(f"{log.path}: the picture at byte {offset}: {error}") from None

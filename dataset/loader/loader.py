@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from dataset.index.samples_file import LOADED, Rows, Samples, Split
-from dataset.loader.buffers import Allocate, Buffers
-from dataset.loader.crops import CROP_SHAPE, Crops
-from dataset.loader.prefetch import Fill, filled
+from dataset.loader.crops import Crops
+from dataset.loader.prefetch import filled
 from dataset.preprocess import Image
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
@@ -76,8 +75,6 @@ class Loader(Closeable):
         self._undecoded: set[int] = set()  # the pictures in `skipped`
         self._crops = Crops(self.rows, samples.logs, budget_bytes)
         self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
-        self._part = -(-min(batch, len(self)) // ranks)
-        self._buffers = Buffers((self._part, *CROP_SHAPE), self._at_once + 1)
 
     def close(self) -> None:
         self._samples.close()
@@ -115,15 +112,12 @@ class Loader(Closeable):
         """All samples once, in the order of the index (for evaluation)."""
         return self._batches(self._parts(np.arange(len(self)), 0))
 
-    def crops(self) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """Every picture once, unmirrored and unaltered: some numbers of pictures (as in `Rows.picture`) and their
-        crops (N, 128, 128, 3). None is kept here: whoever asks keeps them."""
-        size = max(1, self._part)
-        numbers = np.arange(self.pictures)
-        for part, crops, failed in self._filled(np.split(numbers, numbers[size::size]), self._crops.fill_plain):
-            self._skip(failed)
-            decoded = ~np.isin(part, failed)
-            yield part[decoded], crops[decoded] if failed else crops
+    def crops(self, samples: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """The crops (N, 128, 128, 3) of some samples in their order, a batch at a time, with the samples that they
+        are of. None is kept here; neighbours that show the same picture share its decoding."""
+        size = max(1, -(-min(self.batch, len(self)) // self.ranks))
+        parts = np.split(samples, np.arange(size, len(samples), size))
+        return self._decoded(parts, Crops(self.rows, self._samples.logs, budget_bytes=0))
 
     @property
     def decoded(self) -> NDArray[np.bool_]:
@@ -132,35 +126,32 @@ class Loader(Closeable):
 
     def look(self, samples: NDArray[np.int64]) -> Image:
         """The pictures (N, 128, 128, 3) of N samples that decode, at most a batch of them."""
-        ((_, pictures, _),) = self._filled([samples], self._crops.fill)
-        return pictures.copy()
-
-    def use_memory(self, allocate: Allocate) -> None:
-        """From the next epoch on, take the memory of batches from `allocate`: such as a GPU copies from."""
-        self._buffers = Buffers((self._part, *CROP_SHAPE), self._at_once + 1, allocate)
+        ((_, pictures),) = self._decoded([samples], self._crops)
+        return pictures
 
     def _parts(self, order: NDArray[np.int64], start_batch: int) -> Iterator[NDArray[np.int64]]:
         for start in range(start_batch * self.batch, len(order), self.batch):
             yield np.array_split(order[start : start + self.batch], self.ranks)[self.rank]
 
     def _batches(self, parts: Iterable[NDArray[np.int64]]) -> Iterator[Batch]:
-        for samples, pictures, failed in self._filled(parts, self._crops.fill):
+        return (Batch(pictures, self.rows.label[part]) for part, pictures in self._decoded(parts, self._crops))
+
+    def _decoded(
+        self, parts: Iterable[NDArray[np.int64]], crops: Crops
+    ) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """The samples of each part that decode, and their pictures; the others are skipped."""
+        for part, pictures, failed in filled(parts, crops.fill, threads=self.threads, at_once=self._at_once):
             if failed:
                 self._skip(self.rows.picture[failed].tolist())
-                decoded = ~np.isin(samples, failed)
-                samples, pictures = samples[decoded], pictures[decoded]
-            yield Batch(pictures, self.rows.label[samples])
+                is_decoded = ~np.isin(part, failed)
+                part, pictures = part[is_decoded], pictures[is_decoded]
+            yield part, pictures
 
     def _skip(self, pictures: list[int]) -> None:
         for number in pictures:
             if number not in self._undecoded:
                 self._undecoded.add(number)
                 self.skipped.add(UNDECODED, self._crops.name(number))
-
-    def _filled(
-        self, parts: Iterable[NDArray[np.int64]], fill: Fill
-    ) -> Iterator[tuple[NDArray[np.int64], Image, list[int]]]:
-        return filled(parts, fill, self._buffers, threads=self.threads, at_once=self._at_once)
 
 
 def load(

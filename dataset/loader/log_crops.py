@@ -18,8 +18,7 @@ from common.closeable import Closeable
 from dataset.errors import DatasetError
 from dataset.index.frames import driven_states, paired_rows, session_name
 from dataset.index.samples_file import Rows
-from dataset.loader.buffers import Buffers
-from dataset.loader.crops import CROP_SHAPE, Crops
+from dataset.loader.crops import Crops
 from dataset.loader.loader import UNDECODED
 from dataset.loader.prefetch import filled
 from dataset.preprocess import Image
@@ -93,11 +92,8 @@ class LogCrops(Closeable):
         """
         numbers = np.arange(len(self))
         parts = np.split(numbers, numbers[size::size])
-        buffers = Buffers((size, *CROP_SHAPE), _AT_ONCE + 1)
         threads = os.cpu_count() or 1
-        for part, crops, failed in filled(
-            parts, self._crops.fill_plain, buffers, threads=threads, at_once=_AT_ONCE
-        ):
+        for part, crops, failed in filled(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
             for number in failed:
                 self.skipped.add(UNDECODED, self._crops.name(number))
             is_decoded = ~np.isin(part, failed)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.errors import DatasetError
-from dataset.loader.buffers import Buffers
-from dataset.preprocess import Image
+from dataset.preprocess import CROP_SHAPE, Image
 
 _JOBS: Final = 4  # for each thread of a part: small enough that none waits long for the others' last one
 
@@ -23,9 +22,9 @@ Fill = Callable[[Image, Numbers], Failed]
 
 
 def filled(
-    parts: Iterable[Numbers], fill: Fill, buffers: Buffers, *, threads: int, at_once: int
+    parts: Iterable[Numbers], fill: Fill, *, threads: int, at_once: int
 ) -> Iterator[tuple[Numbers, Image, list[int]]]:
-    """Each part, what `fill` writes for it into one of `buffers`, and its numbers that have no picture.
+    """Each part, what `fill` writes for it (N, 128, 128, 3), and its numbers that have no picture.
 
     `at_once` parts are worked on. What `fill` raises is raised in its part's turn.
     """
@@ -33,12 +32,11 @@ def filled(
     pool = ThreadPoolExecutor(threads)
     try:
         for part in parts:
-            pictures = buffers.take()[: len(part)]
+            pictures = np.empty((len(part), *CROP_SHAPE), np.uint8)
             size = max(1, -(-len(part) // (_JOBS * threads)))
             starts = range(0, len(part), size)
             jobs = [pool.submit(fill, pictures[i : i + size], part[i : i + size]) for i in starts]
             waiting.append((part, pictures, jobs))
-            del pictures  # else its memory would be used again one part later
             if len(waiting) == at_once:
                 yield _finished(*waiting.popleft())
         while waiting:

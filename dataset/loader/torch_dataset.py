@@ -15,8 +15,8 @@ from typing import Any, SupportsIndex
 import numpy as np
 
 from dataset.index.samples_file import LOADED, Samples, Split, open_logs
-from dataset.loader.crops import CROP_SHAPE, Crops
-from dataset.preprocess import Image
+from dataset.loader.crops import Crops
+from dataset.preprocess import CROP_SHAPE, Image
 
 
 class SamplesDataset:

@@ -127,8 +127,7 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
 def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
     config = load_config(run)
     loader = Loader(samples, seen, batch=BATCH, budget_bytes=0)  # each picture is looked at once
-    predicted, has_crop = predict_crops([run], loader.crops(), loader.pictures)
-    steering, is_decoded = predicted[0, loader.rows.picture], has_crop[loader.rows.picture]
+    (steering,), is_decoded = predict_crops([run], loader.crops(np.arange(len(loader))), len(loader))
     if not is_decoded.any():
         _, name = next(iter(loader.skipped))
         raise DatasetError(

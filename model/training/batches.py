@@ -1,8 +1,8 @@
 """Batches on the device that trains, from wherever the pictures are kept.
 
 On a CPU they come straight out of the loader. On a GPU all crops lie in its memory, if they fit into half of what
-is free: decoding, the slowest part, is then done once. If they do not fit, each batch is copied while the one
-before it is learnt. All give the same samples in the same order, so that a GPU learns what a CPU would.
+is free: decoding and altering, the slowest part, is then done once. If they do not fit, each batch is copied while
+the one before it is learnt. All give the same samples in the same order, so that a GPU learns what a CPU would.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from torch import Tensor
 
 from common import Skipped
 from dataset import Batch, Loader
-from dataset.loader.crops import CROP_BYTES, CROP_SHAPE
+from dataset.loader.crops import different_crops
+from dataset.preprocess import CROP_BYTES, CROP_SHAPE
 from model.evaluation.predict import as_input
-from model.training.device_augment import MASK_BYTES, Alterations
 
 Advance = Callable[[int], object]
 
@@ -64,10 +64,9 @@ def make_batches(
 
 
 def needed_bytes(loader: Loader) -> int:
-    """Memory that all crops of a loader take on a device, with what their alterations need."""
-    is_shaded = np.array(["shadow" in names for names in loader.rows.alterations], np.bool_)
-    shaded = int(np.count_nonzero(is_shaded[loader.rows.alteration])) if len(loader) else 0
-    return loader.pictures * CROP_BYTES + shaded * MASK_BYTES + len(loader) * 16
+    """Memory that all crops of a loader take on a device, with the order and the labels of an epoch."""
+    samples, _ = different_crops(loader.rows)
+    return len(samples) * CROP_BYTES + len(loader) * 16
 
 
 class _OfLoader:
@@ -103,8 +102,6 @@ class PinnedBatches(_OfLoader):
         super().__init__(loader)
         self._device = device
         self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None  # type: ignore[no-untyped-call]
-        if self._stream is not None:
-            loader.use_memory(_pinned)  # only out of such memory does a GPU copy by itself
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         return self._one_ahead(self._loader.epoch(epoch, start_batch))
@@ -124,11 +121,13 @@ class _Copy:
     """A batch on its way to a device."""
 
     def __init__(self, batch: Batch, device: torch.device, stream: torch.cuda.Stream | None) -> None:
-        self._batch = batch  # its memory must not be used again before the copy is done
+        pictures, steering = as_input(batch.pictures), torch.from_numpy(batch.steering)
         self._event: torch.cuda.Event | None = None
+        if stream is not None:  # only out of pinned memory does a GPU copy by itself
+            pictures, steering = pictures.pin_memory(), steering.pin_memory()
         with torch.cuda.stream(stream):  # without a stream, this does nothing
-            self._steering = torch.from_numpy(batch.steering).to(device, non_blocking=True)
-            self._pictures = as_input(batch.pictures).to(device, non_blocking=True)
+            self._steering = steering.to(device, non_blocking=True)
+            self._pictures = pictures.to(device, non_blocking=True)
         if stream is not None:
             self._event = stream.record_event()
 
@@ -141,45 +140,39 @@ class _Copy:
 
 
 class DeviceBatches(_OfLoader):
-    """Every crop lies on the device, once; a batch is picked out of them, mirrored and altered there."""
+    """Every crop, altered or not, lies on the device, once; a batch is picked out of them, and mirrored there."""
 
     def __init__(self, loader: Loader, device: torch.device, advance: Advance = lambda pictures: None) -> None:
         """Reads all pictures. Raises DatasetError or LogError where the index or a log is damaged."""
         super().__init__(loader)
         self._device = device
-        self._alterations = Alterations(loader.rows, device)
-        self._crops = torch.empty((loader.pictures, *CROP_SHAPE), dtype=torch.uint8, device=device)
-        self._is_decoded = np.zeros(loader.pictures, np.bool_)
-        for numbers, crops in loader.crops():
+        rows = loader.rows
+        samples, self._crop = different_crops(rows)
+        self._flip = rows.flip != rows.flip[samples][self._crop]
+        is_new_picture = np.diff(rows.picture[samples], prepend=-1) != 0
+        self._crops = torch.empty((len(samples), *CROP_SHAPE), dtype=torch.uint8, device=device)
+        self._is_decoded = np.zeros(len(samples), np.bool_)
+        for part, crops in loader.crops(samples):
+            numbers = self._crop[part]
             self._crops.index_copy_(0, torch.from_numpy(numbers).to(device), torch.from_numpy(crops).to(device))
             self._is_decoded[numbers] = True
-            advance(len(numbers))
+            advance(int(np.count_nonzero(is_new_picture[numbers])))
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
-        rows = self._loader.rows
-        parts = [part[self._is_decoded[rows.picture[part]]] for part in self._loader.parts(epoch, start_batch)]
+        parts = [part[self._is_decoded[self._crop[part]]] for part in self._loader.parts(epoch, start_batch)]
         return self._epoch(parts)
 
     def _epoch(self, parts: list[NDArray[np.int64]]) -> Iterator[tuple[Tensor, Tensor]]:
         # All that the epoch needs is sent at once: a copy in its middle would make the host wait for the GPU.
-        rows = self._loader.rows
         samples = np.concatenate([*parts, np.zeros(0, np.int64)])
-        picture, flip, steering = (
-            torch.from_numpy(column[samples]).to(self._device) for column in (rows.picture, rows.flip, rows.label)
-        )
-        steps = self._alterations.steps(parts)
+        columns = (self._crop, self._flip, self._loader.rows.label)
+        crop, flip, steering = (torch.from_numpy(column[samples]).to(self._device) for column in columns)
         end = 0
-        for number, part in enumerate(parts):
+        for part in parts:
             start, end = end, end + len(part)
-            pictures = self._crops.index_select(0, picture[start:end])
+            pictures = self._crops.index_select(0, crop[start:end])
             pictures = torch.where(flip[start:end, None, None, None], pictures.flip(2), pictures)
-            self._alterations.apply(steps, number, pictures)
             yield pictures.permute(0, 3, 1, 2), steering[start:end]
-
-
-def _pinned(shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    memory: NDArray[np.uint8] = torch.empty(shape, dtype=torch.uint8, pin_memory=True).numpy()
-    return memory
 
 
 def _free_bytes(device: torch.device) -> int:

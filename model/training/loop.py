@@ -23,7 +23,7 @@ from common.errors import counted, shown
 from common.versions import TOOLKIT
 from dataset import Loader, Samples
 from dataset.index.samples_file import LOADED
-from dataset.loader.crops import CROP_BYTES
+from dataset.preprocess import CROP_BYTES
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError

@@ -19,12 +19,11 @@ import torch
 from torch import Tensor
 
 from common.car import CAMERAS, Camera
-from dataset import IndexConfig, Loader, build_index, load
-from dataset.augment import ALTERATIONS, Blur, Brightness, Shadow, alter
+from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
+from dataset.augment import ALTERATIONS, alter
 from dataset.preprocess import Image
 from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
-from model.training.device_augment import blurred, brightened, shaded
 
 CPU = torch.device("cpu")
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
@@ -68,10 +67,6 @@ def pixels(pictures: Tensor) -> Image:
     return found
 
 
-def level_difference(one: Image, other: Image) -> Image:
-    return np.abs(one.astype(np.int16) - other.astype(np.int16)).astype(np.uint8)
-
-
 # The same as the loader gives
 
 
@@ -88,9 +83,6 @@ def test_on_a_cpu_nothing_is_copied(index: Path) -> None:
 @pytest.mark.parametrize("ranks", [1, 3])
 def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path, ranks: int) -> None:
     rows = rows_of(index)
-    unaltered: list[Image] = []
-    bright: list[Image] = []
-    other: list[Image] = []
     for rank in range(ranks):
         with load(index, batch=BATCH, seed=5, rank=rank, ranks=ranks) as loader:
             batches = DeviceBatches(loader, CPU)
@@ -103,16 +95,7 @@ def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path, ranks: 
                     assert pictures.shape == (len(part), 3, 128, 128)
                     assert pictures.is_contiguous(memory_format=torch.channels_last)
                     assert steering.tolist() == [np.float32(rows[sample]["label"]) for sample in part]
-                    off = level_difference(pixels(pictures), batch.pictures)
-                    for sample, difference in zip(part, off, strict=True):
-                        names = rows[sample]["alteration"]
-                        kind = bright if "brightness" in names else other if names else unaltered
-                        kind.append(difference)
-    assert min(map(len, (unaltered, bright, other))) > 20
-    assert not np.any(unaltered)  # mirrored or not
-    assert np.max(other) <= 1
-    assert np.max(bright) <= 2
-    assert np.mean(np.array(bright) > 0) < 0.05
+                    assert (pixels(pictures) == batch.pictures).all()
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -172,14 +155,15 @@ def test_a_split_without_samples_has_no_batches(tmp_path: Path) -> None:
 # Bringing the crops there
 
 
-def test_every_picture_is_read_once_and_told_of(index: Path) -> None:
-    """Mirror images and copies show the same crop."""
+def test_every_picture_is_reported_once(index: Path) -> None:
+    """Mirror images and copies show the same picture."""
     pictures = len({(row["offset"], row["camera"]) for row in rows_of(index)})
     told: list[int] = []
     with load(index, batch=8) as loader:
         assert loader.pictures == pictures < len(loader) / 2
         batches = DeviceBatches(loader, CPU, told.append)
-        assert (sum(told), max(told)) == (pictures, 8)
+        assert sum(told) == pictures
+        assert max(told) <= 8  # reported as it goes
         (index.parent / "lake.mcap").rename(index.parent / "away.mcap")  # nothing is opened again
         assert sum(len(steering) for _, steering in batches.epoch(1)) == len(loader)
         (index.parent / "away.mcap").rename(index.parent / "lake.mcap")
@@ -187,9 +171,12 @@ def test_every_picture_is_read_once_and_told_of(index: Path) -> None:
 
 def test_the_memory_needed_is_that_of_the_crops_and_a_little(index: Path) -> None:
     with load(index, batch=BATCH) as loader:
-        crops = loader.pictures * 128 * 128 * 3
-        shadows = sum("shadow" in row["alteration"] for row in rows_of(index))
-        assert crops + 2048 * shadows <= needed_bytes(loader) < crops + 2048 * shadows + 20 * len(loader)
+        rows = rows_of(index)
+        altered = sum(row["alteration"] != "" for row in rows)
+        plain = {(row["camera"], row["row"]) for row in rows if row["alteration"] == ""}
+        assert altered > 20
+        crops = (len(plain) + altered) * 128 * 128 * 3
+        assert crops <= needed_bytes(loader) < crops + 20 * len(loader)
 
 
 @pytest.mark.parametrize(("spare_bytes", "kind"), [(0, DeviceBatches), (-1, PinnedBatches)])
@@ -202,61 +189,6 @@ def test_a_device_that_has_room_for_all_crops_gets_them(
         assert type(batches) is kind
         for pictures, steering in batches.epoch(1):
             assert (pictures.device, steering.device) == (elsewhere, elsewhere)
-
-
-def test_a_loader_fills_the_memory_that_it_is_given(index: Path) -> None:
-    """As a GPU needs it, which copies by itself only out of memory that never moves."""
-    given: list[Image] = []
-
-    def allocate(shape: tuple[int, ...]) -> Image:
-        given.append(np.empty(shape, np.uint8))
-        return given[-1]
-
-    with load(index, batch=BATCH) as loader:
-        loader.use_memory(allocate)
-        for _ in range(3):
-            for batch in loader.epoch(1):
-                assert any(np.shares_memory(batch.pictures, memory) for memory in given)
-        assert len(given) < 2 * loader.batches  # used again
-
-
-# Alterations
-
-
-@pytest.fixture(scope="module")
-def pictures() -> Image:
-    """Noise, in which neighbours differ as much as they can; smooth colours; greys; and the extremes."""
-    random = np.random.default_rng(0)
-    noise = random.integers(0, 256, (6, 128, 128, 3), dtype=np.uint8)
-    smooth = np.stack([cv2.resize(picture[:5, :7], (128, 128)) for picture in noise])
-    grey = np.broadcast_to(np.arange(0, 256, 2, dtype=np.uint8)[None, :, None, None], (1, 128, 128, 3))
-    pure = 255 * (np.arange(128) // 16 >> np.arange(3)[:, None] & 1).astype(np.uint8)  # all 8 pure colours
-    corners = np.broadcast_to(pure.T[None, None], (1, 128, 128, 3))
-    return np.concatenate([noise, smooth, grey, corners])
-
-
-@pytest.mark.parametrize("kernel_px", [3, 5, 7, 9])
-def test_blur_agrees_with_opencv(pictures: Image, kernel_px: int) -> None:
-    expected = np.stack([Blur(kernel_px).apply(picture) for picture in pictures])
-    assert level_difference(blurred(torch.from_numpy(pictures), kernel_px).numpy(), expected).max() <= 1
-
-
-def test_brightness_agrees_with_opencv(pictures: Image) -> None:
-    different = []
-    for factor in (0.4, 0.77, 1.0, 1.234, 1.6):
-        expected = np.stack([Brightness(factor).apply(picture) for picture in pictures])
-        found = brightened(torch.from_numpy(pictures), torch.full((len(pictures),), factor)).numpy()
-        different.append(level_difference(found, expected))
-    assert np.max(different) <= 2
-    assert np.mean(np.array(different) > 0) < 0.05
-
-
-def test_shadows_are_those_of_opencv_to_the_last_edge(pictures: Image) -> None:
-    drawn = [Shadow.draw(np.random.default_rng(seed), 128, 128) for seed in range(len(pictures))]
-    expected = np.stack([shadow.apply(picture) for shadow, picture in zip(drawn, pictures, strict=True)])
-    masks = torch.from_numpy(np.stack([shadow.mask for shadow in drawn]) > 0)
-    factors = torch.tensor([shadow.factor for shadow in drawn])
-    assert (shaded(torch.from_numpy(pictures), masks, factors).numpy() == expected).all()
 
 
 def test_alterations_come_in_the_order_of_the_index_whatever_it_is(index: Path, tmp_path: Path) -> None:
@@ -272,19 +204,10 @@ def test_alterations_come_in_the_order_of_the_index_whatever_it_is(index: Path, 
     (tmp_path / "lake.mcap").symlink_to(index.parent / "lake.mcap")
     rows = rows_of(tmp_path / "index")
     with load(tmp_path / "index", batch=BATCH, threads=1) as loader:
-        plain = {
-            number: crop.copy()
-            for numbers, crops in loader.crops()
-            for number, crop in zip(numbers.tolist(), crops, strict=True)
-        }
         order = loader.order(1)
         found = np.concatenate([pixels(pictures) for pictures, _ in DeviceBatches(loader, CPU).epoch(1)])
-        picture_of = loader.rows.picture
-    off = []
     for sample, picture in zip(order, found, strict=True):
-        crop = plain[picture_of[sample]]
-        mirrored = np.ascontiguousarray(crop[:, ::-1]) if rows[sample]["flip"] else crop
-        expected = alter(mirrored, rows[sample]["alteration"], rows[sample]["seed"])
-        off.append(level_difference(picture, expected))
-    assert np.max(off) <= 2
-    assert np.mean(np.array(off) > 0) < 0.05
+        row = rows[sample]
+        crop = preprocess(decode(scene(row["camera"], row["row"])))
+        mirrored = np.ascontiguousarray(crop[:, ::-1]) if row["flip"] else crop
+        assert (picture == alter(mirrored, row["alteration"], row["seed"])).all()
