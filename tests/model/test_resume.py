@@ -90,14 +90,13 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import model.training.loop
-import model.training.trainer
 from test_resume import At, CONFIG
 
-model.loop.CHECKPOINT_S = float(sys.argv[5])
+model.training.loop.CHECKPOINT_S = float(sys.argv[5])
 kill = At(int(sys.argv[3]), int(sys.argv[4]), lambda: os.kill(os.getpid(), signal.SIGKILL))
 resume = Path(sys.argv[2]).exists()
 init = Path(sys.argv[6]) if sys.argv[6] else None
-model.training.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, [kill], init=init, resume=resume, figures=False)
+model.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, [kill], init=init, resume=resume, figures=False)
 """
 
 
@@ -121,6 +120,7 @@ def in_python(code: str, *arguments: object) -> subprocess.CompletedProcess[str]
     )
 
 
+@pytest.mark.long  # killed once: test_a_fine_tuned_run_that_is_killed_...
 def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
     index: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -195,12 +195,11 @@ KILLED_EARLY = """
 import os, signal, sys
 from pathlib import Path
 import model.training.loop
-import model.training.trainer
 from test_resume import CONFIG
 
-model.loop.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
+model.training.loop.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
 init = Path(sys.argv[3]) if sys.argv[3] else None
-model.training.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
+model.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
 """
 
 
