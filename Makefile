@@ -7,7 +7,7 @@ SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive vi
 # as many tests at once as there are processors; those of one file share what they have made
 PYTEST := $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadfile
 
-.PHONY: install demo test test-long coverage check pictures proto clean
+.PHONY: install demo test test-long coverage check docs site pictures proto clean
 
 install: $(VENV)/installed
 
@@ -44,6 +44,18 @@ check: install
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy
+
+docs: install
+	$(BIN)/python docs/make_commands.py
+	$(BIN)/python docs/make_architecture.py
+
+site: $(VENV)/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "build/site/index.html"
+
+$(VENV)/installed-docs: $(VENV)/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	@touch $@
 
 pictures: install
 	$(BIN)/python docs/make_pictures.py

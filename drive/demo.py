@@ -1,4 +1,4 @@
-"""`bc-demo`: the whole chain on the built-in simulator, with the commands that a user would type."""
+"""`bc-demo`: runs the commands of the whole chain on the built-in simulator, as a user would type them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from pathlib import Path
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, run_command
 from common.errors import UsageError
-from common.output import as_typed, print_message, print_result
-from common.progress import time_text
+from common.output import print_message, print_result, shell_command
+from common.progress import duration_text
 from common.streams import drain
 
 
@@ -39,22 +39,22 @@ class Demo:
 
 
 @dataclass(frozen=True)
-class Step:
+class DemoStep:
     command: str
     seconds: float
-    """What it took when it was measured, on two cores; on another machine, all are slower or faster alike."""
+    """Measured on two cores; on another machine, all steps are slower or faster alike."""
 
 
-def steps_of(config: Demo) -> list[Step]:
-    """What the demo does, one after the other."""
+def steps_of(config: Demo) -> list[DemoStep]:
+    """The steps of the demo, in their order."""
     share = config.share
     return [
-        Step(f"bc-record lake --track lake --laps {share:g}", 3 + 60 * share),
-        Step(f"bc-record mountain --track mountain --laps {share:g}", 3 + 66 * share),
-        Step("bc-index", 3),
-        Step(f"bc-train --name demo --epochs {config.epochs}", 10 + 48 * share * config.epochs),
-        Step(f"bc-eval demo --simulator lake mountain --laps {config.laps:g}", 10 + 85 * config.laps),
-        Step("bc-play drives/demo-mountain-10mph.mcap --save drives/demo-mountain-10mph.rrd", 6),
+        DemoStep(f"bc-record lake --track lake --laps {share:g}", 3 + 60 * share),
+        DemoStep(f"bc-record mountain --track mountain --laps {share:g}", 3 + 66 * share),
+        DemoStep("bc-index", 3),
+        DemoStep(f"bc-train --name demo --epochs {config.epochs}", 10 + 48 * share * config.epochs),
+        DemoStep(f"bc-eval demo --simulator lake mountain --laps {config.laps:g}", 10 + 85 * config.laps),
+        DemoStep("bc-play drives/demo-mountain-10mph.mcap --save drives/demo-mountain-10mph.rrd", 6),
     ]
 
 
@@ -64,14 +64,14 @@ def demo(config: Demo) -> int:
     folder.mkdir(parents=True)
     steps = steps_of(config)
     seconds = sum(step.seconds for step in steps)
-    print_result(f"working in {folder}; all takes about {time_text(seconds)} on two idle cores")
+    print_result(f"working in {folder}; all takes about {duration_text(seconds)} on two idle cores")
     if (how := _how_to_type_them()) is not None:
         print_result(f"to type these commands yourself, there: {how}")
     start_s, code = time.monotonic(), DONE
     for number, step in enumerate(steps):
         done = sum(each.seconds for each in steps[:number])
         gone_s = time.monotonic() - start_s
-        left = f", about {time_text((seconds - done) * gone_s / done)} left" if number else ""
+        left = f", about {duration_text((seconds - done) * gone_s / done)} left" if number else ""
         print_result("", f"{number + 1} of {len(steps)}{left}", f"$ {step.command}")
         try:
             code = max(code, _run(step.command, folder))
@@ -85,14 +85,14 @@ def demo(config: Demo) -> int:
     log = folder / "drives" / "demo-mountain-10mph.mcap"
     print_result(
         "",
-        f"Done in {time_text(time.monotonic() - start_s)}. Watch the drive:",
-        f"    {as_typed('bc-play')} {shlex.quote(str(log))}",
+        f"Done in {duration_text(time.monotonic() - start_s)}. Watch the drive:",
+        f"    {shell_command('bc-play')} {shlex.quote(str(log))}",
     )
     return code
 
 
 def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
-    """Raise UserError, or UsageError, for what a step would refuse, after minutes of those before it."""
+    """Raise UserError, or UsageError, for settings that a later step would refuse, after minutes."""
     if folder.exists():
         raise UserError(f"{folder}: exists already; give another --folder")
     if not 1 <= config.epochs <= 10**6:
@@ -108,15 +108,15 @@ def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
 
 
 def _how_to_type_them() -> str | None:
-    """What a shell needs to find the commands; None if it does."""
-    if as_typed("bc-play") == "bc-play":
+    """The line with which a shell finds the commands; None if it does already."""
+    if shell_command("bc-play") == "bc-play":
         return None
     activate = Path(sysconfig.get_path("scripts")) / "activate"
     return f"source {shlex.quote(str(activate))}" if activate.exists() else None
 
 
 def _program(name: str) -> str:
-    # beside this Python first: the virtual environment need not be active
+    # beside this Python first: its virtual environment need not be active
     found = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
     if found is None:
         raise UserError(f"{name}: not installed beside {sys.executable}; install the toolkit with `pip install .`")
@@ -124,7 +124,7 @@ def _program(name: str) -> str:
 
 
 def _run(command: str, folder: Path) -> int:
-    """Run a command to its end; its exit code, if it has done what it should."""
+    """Run a command to its end; its exit code. Raises UserError if it has failed."""
     name, *arguments = shlex.split(command)
     drain()  # it prints by itself
     process = subprocess.Popen([_program(name), *arguments], cwd=folder)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from common import whole_file
+from common import atomic_file
 from dataset.index.image_check_cache import LOOKS_FOLDER
 from recorder.log.tags import tags_path
 
@@ -83,5 +83,5 @@ def write_state(path: Path, samples: Stat, logs: Mapping[str, Entry], passed_ove
         "logs": {name: vars(entry) for name, entry in logs.items()},
         "passed_over": sorted(passed_over),
     }
-    with whole_file(path, overwrite=True) as part:
+    with atomic_file(path, overwrite=True) as part:
         part.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", encoding="utf-8")

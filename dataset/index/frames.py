@@ -14,21 +14,23 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from common import whole_file
+from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.files import final_path
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.index.balance import bin_of
-from dataset.index.drivers import DRIVERS, EXPERT, Commands, is_taken, read_commands
+from dataset.index.drivers import DRIVERS, EXPERT, is_taken, read_commands
 from dataset.index.frame_flags import Looked, Paired, frame_flags
 from dataset.index.image_check_cache import read_look
+from dataset.index.pairing import paired_rows
 from dataset.index.samples_format import METADATA_KEY
 from dataset.index.split import block_numbers, near_validation, validation_blocks
+from dataset.index.topic_columns import TOPIC_COLUMNS, topic_columns
 from recorder import Log, Pictures
 from recorder.log.row_quality import States, drive_numbers
 from recorder.log.tags import Tag
-from recorder.log.topics import camera_topic
+from recorder.log.topics import VEHICLE_COLUMNS, camera_topic
 
 FORMAT: Final = 6
 
@@ -42,10 +44,8 @@ SCHEMA: Final = pa.schema(
         pa.field("offset", pa.int64()),
         pa.field("length", pa.int64()),  # of the JPEG, in bytes
         pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
-        pa.field("steering", pa.float64()),  # where an expert drove, what he commanded
-        pa.field("throttle", pa.float64()),
-        pa.field("brake", pa.float64()),
-        pa.field("speed_mph", pa.float64()),
+        # steering: where an expert drove, what he commanded
+        *(pa.field(name, pa.float64()) for name in (*VEHICLE_COLUMNS, *TOPIC_COLUMNS)),
         pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" where nobody says
         pa.field("drive", pa.int64()),
         pa.field("block", pa.int64()),
@@ -97,6 +97,7 @@ def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
         "validation": session in config.validation if config.validation else config.validation_share,
         "seed": config.seed,
         "drives": config.drives,
+        **({"columns": list(TOPIC_COLUMNS)} if TOPIC_COLUMNS else {}),
     }
 
 
@@ -113,7 +114,7 @@ def read_metadata(path: Path) -> dict[str, Any] | None:
 def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
     """Write a parquet file whole, or leave the old one. Same table and metadata: same bytes."""
     stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
-    with whole_file(path, overwrite=True) as part:
+    with atomic_file(path, overwrite=True) as part:
         pq.write_table(table.replace_schema_metadata(stored), part, compression="zstd", write_page_checksum=True)
 
 
@@ -139,7 +140,7 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
     looked = read_look(index, session, log.fingerprint)
-    return frames_of(states, pictures, session, config, tags, looked, driver)
+    return frames_of(states, pictures, session, config, tags, looked, driver, topic_columns(log, states))
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
@@ -167,9 +168,10 @@ def frames_of(
     tags: Sequence[Tag] = (),
     looked: Looked | None = None,
     driver: NDArray[np.int8] | None = None,
+    others: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> pa.Table:
-    """The frames of a session from its vehicle states, from where its pictures lie, and from who drove at each
-    state (as `driven_states` gives it; without, nobody says)."""
+    """The frames of a session from its vehicle states, from where its pictures lie, from who drove at each state
+    (as `driven_states` gives it; without, nobody says), and from its `topic_columns` (without, NaN)."""
     if driver is None:
         driver = np.zeros(len(states.row), np.int8)
     drive = drive_numbers(states.time_ns)
@@ -205,7 +207,11 @@ def frames_of(
         "offset": offset,
         "length": length,
         "chunk": chunk,
-        **{name: getattr(states, name)[state] for name in ("steering", "throttle", "brake", "speed_mph")},
+        **{name: getattr(states, name)[state] for name in VEHICLE_COLUMNS},
+        **{
+            name: others[name][state] if others is not None else np.full(len(order), np.nan)
+            for name in TOPIC_COLUMNS
+        },
         "driver": pa.DictionaryArray.from_arrays(driver[state], list(DRIVERS)),
         "drive": drive[state],
         "block": block[state],
@@ -245,19 +251,3 @@ def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
             if tag.name not in names[at]:
                 names[at].append(tag.name)
     return pa.array(names, pa.list_(pa.string()))
-
-
-def paired_rows(messages: Pictures | Commands, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs messages with vehicle states by row number and log time: (positions of states, of messages)."""
-    count = len(states.row)
-    row = np.concatenate([states.row, messages.sequence])
-    time_ns = np.concatenate([states.time_ns, messages.log_time_ns])
-    order = np.lexsort((time_ns, row))  # stable: of what is alike, states come before messages
-    is_new = np.ones(len(order), np.bool_)
-    is_new[1:] = (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)
-    first = order[np.maximum.accumulate(np.where(is_new, np.arange(len(order)), 0))]
-    state = np.empty(len(order), np.int64)
-    state[order] = first  # the first of those alike; a message's is a state, if there is one
-    state = state[count:]
-    found = np.flatnonzero(state < count)
-    return state[found], found

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common import whole_file
+from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.progress import progress_bar
 from dataset.errors import naming
@@ -97,7 +97,7 @@ def write_look(index: Path, session: str, fingerprint: str, looked: Looked) -> N
         "frozen": dict(looked.frozen),
     }
     path = _look_path(index, session)
-    with naming(path), whole_file(path, overwrite=True) as part:
+    with naming(path), atomic_file(path, overwrite=True) as part:
         part.write_text(json.dumps(entry) + "\n", encoding="utf-8")
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from dataset.errors import DatasetError
-from dataset.index.frames import driven_states, paired_rows, session_name
+from dataset.index.frames import driven_states, session_name
+from dataset.index.pairing import paired_rows
 from dataset.index.samples_file import Rows
 from dataset.loader.crops import Crops
 from dataset.loader.loader import UNDECODED

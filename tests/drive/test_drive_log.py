@@ -36,8 +36,7 @@ from recorder.server.eventlet_host import EventletHost
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from repository import HELPERS, ROOT
-from simulator.protocol.client import Answer, SimulatorClient, Told
-from simulator.protocol.client import Telemetry as SimulatorTelemetry
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 
 WORLD = World(
     time_s=0.0,
@@ -366,7 +365,7 @@ def test_where_the_disk_stands_still_pictures_are_lost_before_commands(
     decisions = [decided(i, replace(WORLD, time_s=i / 25)) for i in range(100)]
     sizes = [len(d.telemetry.jpeg) + d.crop.nbytes for d in decisions if d.telemetry and d.crop is not None]
     kept = 7
-    monkeypatch.setattr("drive.log.log_thread.MOST_PICTURE_BYTES", sum(sizes[:kept]))
+    monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", sum(sizes[:kept]))
     with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
         log = DriveLog(writer)
         for decision in decisions:  # would never end if anything waited
@@ -390,7 +389,7 @@ def test_where_the_disk_stands_still_pictures_are_lost_before_commands(
 
 def test_pictures_come_back_when_the_disk_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.mcap"
-    monkeypatch.setattr("drive.log.log_thread.MOST_PICTURE_BYTES", 100_000)
+    monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", 100_000)
     with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
         log = DriveLog(writer)
         for number in range(10):
@@ -410,7 +409,7 @@ def test_pictures_come_back_when_the_disk_does(tmp_path: Path, monkeypatch: pyte
 
 def test_rows_are_lost_only_when_far_more_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.mcap"
-    monkeypatch.setattr("drive.log.log_thread.MOST_WAITING", 20)
+    monkeypatch.setattr("drive.log.log_thread.MAX_WAITING", 20)
     with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
         log = DriveLog(writer)
         for number in range(50):
@@ -539,7 +538,7 @@ def test_a_viewer_that_is_stopped_keeps_neither_the_drive_nor_its_log(tmp_path: 
         left = iter(range(300))
         answers: list[object] = []
 
-        def next_telemetry(answer: Answer) -> Told:
+        def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
             if answer is not None:
                 answers.append(answer)
             number = next(left, None)

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-import socketio
 import websocket
 from mcap.reader import make_reader
 from websocket import ABNF
@@ -29,7 +28,14 @@ from logs import START_NS, read_messages
 from recorder import Imported, RecordingError
 from recorder.errors import ListenError
 from recorder.sources.live_telemetry import listen_for_telemetry
-from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
+from serving import ModernClient
+from simulator.protocol.client import (
+    ServerCommand,
+    SimulatorClient,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    WaitTimeoutError,
+)
 
 # `bc-record --listen` without its flags: the log, the port, and where given the seconds of waiting.
 LISTEN = """
@@ -52,7 +58,9 @@ def listen(config):
 
 run_command("listen", Listen, listen)
 """
-DRIVEN = [Telemetry(steering=i / 20 - 1, throttle=i / 40, speed_mph=i / 4, jpeg=road_jpeg(i)) for i in range(40)]
+DRIVEN = [
+    SimulatorTelemetry(steering=i / 20 - 1, throttle=i / 40, speed_mph=i / 4, jpeg=road_jpeg(i)) for i in range(40)
+]
 # Text and binary messages that break Engine.IO, Socket.IO or JSON, or name an event that is not a client's.
 NOTICE_BROKEN = (
     *("42[]", "42", "42{}", '42"telemetry"', "42null", "42[1]", "421", "49", "44", "45", "4", "4{}", "x", ""),
@@ -88,35 +96,7 @@ class ListenProcess(Process):
         return int(self.wait_for(r"^waiting for a simulator on 127\.0\.0\.1:(\d+)$")[1])
 
 
-class ModernClient:
-    """python-socketio's own client."""
-
-    def __init__(self, port: int) -> None:
-        self.answers: list[Any] = []
-        self._came = threading.Condition()
-        self._client = socketio.Client(reconnection=False)
-        self._client.on("manual", lambda data: self._note(("manual", data)))
-        self._client.on("steer", lambda data: self._note(("steer", data)))
-        self._client.connect(f"http://127.0.0.1:{port}", transports=["websocket"], wait_timeout=PATIENCE_S)
-
-    def tell(self, data: object) -> Any:
-        """Send one telemetry and wait for its answer."""
-        with self._came:
-            expected = len(self.answers) + 1
-            self._client.emit("telemetry", data)
-            assert self._came.wait_for(lambda: len(self.answers) >= expected, PATIENCE_S), "not answered"
-            return self.answers[-1]
-
-    def close(self) -> None:
-        self._client.disconnect()
-
-    def _note(self, answer: object) -> None:
-        with self._came:
-            self.answers.append(answer)
-            self._came.notify_all()
-
-
-def fields(telemetry: Telemetry, **changed: Any) -> dict[str, Any]:
+def fields(telemetry: SimulatorTelemetry, **changed: Any) -> dict[str, Any]:
     """A telemetry as JSON, for clients that are not ours; ... leaves a field out."""
     told = {
         "steering_angle": f"{telemetry.steering * 25:.4f}",
@@ -139,12 +119,12 @@ BAD: dict[str, tuple[Any, str]] = {
 }
 
 
-def tell(port: int, telemetries: Sequence[Telemetry | Literal["manual"]]) -> list[Answer]:
+def tell(port: int, telemetries: Sequence[SimulatorTelemetry | Literal["manual"]]) -> list[ServerCommand]:
     """The simulator's own client tells them all, each when the last is answered; the answers."""
-    answers: list[Answer] = []
-    left: Iterator[Told] = iter(telemetries)
+    answers: list[ServerCommand] = []
+    left: Iterator[SimulatorMessage] = iter(telemetries)
 
-    def next_telemetry(answer: Answer) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         if answer is not None:
             answers.append(answer)
         return next(left, None if len(answers) == len(telemetries) else "nothing")
@@ -160,18 +140,18 @@ class Listened:
     log: Path
     began_ns: int = 0
     ended_ns: int = 0
-    old: list[Answer] = field(default_factory=list)
+    old: list[ServerCommand] = field(default_factory=list)
     modern: list[Any] = field(default_factory=list)
     bad: dict[str, Any] = field(default_factory=dict)
-    comma: list[Answer] = field(default_factory=list)
-    manual: list[Answer] = field(default_factory=list)
+    comma: list[Any] = field(default_factory=list)
+    manual: list[ServerCommand] = field(default_factory=list)
     exit_code: int = -1
     stdout: str = ""
     stderr: list[str] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
 
     @property
-    def rows(self) -> list[Telemetry]:
+    def rows(self) -> list[SimulatorTelemetry]:
         """What must be in the log, in this order."""
         return [*DRIVEN, *DRIVEN[:5], *[DRIVEN[7]] * len(BAD), *DRIVEN[8:12], DRIVEN[3]]
 
@@ -283,7 +263,7 @@ def test_a_kind_of_bad_telemetry_is_said_once_and_fills_no_log(tmp_path: Path) -
     count = 40
     with ListenProcess(tmp_path / "live.mcap") as process:
         port = process.wait_until_it_listens()
-        cut = [Telemetry(0.0, 0.0, 9.0, road_jpeg(0)[: -200 - i]) for i in range(count)]
+        cut = [SimulatorTelemetry(0.0, 0.0, 9.0, road_jpeg(0)[: -200 - i]) for i in range(count)]
         tell(port, [DRIVEN[0], *cut])
         assert process.end() == 3
     assert sum("telemetry that cannot be used" in line for line in process.stderr) == 1
@@ -428,7 +408,7 @@ def test_times_grow_even_if_the_clock_is_set_back(
     ("told", "advice"),
     [
         (["manual"], "--watch"),
-        ([Telemetry(0.0, 0.0, 9.0, b"no picture")], "image is not a JPEG"),
+        ([SimulatorTelemetry(0.0, 0.0, 9.0, b"no picture")], "image is not a JPEG"),
     ],
     ids=["a human drove", "no picture was one"],
 )
