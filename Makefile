@@ -31,11 +31,10 @@ test-long: install
 	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
 
 # a few tests fail where everything is measured: those of full disks and of Ctrl-C
-coverage: export COVERAGE_PROCESS_START := $(CURDIR)/pyproject.toml
 coverage: export COVERAGE_FILE := $(CURDIR)/build/coverage/data
 coverage: install
 	rm -rf build/coverage && mkdir -p build/coverage
-	-$(PYTEST) --junitxml=build/coverage/junit.xml
+	-COVERAGE_PROCESS_START=$(CURDIR)/pyproject.toml $(PYTEST) --junitxml=build/coverage/junit.xml
 	$(BIN)/coverage combine -q build/coverage
 	$(BIN)/coverage report --precision=2 >build/coverage/report.txt
 	@tail -1 build/coverage/report.txt
