@@ -140,12 +140,14 @@ def test_a_training_that_is_stopped_says_how_to_finish_it(
         # one that has learnt nothing yet leaves nothing
         wait_until(lambda: checkpoint_path(trained).exists() and read_position(trained).epoch > 1)
         assert process.end() == 130
-    told = process.wait_for(r"^bc-drive: finish (\S+) with `bc-train (.+)`; then go on with `bc-drive (.+)` and ")
-    assert told[1] == "runs/first-random-5-1"
-    assert told[3] == "runs/first-random-5-1 --simulator random:5 --aggregate 1"
-    epoch = read_position(aggregated.folder / told[1]).epoch
+    stopped = process.wait_for(
+        r"^bc-drive: finish (\S+) with `bc-train (.+)`; then go on with `bc-drive (.+)` and "
+    )
+    assert stopped[1] == "runs/first-random-5-1"
+    assert stopped[3] == "runs/first-random-5-1 --simulator random:5 --aggregate 1"
+    epoch = read_position(aggregated.folder / stopped[1]).epoch
     monkeypatch.chdir(aggregated.folder)
-    assert call(main, *told[2].split(), "--epochs", epoch) == 0
+    assert call(main, *stopped[2].split(), "--epochs", epoch) == 0
 
 
 def test_a_drive_that_is_stopped_says_what_is_left(aggregated: Aggregated) -> None:
@@ -223,7 +225,7 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
 
 
 @pytest.mark.parametrize(
-    ("flags", "told"),
+    ("flags", "expected"),
     [
         (("--aggregate", "1", "--real-time"), "--simulator TRACK"),
         (("--aggregate", "1", "--laps", "0"), "--laps 0: how far"),
@@ -233,10 +235,12 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
         (("--aggregate", "1", "--simulator", "lake", "--epochs", "0"), "epochs"),
     ],
 )
-def test_what_cannot_be_aggregated_is_one_line(aggregated: Aggregated, flags: tuple[str, ...], told: str) -> None:
+def test_what_cannot_be_aggregated_is_one_line(
+    aggregated: Aggregated, flags: tuple[str, ...], expected: str
+) -> None:
     done = run("bc-drive", "first", *flags, cwd=aggregated.folder)
     assert done.returncode in (1, 2)
-    assert told in one_line_of(done)
+    assert expected in one_line_of(done)
 
 
 @pytest.mark.parametrize("rounds", [1, pytest.param(2, marks=pytest.mark.long)])
@@ -251,7 +255,7 @@ def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggre
     drive = ("bc-drive", "two", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
     done = run(*drive, "--aggregate", rounds, "--epochs", 1, cwd=folder)
     assert done.returncode == 3, done.stderr
-    (told,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
-    assert told.startswith("sessions/hurt.mcap: ")
+    (warning,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
+    assert warning.startswith("sessions/hurt.mcap: ")
     learnt = json.loads((folder / "runs" / f"two-random-3-{rounds}" / "config.json").read_text())
     assert set(learnt["data"]["logs"]) == {"lake", *(f"two-random-3-{driven}" for driven in range(rounds))}
