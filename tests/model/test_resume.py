@@ -90,18 +90,15 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import model.training.loop
+import model.training.trainer
 from test_resume import At, CONFIG
 
 model.training.loop.CHECKPOINT_S = float(sys.argv[5])
 kill = At(int(sys.argv[3]), int(sys.argv[4]), lambda: os.kill(os.getpid(), signal.SIGKILL))
 resume = Path(sys.argv[2]).exists()
 init = Path(sys.argv[6]) if sys.argv[6] else None
-<<<<<<< HEAD
-model.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, [kill], init=init, resume=resume, figures=False)
-=======
 index, run = map(Path, sys.argv[1:3])
 model.training.trainer.train(index, run, CONFIG, [kill], init=init, resume=resume, figures=False)
->>>>>>> main
 """
 
 
@@ -199,14 +196,6 @@ def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
 KILLED_EARLY = """
 import os, signal, sys
 from pathlib import Path
-<<<<<<< HEAD
-import model.training.loop
-from test_resume import CONFIG
-
-model.training.loop.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
-init = Path(sys.argv[3]) if sys.argv[3] else None
-model.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
-=======
 import model.training.run_writer
 import model.training.trainer
 from test_resume import CONFIG
@@ -214,7 +203,6 @@ from test_resume import CONFIG
 model.training.run_writer.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
 init = Path(sys.argv[3]) if sys.argv[3] else None
 model.training.trainer.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
->>>>>>> main
 """
 
 
