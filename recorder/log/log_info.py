@@ -16,7 +16,7 @@ from recorder.log.tags import Tag, read_tags, stale_tags, tags_path
 
 
 @dataclass(frozen=True)
-class TopicSummary:
+class TopicInfo:
     topic: str
     schema: str
     messages: int
@@ -43,7 +43,7 @@ class LogInfo:
     start: str  # UTC, ISO 8601
     duration_s: float  # from the first message to the last
     driven_s: float | None  # of all drives, without what lies between them; None: nobody has looked at its rows
-    topics: list[TopicSummary]  # rates over the driven time, if it is known
+    topics: list[TopicInfo]  # rates over the driven time, if it is known
     session: dict[str, str]  # where it comes from
     drives: int | None
     flags: dict[str, int] | None  # rows that each flag holds for
@@ -72,7 +72,7 @@ def describe(path: Path) -> LogInfo:
             duration_s=duration_s,
             driven_s=driven_s,
             topics=[
-                TopicSummary(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
+                TopicInfo(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
                 for name in sorted(counts)
             ],
             session=log.metadata,
