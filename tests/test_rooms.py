@@ -7,6 +7,7 @@ import graphlib
 import importlib
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -122,6 +123,15 @@ def test_the_sub_packages_of_a_room_do_not_import_each_other_in_a_circle(room: s
 def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
     helpers = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests", "benchmarks"}
     assert [path for path in SOURCES for _, name in imported(path) if name.split(".")[0] in helpers] == []
+
+
+def test_no_module_and_no_public_class_has_the_name_of_another() -> None:
+    """A search for a name finds one place. Each room has its command line, its settings and its errors."""
+    of_each_room = {"cli", "config", "errors", "__init__"}
+    modules = [path.stem for path in SOURCES if path.stem not in of_each_room]
+    classes = [node.name for path in SOURCES for node in parsed(path).body if isinstance(node, ast.ClassDef)]
+    names = Counter(modules) + Counter(name for name in classes if not name.startswith("_"))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 @pytest.mark.parametrize("room", MAY_IMPORT)
