@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.progress import progress_bar
+from common.stretches import consecutive
 from dataset.errors import naming
 from dataset.index.frame_flags import Looked, Stretches
 from recorder import Log, LogError
 from recorder.log.message_index import UNCOMPRESSED
 from recorder.log.row_quality import STANDING_MPH
 from recorder.log.topics import camera_topic
-from recorder.pictures.image_check import Look
+from recorder.pictures.image_check import ImageCheck
 
 LOOKS_FOLDER: Final = "looks"
 _FORMAT: Final = 1
@@ -41,24 +42,24 @@ def look_at(log: Log, on_decoded: Callable[[int], object] = lambda count: None) 
     """
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        look = Look(pool, on_decoded)
+        check = ImageCheck(pool, on_decoded)
         for camera, row, time_ns, offset, length, chunk in _in_order_of_the_file(log):
-            look.take(topics[camera], row, time_ns, log.read(offset, length, chunk))
-        look.finish()
+            check.add(topics[camera], row, time_ns, log.read(offset, length, chunk))
+        check.finish()
     standing: set[tuple[int, int]] = set()
-    if any(seen.has_repeated for seen in look.seen.values()):
+    if any(pictures.has_repeated for pictures in check.pictures.values()):
         standing = {
             (message.sequence, message.log_time_ns)
             for message, state in log.vehicle_states()
             if state.speed_mph < STANDING_MPH
         }
     broken: dict[str, list[int]] = {}
-    for topic, position in look.broken:
+    for topic, position in check.broken:
         broken.setdefault(topic, []).append(position)
-    frozen = {topic: tuple(seen.frozen(standing)) for topic, seen in look.seen.items()}
+    frozen = {topic: tuple(pictures.frozen(standing)) for topic, pictures in check.pictures.items()}
     return Looked(
-        look.decoded,
-        {camera: _together(broken[topic]) for camera, topic in topics.items() if topic in broken},
+        check.decoded,
+        {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
     )
 
@@ -132,13 +133,6 @@ def _in_order_of_the_file(log: Log) -> Iterator[tuple[Camera, int, int, int, int
     for at in order.tolist():
         number, row, time_ns, offset, length, chunk = (column[at].item() for column in columns)
         yield CAMERAS[number], row, time_ns, offset, length, chunk
-
-
-def _together(positions: list[int]) -> Stretches:
-    """Ascending positions as stretches of neighbours."""
-    found = np.array(positions, np.int64)
-    cuts = np.flatnonzero(np.diff(found) != 1) + 1
-    return tuple((int(part[0]), int(part[-1])) for part in np.split(found, cuts))
 
 
 def _number(value: object) -> int:
