@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from dataset.index.drivers import Commands
@@ -36,3 +37,11 @@ def paired_rows(
     state = state[count:]
     found = np.flatnonzero(state < count)
     return state[found], found
+
+
+def moments(frames: pa.Table) -> NDArray[np.void]:
+    """Row and log time of each frame (N,): what tells one moment of a log from another."""
+    found = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
+    for name in ("row", "log_time_ns"):
+        found[name] = frames[name].to_numpy()
+    return found
