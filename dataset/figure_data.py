@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.index.samples import Balance
-from dataset.index.samples_file import Samples
 from dataset.preprocess import BOTTOM_SHARE, TOP_SHARE, Image, decode
+from dataset.samples.samples_format import Balance
+from dataset.samples.samples_reader import Samples
 
 TURN: Final = 0.1  # steering from which a frame counts as a turn: 2.5 degrees
 

@@ -16,7 +16,7 @@ import numpy as np
 from common.files import refuse_existing, whole_file
 from dataset.augment import alter
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, naming
+from dataset.errors import DatasetError, write_errors
 from dataset.figure_data import (
     Distribution,
     Moment,
@@ -37,8 +37,8 @@ from dataset.figure_style import (
     new_figure,
     require_matplotlib,
 )
-from dataset.index.samples_file import Samples
 from dataset.preprocess import SIZE_PX, Image, preprocess
+from dataset.samples.samples_reader import Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,7 +85,7 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
             figure = draw[name]()
             for kind, metadata in (("png", None), ("pdf", {"CreationDate": None})):
                 path = paths[name, kind]
-                with naming(path), whole_file(path, overwrite=overwrite) as part:
+                with write_errors(path), whole_file(path, overwrite=overwrite) as part:
                     figure.savefig(part, format=kind, dpi=DPI, metadata=metadata)
     return list(paths.values())
 

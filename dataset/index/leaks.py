@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.errors import DatasetError
+from dataset.frames.distinct_rows import row_keys
+from dataset.frames.frame_flags import is_excluded
 from dataset.index.build_state import FRAMES_FOLDER
-from dataset.index.frames import read_metadata
-from dataset.index.samples import is_excluded
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_leaks(index: Path | str) -> list[str]:
@@ -55,7 +56,7 @@ def find_leaks(index: Path | str) -> list[str]:
 
 def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_validation = pc.equal(samples["split"], "validation").to_numpy()
-    rows = _rows_of(samples)
+    rows = row_keys(samples)
     training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
     found = []
     if len(both := np.intersect1d(training, validation)):
@@ -63,10 +64,10 @@ def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_altered = pc.not_equal(samples["alteration"], "").to_numpy() | samples["copy"].to_numpy()
     if altered := int((is_altered & is_validation).sum()):
         found.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
-    excluded = np.unique(_rows_of(frames)[is_excluded(frames)])
+    excluded = np.unique(row_keys(frames)[is_excluded(frames)])
     if len(used := np.intersect1d(excluded, rows)):
         found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
-    if close := _close(np.unique(_rows_of(frames)), training, validation, gap_s):
+    if close := _close(np.unique(row_keys(frames)), training, validation, gap_s):
         found.append(close)
     return found
 
@@ -77,14 +78,6 @@ def _rows(rows: NDArray[np.void]) -> str:
 
 def _are(number: int) -> str:
     return "is" if number == 1 else "are"
-
-
-def _rows_of(table: pa.Table) -> NDArray[np.void]:
-    """Row and time: what tells one moment of a log from another."""
-    rows = np.empty(len(table), [("row", np.int64), ("log_time_ns", np.int64)])
-    for name in ("row", "log_time_ns"):
-        rows[name] = table[name].to_numpy()
-    return rows
 
 
 def _close(rows: NDArray[np.void], training: NDArray[np.void], validation: NDArray[np.void], gap_s: float) -> str:

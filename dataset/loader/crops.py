@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from dataset.augment import alter
 from dataset.errors import DatasetError
-from dataset.index.samples_file import Rows
 from dataset.preprocess import CROP_BYTES, CROP_SHAPE, Image, decode, preprocess
+from dataset.samples.sample_rows import Rows
 from recorder import Log
 from recorder.log.topics import camera_topic
 

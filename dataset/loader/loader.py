@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
-from dataset.index.samples_file import LOADED, Rows, Samples, Split
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import filled
 from dataset.preprocess import Image
+from dataset.samples.sample_rows import Rows
+from dataset.samples.samples_reader import LOADED, Samples, Split
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 UNDECODED: Final = "pictures that do not decode"

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from dataset.errors import DatasetError
-from dataset.index.frames import driven_states, paired_rows, session_name
-from dataset.index.samples_file import Rows
+from dataset.frames.frames_file import session_name
+from dataset.frames.frames_table import driven_states, paired_rows
 from dataset.loader.crops import Crops
 from dataset.loader.loader import UNDECODED
 from dataset.loader.prefetch import filled
 from dataset.preprocess import Image
+from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
 from recorder.log.topics import camera_topic
 

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from dataset import IndexConfig, Samples
-from dataset.index.seen_frames import is_for_training
+from dataset.index.training_frames import is_for_training
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from dataset.config import IndexConfig
-from dataset.index.frames import driven_states, frames_of
+from dataset.frames.distinct_rows import row_keys
+from dataset.frames.frames_table import driven_states, frames_of
 from recorder import Log
 from recorder.log.topics import camera_topic
 
@@ -24,12 +25,4 @@ def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfi
     states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     indexed = frames_of(states, pictures, session, config, driver=driver)
-    return np.isin(_moments(frames), _moments(indexed.filter(pc.equal(indexed["split"], "train"))))
-
-
-def _moments(frames: pa.Table) -> NDArray[np.void]:
-    """Row and time: what tells one moment of a log from another."""
-    moments = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
-    for name in ("row", "log_time_ns"):
-        moments[name] = frames[name].to_numpy()
-    return moments
+    return np.isin(row_keys(frames), row_keys(indexed.filter(pc.equal(indexed["split"], "train"))))

@@ -14,15 +14,6 @@ from numpy.typing import NDArray
 PerBin = Literal["mean", "median"] | int
 
 
-def bin_of(steering: NDArray[np.float64], bins: int) -> NDArray[np.int64]:
-    """Which of `bins` equal bins over -1..1 each steering falls into: 0 (left) .. bins - 1 (right).
-
-    An edge belongs to the bin farther from zero, on both sides: a mirrored distribution has mirrored counts.
-    """
-    outward = np.minimum(np.floor((np.abs(steering) + 1.0) * (bins / 2.0)).astype(np.int64), bins - 1)
-    return np.where(steering >= 0, outward, bins - 1 - outward)
-
-
 @dataclass(frozen=True)
 class Balanced:
     """Which candidates to use. `chosen` are positions in what was balanced; a copy repeats an original."""

@@ -1,0 +1,44 @@
+"""Rows of columns that are alike: the pictures of several samples, the frames of several cameras."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+
+def number_distinct(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Number the different rows of some columns, sorted by the last: (each row's number, where a number is met).
+
+    The samples of one picture mostly follow one another, so that only few of the rows have to be sorted.
+    """
+    count = len(columns[0])
+    if not count:
+        return np.zeros(0, np.int32), np.zeros(0, np.int64)
+    head = _changes(columns)
+    heads = np.flatnonzero(head)
+    order = np.lexsort([column[heads] for column in columns])
+    ranked = heads[order]
+    is_new = _changes([column[ranked] for column in columns])
+    number = np.empty(len(heads), np.int32)
+    number[order] = np.cumsum(is_new, dtype=np.int32) - 1
+    return np.repeat(number, np.diff(np.append(heads, count))), ranked[is_new]
+
+
+def _changes(columns: Any) -> NDArray[np.bool_]:
+    """Where a row differs from the one before it; the first does."""
+    change = np.ones(len(columns[0]), np.bool_)
+    change[1:] = False
+    for column in columns:
+        change[1:] |= column[1:] != column[:-1]
+    return change
+
+
+def row_keys(table: pa.Table) -> NDArray[np.void]:
+    """Row and log time of each row of a table: together they tell one row of a log from another."""
+    keys = np.empty(len(table), [("row", np.int64), ("log_time_ns", np.int64)])
+    for name in ("row", "log_time_ns"):
+        keys[name] = table[name].to_numpy()
+    return keys
