@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator tests benchmarks docs
 
-.PHONY: install demo test check pictures proto clean
+.PHONY: install demo test check docs site pictures proto clean
 
 install: $(VENV)/installed
 
@@ -27,6 +27,18 @@ check: install
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy
+
+docs: install
+	$(BIN)/python docs/make_commands.py
+	$(BIN)/python docs/make_architecture.py
+
+site: $(VENV)/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "build/site/index.html"
+
+$(VENV)/installed-docs: $(VENV)/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	@touch $@
 
 pictures: install
 	$(BIN)/python docs/make_pictures.py

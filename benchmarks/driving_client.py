@@ -15,7 +15,14 @@ import time
 from pathlib import Path
 from typing import Final
 
-from simulator.protocol.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
+from simulator.protocol.client import (
+    ServerCommand,
+    SimulatorClient,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    SteerCommand,
+    WaitTimeoutError,
+)
 
 PATIENCE_S: Final = 10.0  # the server listens already
 SHOWN: Final = 20  # commands that are handed back, to compare networks by
@@ -27,21 +34,21 @@ class OneInFlight:
     def __init__(self, pictures: list[bytes], frames: int, seconds: float, greetings: int) -> None:
         """`greetings` are the commands that the server sends without being asked when a connection opens."""
         self.round_trips_ms: list[float] = []
-        self.commands: list[Steer] = []
+        self.commands: list[SteerCommand] = []
         self._pictures = itertools.cycle(pictures)
         self._frames = frames
         self._limit_s = seconds
         self._greetings = greetings
         self._opened = 0
         self._start_s = self._told_s = self._end_s = 0.0
-        self._last = Steer(0.0, 0.0)
+        self._last = SteerCommand(0.0, 0.0)
 
     @property
     def seconds(self) -> float:
         """From the first telemetry to the last answer."""
         return self._end_s - self._start_s
 
-    def next_telemetry(self, answer: Answer) -> Told:
+    def next_telemetry(self, answer: ServerCommand) -> SimulatorMessage:
         self._end_s = time.perf_counter()
         if answer is None:
             # The real client takes both the socket and the server's greeting for an "open", and tells at each.
@@ -52,7 +59,7 @@ class OneInFlight:
         elif self._greetings:
             self._greetings -= 1
             return "nothing"
-        elif isinstance(answer, Steer):
+        elif isinstance(answer, SteerCommand):
             self.round_trips_ms.append((self._end_s - self._told_s) * 1e3)
             self._last = answer
             if len(self.commands) < SHOWN:
@@ -61,7 +68,7 @@ class OneInFlight:
             return None
         self._told_s = time.perf_counter()
         throttle = min(max(self._last.throttle, 0.0), 1.0)
-        return Telemetry(min(max(self._last.steering, -1.0), 1.0), throttle, 9.0, next(self._pictures))
+        return SimulatorTelemetry(min(max(self._last.steering, -1.0), 1.0), throttle, 9.0, next(self._pictures))
 
 
 def main() -> None:

@@ -16,8 +16,8 @@ import numpy as np
 
 from simulator.pose import Pose
 from simulator.rendering.camera import Renderer
-from simulator.rendering.world_maps import World, build_world
-from simulator.roads.track_names import Track, load_track
+from simulator.rendering.world_maps import WorldMaps, build_world
+from simulator.roads.track import Track, load_track
 
 RUNS, STEPS = 5, 60
 
@@ -42,7 +42,7 @@ def main() -> None:
             )
 
 
-def _steps_per_s(track: Track, world: World) -> float:
+def _steps_per_s(track: Track, world: WorldMaps) -> float:
     renderer = Renderer(world)
     places = [track.line.at(arc) for arc in np.linspace(0.0, track.line.length_m, STEPS, endpoint=False)]
     poses = [Pose(p.x_m, p.y_m, p.z_m, p.heading_rad, float(np.arctan(p.slope))) for p in places]

@@ -4,6 +4,6 @@ It imports nothing of ours, and every room may import it.
 """
 
 from common.errors import Skipped, UserError
-from common.files import whole_file
+from common.files import atomic_file
 
-__all__ = ["Skipped", "UserError", "whole_file"]
+__all__ = ["Skipped", "UserError", "atomic_file"]

@@ -1,4 +1,4 @@
-"""How every `bc-` command runs: flags from a dataclass, one line for an error, the same exit codes.
+"""The frame in which every `bc-` command runs: flags from a dataclass, one line for an error, the same exit codes.
 
 Exit codes: 0 done, 1 failed, 2 bad usage (`UsageError`), 3 done but something was skipped or lost, 130 stopped by
 Ctrl-C.
@@ -19,9 +19,9 @@ from typing import Any, Final, NoReturn, TypeVar
 import tyro
 
 from common.errors import Skipped, UsageError, UserError
-from common.interrupts import Stopping, signals_to
-from common.output import LogMessages, end_bar, print_message
-from common.streams import drain, end_process, unhurried_streams, why_results_are_lost
+from common.interrupts import GracefulStop, handle_signals
+from common.output import MessageHandler, clear_live_displays, print_message
+from common.streams import drain, end_process, nonblocking_streams, stdout_error
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -33,26 +33,26 @@ _NO_MEMORY: Final = re.compile(  # PyTorch, OpenCV, C++, Python's threads
 
 
 def warn(text: str) -> int:
-    """Print what a person should know before the result is used; the exit code that says so."""
+    """Print a warning; return exit code 3."""
     print_message(text, style="yellow")
     return DONE_BUT_SKIPPED
 
 
-def complain(prog: str, error: UserError) -> int:
-    """Print what went wrong, in one line; the exit code that says so."""
+def print_error(prog: str, error: UserError) -> int:
+    """Print an error in one line; return its exit code, 1 or 2."""
     print_message(str(error), heading=f"{prog}:", style="red")
     return BAD_USAGE if isinstance(error, UsageError) else FAILED
 
 
 def warn_skipped(skipped: Skipped) -> int:
-    """Print what was left out; the exit code that says so."""
+    """Print what was left out, if anything; return the exit code, 0 or 3."""
     for line in skipped.lines():
         print_message(line, heading="skipped", style="yellow")
     return DONE_BUT_SKIPPED if len(skipped) else DONE
 
 
 def flags_given(config: object, *names: str) -> str:
-    """Those flags of a command that have another value than by default, as they are typed: "--laps, --force"."""
+    """The flags among these that have another value than by default, as they are typed: "--laps, --force"."""
     changed = [name for name in names if getattr(config, name) != getattr(type(config), name)]
     return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
 
@@ -66,8 +66,8 @@ def usage_errors(*kinds: type[Exception]) -> Iterator[None]:
         raise UsageError(str(error)) from None
 
 
-def refuse_no_port(flag: str, port: int) -> None:
-    """Raise UsageError for what is no port of somebody who listens."""
+def check_port(flag: str, port: int) -> None:
+    """Raise UsageError for a number that no server can listen on."""
     if not 0 < port < 65536:
         raise UsageError(f"{flag} {port}: a port is a number from 1 to 65535")
 
@@ -81,30 +81,30 @@ def run_command(
 ) -> None:
     """Parse the command line into `config`, call `action`, and exit with what it returns.
 
-    `description` is what `--help` begins with; by default what `config` says of itself. `default` gives what holds
-    where there is no flag, if that is not known before.
+    `description` is what `--help` begins with, by default the docstring of `config`. `default` makes the
+    configuration that the flags change, if that is not known before.
 
-    Whoever reads the output may stop reading, or go away: it costs the lines alone. Ctrl-C ends the action; a
-    second one ends the process, as `kill -9` would: no file is ever half-written under its own name.
+    Output that nobody reads any more is dropped, and the action goes on. Ctrl-C ends the action; a second one ends
+    the process, as `kill -9` would: no file is ever half-written under its own name.
     """
-    say_how = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
-    with unhurried_streams(), Stopping(partial(_end_at_once, prog), say_how) as stopping:
-        with signals_to(_interrupt), _logging_as_messages():
+    announce = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
+    with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
+        with handle_signals(_interrupt), _logging_as_messages():
             try:
                 code = _run(prog, config, action, description or config.__doc__, default)
-                drain(is_patient=not stopping.is_asked)
+                drain(is_patient=not stop.is_requested)
             except KeyboardInterrupt:
                 code = INTERRUPTED
-        if why := why_results_are_lost():
-            code = complain(prog, UserError(f"standard output: {why}"))
+        if why := stdout_error():
+            code = print_error(prog, UserError(f"standard output: {why}"))
             drain(is_patient=False)
     sys.exit(code)
 
 
 @contextlib.contextmanager
 def _logging_as_messages() -> Iterator[None]:
-    """Where no command runs, `logging` prints as whoever runs us wants."""
-    handler = LogMessages(logging.WARNING)
+    """Print what is logged as messages; where no command runs, the program that imports us decides."""
+    handler = MessageHandler(logging.WARNING)
     logging.getLogger().addHandler(handler)
     try:
         yield
@@ -113,13 +113,13 @@ def _logging_as_messages() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """`kill` cleans up as Ctrl-C does."""
+    """A handler for all signals: `kill` cleans up as Ctrl-C does."""
     raise KeyboardInterrupt
 
 
-def _end_at_once(prog: str) -> NoReturn:
+def _force_quit(prog: str) -> NoReturn:
     try:
-        end_bar()
+        clear_live_displays()
         print_message("ended at once; files that were not finished end in .part", heading=f"{prog}:")
     finally:
         end_process(INTERRUPTED)
@@ -160,12 +160,12 @@ def _run(
         why = _no_memory(error)
     # Only here has the last reference to what was interrupted gone, and a progress bar its end.
     if why is not None:
-        return complain(prog, kind(why))
+        return print_error(prog, kind(why))
     print_message("stopped", heading=f"{prog}:")
     return INTERRUPTED
 
 
 def _no_memory(error: Exception) -> str:
-    said = str(error).strip().partition("\n")[0]
-    why = f" ({said[:200]})" if said else ""
+    detail = str(error).strip().partition("\n")[0]
+    why = f" ({detail[:200]})" if detail else ""
     return f"not enough memory{why}; close other programs, or raise the limit (ulimit -v)"

@@ -1,4 +1,4 @@
-"""What goes wrong through a user's input, and what was left out because of it.
+"""Errors that a user's input causes, and the count of what was left out because of it.
 
 Every error that a user's files, flags or network can cause derives from `UserError`; a command prints it in
 one line and ends with exit code 1, or 2 for a `UsageError`. Anything else that escapes is a bug and keeps its
@@ -22,22 +22,22 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
-KEPT_NAMES: Final = 1000
+MAX_KEPT_NAMES: Final = 1000
 
 
-def shown(text: str) -> str:
-    """Text of somebody else's file without what moves a cursor or breaks a line: such characters are escaped."""
+def printable(text: str) -> str:
+    """Escape the characters of untrusted text that would move a cursor or break a line."""
     safe = text.encode("utf-8", "backslashreplace").decode("utf-8")
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in safe)
 
 
-def counted(number: int, what: str, whats: str = "") -> str:
-    """A number and its noun, whose plural is `whats` if it is not made by an s: "1 frame", "2,000 frames"."""
-    return f"{number:,} {what if number == 1 else whats or f'{what}s'}"
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """Format a number and its noun: "1 frame", "2,000 frames". `plural` is needed if it is not made by an s."""
+    return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """ "did you mean lake?" if one of `names` is nearly `name`, else ""."""
+    """A hint if one of `names` is nearly `name`, such as "did you mean lake?"; else ""."""
     near = difflib.get_close_matches(name, list(names), n=1)
     return f"did you mean {near[0]}?" if near else ""
 
@@ -47,18 +47,18 @@ class UserError(Exception):
 
 
 class UsageError(UserError):
-    """Flags of a command that do not go together, or the value of one that makes no sense in itself. A name of
-    what is not there (a log, a track, a run) is none."""
+    """Flags of a command that do not go together, or the value of one that makes no sense in itself. The name of a
+    log, track or run that does not exist is a UserError."""
 
 
 class Skipped:
-    """What was left out, by reason: counted whole, and the first names of each reason kept.
+    """A count of what was left out, by reason; the first names of each reason are kept.
 
     A command that finishes with something skipped ends with exit code 3 and prints `lines()` to stderr.
     """
 
     def __init__(self, on_added: Callable[[str, str], object] = lambda reason, name: None) -> None:
-        """`on_added` is told every reason and name as it comes, also those that are not kept."""
+        """`on_added` is called with every reason and name as it comes, also those that are not kept."""
         self._on_added = on_added
         self._counts: Counter[str] = Counter()
         self._kept: list[tuple[str, str]] = []
@@ -66,8 +66,8 @@ class Skipped:
     def add(self, reason: str, name: str) -> None:
         """A name may come from any file system: what is not UTF-8 in it is escaped, as are line ends."""
         self._counts[reason] += 1
-        name = shown(name)
-        if self._counts[reason] <= KEPT_NAMES:
+        name = printable(name)
+        if self._counts[reason] <= MAX_KEPT_NAMES:
             self._kept.append((reason, name))
         self._on_added(reason, name)
 
@@ -75,25 +75,25 @@ class Skipped:
         return self._counts.total()
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """(reason, name) of the first `KEPT_NAMES` of each reason, in the order in which they were met."""
+        """(reason, name) of the first `MAX_KEPT_NAMES` of each reason, in the order in which they were met."""
         return iter(self._kept)
 
     @property
     def counts(self) -> Counter[str]:
         return Counter(self._counts)
 
-    def lines(self, most_names: int = 8) -> list[str]:
-        """One line a reason, its count and the first `most_names` names: "pictures without a row: 1 (7.jpg)".
+    def lines(self, max_names: int = 8) -> list[str]:
+        """One line a reason, its count and the first `max_names` names: "pictures without a row: 1 (7.jpg)".
 
-        The count comes behind the reason, which is a plural: "1 rows" is never said.
+        The count comes behind the reason, which is a plural and would not fit "1 row".
         """
         result = []
         for reason, count in self._counts.items():
-            names = itertools.islice((name for other, name in self._kept if other == reason), most_names)
-            more = f", and {count - most_names:,} more" if count > most_names else ""
+            names = itertools.islice((name for other, name in self._kept if other == reason), max_names)
+            more = f", and {count - max_names:,} more" if count > max_names else ""
             result.append(f"{reason}: {count:,} ({', '.join(names)}{more})")
         return result
 
-    def because(self) -> str:
-        """Why nothing was left, for the end of an error: "; " and the line of each reason."""
-        return "".join(f"; {line}" for line in self.lines(most_names=3))
+    def error_suffix(self) -> str:
+        """Explains at the end of an error why nothing was left: "; " and the line of each reason."""
+        return "".join(f"; {line}" for line in self.lines(max_names=3))

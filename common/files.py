@@ -22,7 +22,7 @@ def part_path(path: Path) -> Path:
 
 
 def final_path(path: Path) -> Path:
-    """What a file of a temporary name will be called when it is whole; any other path as it is."""
+    """The name that a file of a temporary name will get when it is whole; any other path as it is."""
     return path.with_name(re.sub(rf"(?<=.)\.[0-9a-f]{{6}}{re.escape(PART_SUFFIX)}$", "", path.name))
 
 
@@ -127,7 +127,7 @@ class BackgroundSync:
 
 
 @contextlib.contextmanager
-def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
+def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Yield a temporary path to write to; it becomes `path` at the end, or vanishes if anything is raised."""
     refuse_existing(path, overwrite)
     part = part_path(path)

@@ -1,9 +1,9 @@
-"""What Ctrl-C and `kill` do: they are noted, or put off, so that what must happen together does.
+"""Ctrl-C and `kill`: graceful shutdown on the first signal, and blocks that no signal interrupts.
 
-Who presses Ctrl-C a second time wants no more tidying up. The process then ends as by `kill -9`, also in the
-middle of what is otherwise `uninterrupted`: whatever is written is made for that (a temporary name, one rename in
-the end), because a power cut does the same. Other signals come several times by themselves (a closed terminal
-sends SIGHUP, its shell another one), so that only a Ctrl-C counts as a second wish.
+A second Ctrl-C asks for no more clean-up. The process then ends as by `kill -9`, also in the middle of what is
+otherwise `uninterrupted`: whatever is written is made for that (a temporary name, one rename in the end), because
+a power cut does the same. Other signals come several times by themselves (a closed terminal sends SIGHUP, its
+shell another one), so that only a Ctrl-C counts as a second request.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from queue import Empty, SimpleQueue
 from types import FrameType, TracebackType
 from typing import ClassVar, Final, Self
 
-HANG_UP: Final = getattr(signal, "SIGHUP", None)  # None on Windows
-STOPPING: Final[tuple[signal.Signals, ...]] = (
+SIGHUP: Final = getattr(signal, "SIGHUP", None)  # None on Windows
+STOP_SIGNALS: Final[tuple[signal.Signals, ...]] = (
     signal.SIGINT,
     signal.SIGTERM,
-    *([] if HANG_UP is None else [HANG_UP]),
+    *([] if SIGHUP is None else [SIGHUP]),
 )
-"""What asks a command to end."""
+"""The signals that ask a command to end."""
 
-SLOW_S: Final = 2.0
-"""What takes longer to end says how it is ended at once."""
+FORCE_QUIT_HINT_AFTER_S: Final = 2.0
+"""A command that takes longer to end announces that a second Ctrl-C ends it at once."""
 
 _TICK_S: Final = 0.02
 
@@ -39,98 +39,99 @@ def leave_signals_to_main_thread() -> None:
     """To be called in a thread that waits a lot: a signal that the system gives to it would not wake the main one,
     which alone runs handlers."""
     if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+        signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
 
 
-class _Heard(Enum):
-    """What the thread of a `Stopping` hears."""
+class _Event(Enum):
+    """An event for the thread of a `GracefulStop`."""
 
-    ASKED = "the first signal has come"
-    SAID = "how the command is ended at once was said"
-    LOST = "what a handler raised went no further"
+    REQUESTED = "the first signal has come"
+    ANNOUNCED = "how the command is ended at once was printed"
+    LOST = "Python dropped what a handler raised"
     ENDED = "the command has ended"
 
 
-class Stopping:
-    """In this block, which is a whole command, the first signal that `signals_to` hears asks for the end, and a
-    Ctrl-C that no handler takes any more calls `at_once`, which must not return."""
+class GracefulStop:
+    """A context manager around a whole command. The first signal that `handle_signals` receives in it asks for the
+    end; a Ctrl-C that no handler takes any more calls `force_quit`, which must not return."""
 
-    current: ClassVar[Stopping | None] = None
+    current: ClassVar[GracefulStop | None] = None
 
-    def __init__(self, at_once: Callable[[], object], on_slow: Callable[[], object]) -> None:
-        """`on_slow` is called, in a thread, if the block has not ended `SLOW_S` after the first signal."""
-        self._heard = 0
-        self._at_once = at_once
+    def __init__(self, force_quit: Callable[[], object], on_slow: Callable[[], object]) -> None:
+        """`on_slow` is called, in a thread, if the block has not ended `FORCE_QUIT_HINT_AFTER_S` after the first
+        signal."""
+        self._received = 0
+        self._force_quit = force_quit
         self._on_slow = on_slow
         # a handler may take no lock: whom it interrupts may have it
-        self._told: SimpleQueue[_Heard] = SimpleQueue()
+        self._events: SimpleQueue[_Event] = SimpleQueue()
         self._is_repeated = False
         self._unraisable = sys.unraisablehook
 
     @property
-    def is_asked(self) -> bool:
-        return self._heard > 0
+    def is_requested(self) -> bool:
+        return self._received > 0
 
-    def heard(self, number: int, most: int) -> bool:
-        """Whether a handler that takes `most` signals is to be told of this one."""
+    def receive(self, number: int, max_signals: int) -> bool:
+        """True if this signal is to be passed to a handler, which takes at most `max_signals`."""
         if self._is_repeated:
             self._is_repeated = False
             return True
-        if self.is_asked and number != signal.SIGINT:
+        if self.is_requested and number != signal.SIGINT:
             return False
-        if self._heard >= most:
-            self._at_once()
-        if not self.is_asked:
-            self._told.put(_Heard.ASKED)
-        self._heard += 1
+        if self._received >= max_signals:
+            self._force_quit()
+        if not self.is_requested:
+            self._events.put(_Event.REQUESTED)
+        self._received += 1
         return True
 
-    def was_said(self) -> None:
-        """The command itself has said how it is ended at once: `on_slow` need not."""
-        if self.is_asked:
-            self._told.put(_Heard.SAID)
+    def announced(self) -> None:
+        """To be called when the command itself has announced how it is ended at once: `on_slow` is not."""
+        if self.is_requested:
+            self._events.put(_Event.ANNOUNCED)
 
     def repeat(self) -> None:
-        """The next signal is one that was heard before, and put off."""
+        """To be called before a signal is raised again that was received before, and put off."""
         self._is_repeated = True
 
     def __enter__(self) -> Self:
-        Stopping.current = self
-        self._unraisable, sys.unraisablehook = sys.unraisablehook, self._hear_of_lost
+        GracefulStop.current = self
+        self._unraisable, sys.unraisablehook = sys.unraisablehook, self._on_unraisable
         threading.Thread(target=self._watch, name="stopping", daemon=True).start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        Stopping.current = None
+        GracefulStop.current = None
         sys.unraisablehook = self._unraisable
-        self._told.put(_Heard.ENDED)
+        self._events.put(_Event.ENDED)
 
-    def _hear_of_lost(self, what: sys.UnraisableHookArgs) -> None:
-        """What is raised where Python tidies up goes no further, and a handler may be called there (`__del__`, a
-        callback of a weak reference) as anywhere else."""
-        if self.is_asked and issubclass(what.exc_type, KeyboardInterrupt):
-            self._told.put(_Heard.LOST)
+    def _on_unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
+        """Python drops an exception that is raised in `__del__` or in a callback of a weak reference, and a
+        handler may be called there as anywhere else."""
+        if self.is_requested and issubclass(unraisable.exc_type, KeyboardInterrupt):
+            self._events.put(_Event.LOST)
         else:
-            self._unraisable(what)
+            self._unraisable(unraisable)
 
     def _watch(self) -> None:
         leave_signals_to_main_thread()
         patience_s: float | None = None
         while True:
             try:
-                heard = self._told.get(timeout=patience_s)
+                event = self._events.get(timeout=patience_s)
             except Empty:
                 self._on_slow()
                 patience_s = None
                 continue
-            if heard is _Heard.ENDED:
+            if event is _Event.ENDED:
                 return
-            if heard is _Heard.LOST:
+            if event is _Event.LOST:
                 self.repeat()
                 _interrupt_main_thread()
-            patience_s = None if heard is _Heard.SAID else SLOW_S
+            patience_s = None if event is _Event.ANNOUNCED else FORCE_QUIT_HINT_AFTER_S
 
 
 def _interrupt_main_thread() -> None:
@@ -140,56 +141,56 @@ def _interrupt_main_thread() -> None:
         signal.pthread_kill(main, signal.SIGINT)  # wakes it, whatever it waits for
 
 
-def way_out_was_said() -> None:
-    """To be called where a command has said how a second Ctrl-C ends it at once."""
-    if Stopping.current is not None:
-        Stopping.current.was_said()
+def force_quit_announced() -> None:
+    """To be called where a command has announced that a second Ctrl-C ends it at once."""
+    if GracefulStop.current is not None:
+        GracefulStop.current.announced()
 
 
 @contextlib.contextmanager
-def signals_to(handler: Callable[[int, FrameType | None], object], most: int = 1) -> Iterator[None]:
-    """SIGINT, SIGTERM and SIGHUP call `handler` in the block, and afterwards again what they did before.
+def handle_signals(handler: Callable[[int, FrameType | None], object], max_signals: int = 1) -> Iterator[None]:
+    """Have SIGINT, SIGTERM and SIGHUP call `handler` in the block, and restore their handlers afterwards.
 
-    In a command (`Stopping`), it is called `most` times; a Ctrl-C after that ends the process.
+    In a command (`GracefulStop`), it is called `max_signals` times; a Ctrl-C after that ends the process.
 
     SIGHUP (the terminal is closed) stays ignored where it was, as under `nohup`.
 
-    Outside the main thread, which alone hears signals, nothing is changed.
+    Outside the main thread, which alone receives signals, nothing is changed.
     """
 
-    def hear(number: int, frame: FrameType | None) -> None:
-        if Stopping.current is None or Stopping.current.heard(number, most):
+    def handle(number: int, frame: FrameType | None) -> None:
+        if GracefulStop.current is None or GracefulStop.current.receive(number, max_signals):
             handler(number, frame)
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handlers = {number: signal.getsignal(number) for number in STOPPING}
+    handlers = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     before = {
         number: previous
         for number, previous in handlers.items()
-        if previous is not None and not (number == HANG_UP and previous == signal.SIG_IGN)
+        if previous is not None and not (number == SIGHUP and previous == signal.SIG_IGN)
     }  # None: not Python's
     try:
         for number in before:
-            signal.signal(number, hear)
+            signal.signal(number, handle)
         yield
     finally:
         for number, previous in before.items():
             signal.signal(number, previous)
 
 
-class Stop(threading.Event):
-    """Set by the first signal; `again` by the second."""
+class StopEvent(threading.Event):
+    """An event that is set by the first signal; `again` is set by the second."""
 
     def __init__(self) -> None:
         super().__init__()
         self.again = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Whether it is set, at most `timeout` seconds from now.
+        """Wait until it is set, or `timeout` seconds have passed; return whether it is set.
 
-        It looks again and again: a handler that interrupted `Event.wait` would wait for the lock that this holds.
+        It polls: a handler that interrupted `Event.wait` would wait for the lock that this holds.
         """
         end_s = math.inf if timeout is None else time.monotonic() + timeout
         while not self.is_set() and (left_s := end_s - time.monotonic()) > 0:
@@ -197,34 +198,34 @@ class Stop(threading.Event):
         return self.is_set()
 
     def note(self, number: int, frame: FrameType | None) -> None:
-        """A signal has come."""
+        """The handler of a signal."""
         (self.again if self.is_set() else self).set()
 
 
 @contextlib.contextmanager
-def stop_signals(most: int = 1) -> Iterator[Stop]:
-    """An event that Ctrl-C and `kill` set, instead of interrupting whatever is going on at that moment.
+def stop_signals(max_signals: int = 1) -> Iterator[StopEvent]:
+    """Yield an event that Ctrl-C and `kill` set, instead of interrupting whatever is going on at that moment.
 
-    With `most` 2, a second Ctrl-C sets `again`; the next one ends the process.
+    With `max_signals` 2, a second Ctrl-C sets `again`; the next one ends the process.
 
-    Outside the main thread, which alone hears signals, nothing sets it.
+    Outside the main thread, which alone receives signals, nothing sets it.
     """
-    stopped = Stop()
-    with signals_to(stopped.note, most):
+    stopped = StopEvent()
+    with handle_signals(stopped.note, max_signals):
         yield stopped
 
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Nothing stops the block half-way: signals of `STOPPING` that come meanwhile take effect when it is left.
+    """Put off the signals of `STOP_SIGNALS` that come in the block until it is left, so that it runs to its end.
 
-    If anything is raised in the block, that is what its caller hears, and not of the signal: the error may
-    name a file that stays. Outside the main thread, which alone hears signals, nothing need be put off.
+    If anything is raised in the block, its caller gets that, and the signal is dropped: the error may name a file
+    that stays. Outside the main thread, which alone receives signals, nothing need be put off.
     """
-    came: list[int] = []
-    with signals_to(lambda number, frame: came.append(number)):
+    received: list[int] = []
+    with handle_signals(lambda number, frame: received.append(number)):
         yield
-    if came:
-        if Stopping.current is not None:
-            Stopping.current.repeat()
-        signal.raise_signal(came[0])
+    if received:
+        if GracefulStop.current is not None:
+            GracefulStop.current.repeat()
+        signal.raise_signal(received[0])

@@ -12,7 +12,7 @@ from importlib import import_module
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """A package's `__getattr__` and `__dir__` (PEP 562): name -> the module that defines it."""
+    """A package's `__getattr__` and `__dir__` (PEP 562). `homes` maps each name to the module that defines it."""
 
     def get(name: str) -> object:
         if name not in homes:

@@ -1,4 +1,4 @@
-"""Advisory locks on open files: who holds one still writes. The system takes it away when the process dies."""
+"""Advisory locks on open files, which their writers hold. The system releases them when the process dies."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def try_lock(stream: IO[bytes]) -> bool:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether the file at `path` is still being written, by whatever process of this machine.
+    """True if a process of this machine is still writing the file at `path`.
 
-    False as well where the file system knows no locks, and for what is missing or no file.
+    False where the file system knows no locks, and for what is missing or no file.
     """
     try:
         if not path.is_file():  # opening a pipe would wait for its writer

@@ -1,4 +1,4 @@
-"""Many files open at once."""
+"""The limit on open files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _OTHERS = 256  # libraries, sockets, and the like
 
 
 def allow_open_files(count: int) -> None:
-    """Let this process have `count` more files open, as far as the system does: unasked, often 1,024 in all."""
+    """Raise the limit on open files, often 1,024 in all, for `count` more, as far as the system permits."""
     if sys.platform != "win32":
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
         wanted = count + _OTHERS if hard == resource.RLIM_INFINITY else min(count + _OTHERS, hard)

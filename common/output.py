@@ -25,13 +25,13 @@ from rich.prompt import Confirm
 from rich.segment import ControlType, Segment
 from rich.text import Text
 
-from common.errors import shown
-from common.streams import trusted
+from common.errors import printable
+from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
     r"(`|--no-python )(bc-(?:record|log|index|train|drive|play|sim|eval|demo)|rerun|torchrun|pip)(?![\w-])"
 )
-_drawn: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now
+_live_displays: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
 )
@@ -40,7 +40,7 @@ _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended,
 def print_result(*lines: str) -> None:
     """Print what a command is for: each is one line of stdout, whatever is in it."""
     # A progress bar on the terminal takes over stdout, so that lines stand above it; not those for a file.
-    stream = sys.stdout if sys.stdout.isatty() else trusted(sys.stdout)
+    stream = sys.stdout if sys.stdout.isatty() else unescaped(sys.stdout)
     for line in lines:
         print(safe_line(line), file=stream, flush=True)
 
@@ -48,48 +48,49 @@ def print_result(*lines: str) -> None:
 def print_message(text: str, *, heading: str = "", style: str = "") -> None:
     """Print one line of stderr; in colour is its heading, or all of it where there is none."""
     start = Text.assemble((heading, style), " ") if heading else Text()
-    console = _drawn[-1] if _drawn else message_console()  # above a bar, and not behind it
+    console = _live_displays[-1] if _live_displays else message_console()  # above a bar, and not behind it
     console.print(start.append(safe_line(text), "" if heading else style), soft_wrap=True)
 
 
 def ask(question: str) -> bool | None:
-    """Yes or no, from a person at a terminal; None where there is none to ask. Enter alone is no."""
+    """Ask a person at a terminal: yes or no; None where there is no terminal. Enter alone is no."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None
     return Confirm.ask(escape(safe_line(question)), default=False, console=message_console())
 
 
 def print_table(*parts: RenderableType) -> None:
-    """Print tables and the lines between them, on stdout. What is foreign in them is `escape(shown(...))`."""
-    console = _SafeConsole(file=trusted(sys.stdout), highlight=False, emoji=False)  # `:car:` in a name is no emoji
+    """Print tables and the lines between them, on stdout. Untrusted text in them is `escape(printable(...))`."""
+    # `:car:` in a name is no emoji
+    console = _SafeConsole(file=unescaped(sys.stdout), highlight=False, emoji=False)
     for part in parts:
         console.print(part)
 
 
 def message_console() -> Console:
-    """stderr, for what draws itself there: progress bars, a status line."""
-    return _SafeConsole(file=trusted(sys.stderr), soft_wrap=True, highlight=False, emoji=False)
+    """A console on stderr for live displays: progress bars, a status line."""
+    return _SafeConsole(file=unescaped(sys.stderr), soft_wrap=True, highlight=False, emoji=False)
 
 
-def begin_bar(console: Console) -> None:
-    """Messages are printed above what this console draws, until that ends by `stop_bar`."""
-    _drawn.append(console)
+def add_live_display(console: Console) -> None:
+    """Print messages above what this console draws, until `remove_live_display`."""
+    _live_displays.append(console)
 
 
-def stop_bar(console: Console) -> None:
-    """What the console drew is gone."""
-    if console in _drawn:
-        _drawn.remove(console)
+def remove_live_display(console: Console) -> None:
+    """To be called when what the console drew is gone."""
+    if console in _live_displays:
+        _live_displays.remove(console)
 
 
-def end_bar() -> None:
-    """Take away what a progress bar that was not ended has left on the terminal."""
-    _drawn.clear()
+def clear_live_displays() -> None:
+    """Remove what a progress bar that was not ended has left on the terminal."""
+    _live_displays.clear()
     message_console().control(_WITHOUT_BAR)
 
 
-def as_typed(command: str) -> str:
-    """A command of this environment as it can be typed here: with its path, if its name is not enough."""
+def shell_command(command: str) -> str:
+    """A command of this environment as it can be typed in this shell: with its path, if its name is not enough."""
     script = Path(sysconfig.get_path("scripts")) / command
     found = shutil.which(command)
     if not script.exists() or (found is not None and script.samefile(found)):
@@ -98,8 +99,8 @@ def as_typed(command: str) -> str:
     return shlex.quote(str(relative if len(relative.parts) < len(script.parts) else script))
 
 
-class LogMessages(logging.Handler):
-    """Prints what is told by Python's `logging` as any other message: a record is one line."""
+class MessageHandler(logging.Handler):
+    """Prints records of Python's `logging` as messages, one line each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
@@ -116,9 +117,9 @@ class _SafeConsole(Console):
             if segment.control or segment.text.isprintable():
                 yield segment
             else:
-                yield Segment("\n".join(map(shown, segment.text.split("\n"))), segment.style)
+                yield Segment("\n".join(map(printable, segment.text.split("\n"))), segment.style)
 
 
 def safe_line(text: str) -> str:
     """One line that can be printed, whatever is in `text`; `print_result` and `print_message` do it themselves."""
-    return shown(_COMMAND.sub(lambda match: match[1] + as_typed(match[2]), text))
+    return printable(_COMMAND.sub(lambda match: match[1] + shell_command(match[2]), text))

@@ -22,8 +22,8 @@ from rich.progress import (
 )
 from rich.status import Status
 
-from common.errors import shown
-from common.output import begin_bar, message_console, print_message, stop_bar
+from common.errors import printable
+from common.output import add_live_display, message_console, print_message, remove_live_display
 
 Item = TypeVar("Item")
 
@@ -32,36 +32,36 @@ LINE_EVERY_S: Final = 30.0
 
 
 class _Bar(Progress):
-    """A bar; where there is none, lines."""
+    """A progress bar; where stderr is no terminal, a line now and then."""
 
     def __init__(self, *columns: ProgressColumn, console: Console) -> None:
         is_shown = console.is_interactive  # else it would leave an empty line in a file of messages
         super().__init__(*columns, console=console, transient=True, disable=not is_shown)
         self._has_ended = threading.Event()
-        self._teller = threading.Thread(target=self._tell, name="progress", daemon=True)
+        self._printer = threading.Thread(target=self._print_lines, name="progress", daemon=True)
 
     def start(self) -> None:
         super().start()
         if self.disable:
-            self._teller.start()
+            self._printer.start()
         else:
-            begin_bar(self.console)
+            add_live_display(self.console)
 
     def stop(self) -> None:
         self._has_ended.set()
-        stop_bar(self.console)
+        remove_live_display(self.console)
         super().stop()
 
-    def _tell(self) -> None:
+    def _print_lines(self) -> None:
         while not self._has_ended.wait(LINE_EVERY_S):
             for task in self.tasks:
                 if task.total and not task.finished:
-                    left = f", about {time_text(task.time_remaining)} left" if task.time_remaining else ""
+                    left = f", about {duration_text(task.time_remaining)} left" if task.time_remaining else ""
                     print_message(f"{task.description}: {task.percentage:.0f} %{left}")
 
 
-def time_text(seconds: float) -> str:
-    """So long, as people say it: "40 s", "12 min", "3 h 5 min"."""
+def duration_text(seconds: float) -> str:
+    """Format a duration for people: "40 s", "12 min", "3 h 5 min"."""
     if seconds < 60:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
@@ -79,10 +79,10 @@ def progress_bar() -> Progress:
     )
 
 
-def track(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
-    """Pass `items` on while a bar named `what` counts them up to `total`."""
+def track(items: Iterable[Item], description: str, total: int) -> Iterator[Item]:
+    """Yield `items` while a bar with this description counts them up to `total`."""
     with progress_bar() as progress:
-        task = progress.add_task(what, total=total, note="")
+        task = progress.add_task(description, total=total, note="")
         yield from progress.track(items, total, task_id=task)
 
 
@@ -98,10 +98,10 @@ class StatusLine:
 
     def show(self, text: str) -> None:
         if self._is_shown:
-            self._status.update(escape(shown(text)))
+            self._status.update(escape(printable(text)))
 
-    def say(self, text: str) -> None:
-        """Show what should be read also where there is no status line: there it is printed."""
+    def show_or_print(self, text: str) -> None:
+        """Show a text; where there is no status line, print it."""
         self.show(text)
         if not self._is_shown:
             print_message(text)
@@ -109,11 +109,11 @@ class StatusLine:
     def __enter__(self) -> Self:
         if self._is_shown:
             self._status.start()
-            begin_bar(self._status.console)
+            add_live_display(self._status.console)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        stop_bar(self._status.console)
+        remove_live_display(self._status.console)
         self._status.stop()

@@ -22,16 +22,16 @@ from typing import Any, Final, NoReturn, TextIO
 from common.errors import counted
 from common.interrupts import leave_signals_to_main_thread
 
-MOST_WAITING: Final = 10_000
-"""Texts that wait for their reader. Messages beyond it are lost, and counted; a result waits for room."""
+MAX_QUEUED: Final = 10_000
+"""Texts that wait for their reader. Messages beyond it are dropped, and counted; a result waits for room."""
 _POLL_S: Final = 0.01
 _PATIENCE_S: Final = 2.0  # in the end, for a reader who takes nothing
 _GONE: Final = {errno.EPIPE, errno.EIO, errno.ECONNRESET, errno.EBADF, errno.ENXIO}
 _COLOUR_OR_OTHER: Final = re.compile(r"\x1b\[[0-9;]*m|[^\n\t]")
 
 
-class Outlet:
-    """Where lines go: a terminal, a pipe or a file, and the thread that writes there."""
+class BackgroundWriter:
+    """Writes to a terminal, a pipe or a file on a thread of its own."""
 
     def __init__(self, raw: Any) -> None:
         """`raw`: an unbuffered binary file."""
@@ -44,9 +44,9 @@ class Outlet:
         threading.Thread(target=self._run, name="output", daemon=True).start()
 
     def put(self, data: bytes, *, is_result: bool) -> None:
-        """Have `data` written, soon. Returns at once; with a result, not before there is room for it."""
+        """Queue `data`. Returns at once; with a result, not before there is room for it."""
         self._carries_results |= is_result
-        while self._waiting.qsize() >= MOST_WAITING and self.error is None:
+        while self._waiting.qsize() >= MAX_QUEUED and self.error is None:
             if not is_result:
                 self._lost += 1
                 return
@@ -54,8 +54,8 @@ class Outlet:
         self._waiting.put(data)
 
     def drain(self, *, is_patient: bool) -> None:
-        """Until all is written, or the reader has gone. One who has stopped reading is waited for if results may
-        be on their way and `is_patient`, like `less` that nobody has scrolled; otherwise not for long."""
+        """Wait until all is written, or the reader has gone. A reader that has stopped reading, like `less` that
+        nobody has scrolled, is waited for if `is_patient` and results may be queued; otherwise not for long."""
         done = threading.Event()
         self._waiting.put(done)
         taken_bytes, since_s = self._taken_bytes, time.monotonic()
@@ -92,17 +92,19 @@ class Outlet:
             left = left[taken_bytes:]
 
 
-class OutletStream(io.TextIOBase):
-    """A text stream to an outlet. Of what anybody prints there, control characters other than colours are escaped;
-    `trusted` is the same without that, for who has looked at every name that is printed."""
+class BackgroundStream(io.TextIOBase):
+    """A text stream to a `BackgroundWriter`. It escapes control characters other than colours in what is printed;
+    `unescaped` is the same stream without that, for callers that escape themselves."""
 
-    def __init__(self, outlet: Outlet, stream: TextIO, *, is_result: bool, is_trusted: bool = False) -> None:
-        """In place of `stream`."""
-        self.outlet = outlet
+    def __init__(self, writer: BackgroundWriter, stream: TextIO, *, is_result: bool, escapes: bool = True) -> None:
+        """A replacement of `stream`."""
+        self.writer = writer
         self._stream = stream
         self._is_result = is_result
-        self._is_trusted = is_trusted
-        self.trusted = self if is_trusted else OutletStream(outlet, stream, is_result=is_result, is_trusted=True)
+        self._escapes = escapes
+        self.unescaped = self
+        if escapes:
+            self.unescaped = BackgroundStream(writer, stream, is_result=is_result, escapes=False)
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
@@ -113,14 +115,14 @@ class OutletStream(io.TextIOBase):
         return "backslashreplace"  # a name of any file system can be printed, if escaped
 
     def write(self, text: str) -> int:
-        safe = text if self._is_trusted or text.isprintable() else _COLOUR_OR_OTHER.sub(_escaped, text)
+        safe = text if not self._escapes or text.isprintable() else _COLOUR_OR_OTHER.sub(_escaped, text)
         if os.linesep != "\n":
             safe = safe.replace("\n", os.linesep)
-        self.outlet.put(safe.encode(self.encoding, self.errors), is_result=self._is_result)
+        self.writer.put(safe.encode(self.encoding, self.errors), is_result=self._is_result)
         return len(text)
 
     def flush(self) -> None:
-        """Nothing is kept back, and nobody is waited for."""
+        """Do nothing: no text is kept back, and no reader is waited for."""
 
     def writable(self) -> bool:
         return True
@@ -133,21 +135,21 @@ class OutletStream(io.TextIOBase):
 
 
 @contextlib.contextmanager
-def unhurried_streams() -> Iterator[None]:
-    """`sys.stdout` and `sys.stderr` never wait in this block; `drain` them before it is left.
+def nonblocking_streams() -> Iterator[None]:
+    """Replace `sys.stdout` and `sys.stderr` by streams that never wait in this block; `drain` them before its end.
 
-    Where they are no files of the system (a test has taken their place), they stay as they are.
+    Where they are no files of the system (a test has replaced them), they stay as they are.
     """
     before = sys.stdout, sys.stderr
     if any(stream is not None and not _is_of_system(stream) for stream in before):
         yield
         return
     out, err = (stream or open(os.devnull, "w", encoding="utf-8") for stream in before)  # noqa: SIM115, PTH123
-    outlet = Outlet(_raw(out))
+    writer = BackgroundWriter(_raw(out))
     # in one place, lines keep their order
-    other = outlet if os.path.sameopenfile(out.fileno(), err.fileno()) else Outlet(_raw(err))
-    sys.stdout = OutletStream(outlet, out, is_result=True)
-    sys.stderr = OutletStream(other, err, is_result=False)
+    other = writer if os.path.sameopenfile(out.fileno(), err.fileno()) else BackgroundWriter(_raw(err))
+    sys.stdout = BackgroundStream(writer, out, is_result=True)
+    sys.stderr = BackgroundStream(other, err, is_result=False)
     try:
         yield
     finally:
@@ -155,19 +157,19 @@ def unhurried_streams() -> Iterator[None]:
 
 
 def drain(*, is_patient: bool = True) -> None:
-    """Have all lines written, see `Outlet.drain`."""
+    """Wait until all lines are written, see `BackgroundWriter.drain`."""
     for stream in (sys.stdout, sys.stderr):
-        beneath = trusted(stream)
-        if isinstance(beneath, OutletStream):
-            beneath.outlet.drain(is_patient=is_patient)
+        beneath = unescaped(stream)
+        if isinstance(beneath, BackgroundStream):
+            beneath.writer.drain(is_patient=is_patient)
         elif beneath is not None:  # closed from the start
             beneath.flush()
 
 
-def why_results_are_lost() -> str | None:
-    """Where it is not that their reader has gone: the disk is full."""
-    beneath = trusted(sys.stdout)
-    error = beneath.outlet.error if isinstance(beneath, OutletStream) else None
+def stdout_error() -> str | None:
+    """The reason why results could not be written, such as a full disk. A reader that has gone is no reason."""
+    beneath = unescaped(sys.stdout)
+    error = beneath.writer.error if isinstance(beneath, BackgroundStream) else None
     return None if error is None or error.errno in _GONE else error.strerror
 
 
@@ -179,10 +181,10 @@ def end_process(code: int) -> NoReturn:
         os._exit(code)
 
 
-def trusted(stream: TextIO) -> TextIO:
-    """For who escapes what others have named: what lets everything pass, also from under a progress bar."""
+def unescaped(stream: TextIO) -> TextIO:
+    """The stream beneath `stream` that does not escape, also from under a progress bar."""
     beneath = getattr(stream, "rich_proxied_file", stream)
-    return getattr(beneath, "trusted", beneath)
+    return getattr(beneath, "unescaped", beneath)
 
 
 def _is_of_system(stream: TextIO) -> bool:
@@ -194,7 +196,7 @@ def _is_of_system(stream: TextIO) -> bool:
 
 
 def _raw(stream: Any) -> Any:
-    """Under `python -u` the buffer is none."""
+    """The unbuffered file of a stream; under `python -u`, its buffer is one."""
     stream.flush()
     return getattr(stream.buffer, "raw", stream.buffer)
 

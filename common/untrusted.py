@@ -1,4 +1,4 @@
-"""Opening files that somebody else has made: nothing that they are may block, or take all memory."""
+"""Opening untrusted files: none may block the process, or take all of its memory."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def open_regular(path: Path | str) -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
-def read_bounded(path: Path | str, most_bytes: int) -> bytes:
-    """All of a file. Raises OSError where `open_regular` does, and for one that is larger than `most_bytes`.
+def read_bounded(path: Path | str, max_bytes: int) -> bytes:
+    """Read all of a file. Raises OSError where `open_regular` does, and for one that is larger than `max_bytes`.
 
     The size is asked for first: a file that is all hole takes no space on a disk, but would in memory.
     """
     descriptor, size = _opened(path)
     try:
-        if size > most_bytes:
-            raise OSError(errno.EFBIG, f"larger than {most_bytes / 1e6:.0f} MB", str(path))
+        if size > max_bytes:
+            raise OSError(errno.EFBIG, f"larger than {max_bytes / 1e6:.0f} MB", str(path))
         data = os.read(descriptor, size)
         while len(data) < size and (more := os.read(descriptor, size - len(data))):
             data += more
@@ -42,7 +42,7 @@ def read_bounded(path: Path | str, most_bytes: int) -> bytes:
 
 
 def _opened(path: Path | str) -> tuple[int, int]:
-    """The descriptor of a regular file, and its size."""
+    """Open a regular file: its descriptor and its size."""
     try:
         descriptor = os.open(path, _FLAGS)
     except ValueError:  # a zero byte in it

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import tyro
 
 from common.command import FAILED, run_command, usage_errors, warn
-from common.errors import UsageError, counted, shown
+from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result, print_table
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -110,7 +110,7 @@ def _left_out(others: list[str], config: Index) -> list[str]:
     """A line for the sessions that were not named, so that training need not tell of them."""
     if not others:
         return []
-    which = ", ".join(map(shown, others))
+    which = ", ".join(map(printable, others))
     return [f"{config.index}: does not hold {which}; `bc-index` without names takes in all of {config.folder}"]
 
 

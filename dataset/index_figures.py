@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from common.files import refuse_existing, whole_file
+from common.files import atomic_file, refuse_existing
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, write_errors
@@ -85,7 +85,7 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
             figure = draw[name]()
             for kind, metadata in (("png", None), ("pdf", {"CreationDate": None})):
                 path = paths[name, kind]
-                with write_errors(path), whole_file(path, overwrite=overwrite) as part:
+                with write_errors(path), atomic_file(path, overwrite=overwrite) as part:
                     figure.savefig(part, format=kind, dpi=DPI, metadata=metadata)
     return list(paths.values())
 

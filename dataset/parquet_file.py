@@ -9,7 +9,7 @@ from typing import Any, Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from common import whole_file
+from common import atomic_file
 
 METADATA_KEY: Final = b"bc.index"
 """Under it, each parquet file of an index says what it was made from."""
@@ -28,5 +28,5 @@ def read_metadata(path: Path) -> dict[str, Any] | None:
 def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
     """Write a parquet file whole, or leave the old one. Same table and metadata: same bytes."""
     stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
-    with whole_file(path, overwrite=True) as part:
+    with atomic_file(path, overwrite=True) as part:
         pq.write_table(table.replace_schema_metadata(stored), part, compression="zstd", write_page_checksum=True)

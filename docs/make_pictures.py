@@ -22,14 +22,14 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from PIL import Image
-from track_pictures import Picture, layout_sheet, track_sheet
-from viewer_pictures import screenshot
 
 from dataset.figure_style import DPI, figure_style
 from drive.demo import Demo, demo
 from model.runs.history import read_history
 from model.runs.run_figures import draw_curves
 from recorder import Log
+from track_pictures import Picture, layout_sheet, track_sheet
+from viewer_pictures import screenshot
 from viz.playback.comparison import PLACE
 from viz.timelines import LOG_TIME
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simulator.driving.course import Course
 from simulator.rendering.camera import Renderer
 from simulator.rendering.world_maps import build_world
-from simulator.roads.track_names import Track, load_track
+from simulator.roads.track import Track, load_track
 
 Picture = NDArray[np.uint8]
 

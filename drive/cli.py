@@ -16,8 +16,8 @@ from rich.table import Table
 from common.command import (
     DONE,
     DONE_BUT_SKIPPED,
+    check_port,
     flags_given,
-    refuse_no_port,
     run_command,
     usage_errors,
     warn,
@@ -120,7 +120,7 @@ def drive(config: Drive) -> int:
     pilot = load_pilot(find_run(config.run, config.runs), config.precision)
     pilot.warm_up()
     prepare_process()
-    with StatusLine() as status, stop_signals(most=2) as stopped:
+    with StatusLine() as status, stop_signals(max_signals=2) as stopped:
         server = DriveServer(
             pilot,
             settings,
@@ -155,7 +155,7 @@ def drive(config: Drive) -> int:
 def _refuse_contradictions(config: Drive) -> None:
     """Raise UsageError for flags that would be passed over, and for what is no port."""
     if config.port:  # 0: a free one
-        refuse_no_port("--port", config.port)
+        check_port("--port", config.port)
     if config.simulator is None and (flags := flags_given(config, "real_time")):
         raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
     if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):

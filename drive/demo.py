@@ -16,8 +16,8 @@ from pathlib import Path
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, run_command
 from common.errors import UsageError
-from common.output import as_typed, print_message, print_result
-from common.progress import time_text
+from common.output import print_message, print_result, shell_command
+from common.progress import duration_text
 from common.streams import drain
 
 
@@ -64,14 +64,14 @@ def demo(config: Demo) -> int:
     folder.mkdir(parents=True)
     steps = steps_of(config)
     seconds = sum(step.seconds for step in steps)
-    print_result(f"working in {folder}; all takes about {time_text(seconds)} on two idle cores")
+    print_result(f"working in {folder}; all takes about {duration_text(seconds)} on two idle cores")
     if (how := _how_to_type_them()) is not None:
         print_result(f"to type these commands yourself, there: {how}")
     start_s, code = time.monotonic(), DONE
     for number, step in enumerate(steps):
         done = sum(each.seconds for each in steps[:number])
         gone_s = time.monotonic() - start_s
-        left = f", about {time_text((seconds - done) * gone_s / done)} left" if number else ""
+        left = f", about {duration_text((seconds - done) * gone_s / done)} left" if number else ""
         print_result("", f"{number + 1} of {len(steps)}{left}", f"$ {step.command}")
         try:
             code = max(code, _run(step.command, folder))
@@ -85,8 +85,8 @@ def demo(config: Demo) -> int:
     log = folder / "drives" / "demo-mountain-10mph.mcap"
     print_result(
         "",
-        f"Done in {time_text(time.monotonic() - start_s)}. Watch the drive:",
-        f"    {as_typed('bc-play')} {shlex.quote(str(log))}",
+        f"Done in {duration_text(time.monotonic() - start_s)}. Watch the drive:",
+        f"    {shell_command('bc-play')} {shlex.quote(str(log))}",
     )
     return code
 
@@ -109,7 +109,7 @@ def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
 
 def _how_to_type_them() -> str | None:
     """What a shell needs to find the commands; None if it does."""
-    if as_typed("bc-play") == "bc-play":
+    if shell_command("bc-play") == "bc-play":
         return None
     activate = Path(sysconfig.get_path("scripts")) / "activate"
     return f"source {shlex.quote(str(activate))}" if activate.exists() else None

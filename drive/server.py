@@ -14,7 +14,7 @@ from typing import Final, Literal, Self
 
 from common import UserError
 from common.errors import counted
-from common.interrupts import Stop, way_out_was_said
+from common.interrupts import StopEvent, force_quit_announced
 from dataset.preprocess import DESCRIPTION
 from drive.config import DriveConfig
 from drive.session import DriveSession
@@ -95,7 +95,7 @@ class DriveServer:
             return "a simulator connected, but told no telemetry; choose Autonomous Mode there"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
 
-    def run(self, until: Callable[[], bool] = lambda: False, stopped: Stop | None = None) -> None:
+    def run(self, until: Callable[[], bool] = lambda: False, stopped: StopEvent | None = None) -> None:
         """Serve until `until()` is true, `stopped` is set, or a log cannot be written any more, and every car is
         braked to a stand. The latter is not waited for when `stopped` is set again.
 
@@ -204,7 +204,7 @@ class DriveServer:
                 self._say_once(text)
             elif (text := f"{text}; Ctrl-C again ends at once") not in self._said:
                 self._say_once(text)
-                way_out_was_said()
+                force_quit_announced()
 
     def _push(self, what: Callable[[DriveSession], Steer | None]) -> None:
         """To whoever tells nothing; the built-in simulator's silence is no fault."""

@@ -17,8 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from common import whole_file
-from common.errors import shown
+from common import atomic_file
+from common.errors import printable
 from common.files import refuse_existing
 from common.versions import TOOLKIT, version_of
 from dataset import MAX_STEERING_DEG
@@ -58,7 +58,7 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     load_config(run)
     network = load_network(run)
     model = _model(network, description(run))
-    with named(path), whole_file(path, overwrite=overwrite) as part:
+    with named(path), atomic_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
         difference = _largest_difference(part, network)
         if not difference < MOST_DIFFERENCE:  # not a number, too
@@ -92,7 +92,7 @@ def description(run: Path) -> dict[str, str]:
             '(steering,) = network.run(["steering"], {"pictures": crop[None]})[0]\n'
             "print(steering)\n"
         ),
-        "run": shown(run_name(run)),
+        "run": printable(run_name(run)),
         "weights_sha256": weights_checksum(run),
         "toolkit": f"{TOOLKIT} {version_of()}",
     }

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from common.command import refuse_no_port, run_command, usage_errors, warn_skipped
+from common.command import check_port, run_command, usage_errors, warn_skipped
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.preview import preview
@@ -153,7 +153,7 @@ def _refuse_contradictions(config: Record) -> None:
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
-        refuse_no_port("--port", config.port)
+        check_port("--port", config.port)
     with usage_errors(RecordingError):
         if config.source is not None:
             check_rate(config.rate)

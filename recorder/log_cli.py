@@ -13,8 +13,8 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, DONE_BUT_SKIPPED, FAILED, complain, run_command, usage_errors, warn
-from common.errors import UsageError, counted, did_you_mean, shown
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, usage_errors, warn
+from common.errors import UsageError, counted, did_you_mean, printable
 from common.files import final_path
 from common.output import ask, print_message, print_result
 from recorder.log.check import check, is_whole
@@ -96,7 +96,7 @@ class Cameras:
         with Log(path) as log:
             found = side_cameras(log)
         print_result(
-            shown(
+            printable(
                 f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
                 f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
                 f" `bc-index --side-correction {found.side_correction:g}`"
@@ -298,7 +298,7 @@ def _each(logs: tuple[Path, ...], action: Callable[[Path], int]) -> int:
         try:
             codes.append(action(path))
         except UserError as error:
-            codes.append(complain("bc-log", error))
+            codes.append(print_error("bc-log", error))
     return FAILED if FAILED in codes else max(codes)
 
 

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from common import Skipped
 from common.command import warn, warn_skipped
-from common.errors import counted, shown
+from common.errors import counted, printable
 from common.output import print_result, print_table
 from recorder.log.check import Checked
 from recorder.log.derived_log import Written
@@ -89,4 +89,4 @@ def _has_rows(info: Info) -> bool:
 
 
 def _plain(text: str) -> str:
-    return escape(shown(text))
+    return escape(printable(text))

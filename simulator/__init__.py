@@ -6,6 +6,12 @@ from behavioural_cloning_toolkit import refuse_hidden
 refuse_hidden(__name__)
 
 
-from simulator.protocol.client import NoHostError, SimulatorClient, Steer, Telemetry, WaitTimeoutError
+from simulator.protocol.client import (
+    NoHostError,
+    SimulatorClient,
+    SimulatorTelemetry,
+    SteerCommand,
+    WaitTimeoutError,
+)
 
-__all__ = ["NoHostError", "SimulatorClient", "Steer", "Telemetry", "WaitTimeoutError"]
+__all__ = ["NoHostError", "SimulatorClient", "SimulatorTelemetry", "SteerCommand", "WaitTimeoutError"]

@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, FAILED, flags_given, refuse_no_port, run_command, usage_errors
+from common.command import DONE, FAILED, check_port, flags_given, run_command, usage_errors
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.progress import progress_bar, track
@@ -56,21 +56,21 @@ class Sim:
 
 
 def sim(config: Sim) -> int:
-    refuse_no_port("--port", config.port)
+    check_port("--port", config.port)
     if not 0 <= config.wait < math.inf:
         raise UsageError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
     if config.count is not None and (config.count < 1 or config.replay is None):
         raise UsageError(f"--count {config.count}: how many pictures of --replay to tell is a number above 0")
     client = SimulatorClient(config.host, config.port, wait_s=config.wait)
     try:
-        return _replay(config, client) if config.replay is not None else _drive(config, client)
+        return _run_replay(config, client) if config.replay is not None else _run_drive(config, client)
     except WaitTimeoutError as error:
         raise UserError(f"{error}; start `bc-drive` first, or wait longer with --wait") from None
     except NoHostError as error:
         raise UserError(f"--host {error}; give the machine where `bc-drive` runs, such as 127.0.0.1") from None
 
 
-def _drive(config: Sim, client: SimulatorClient) -> int:
+def _run_drive(config: Sim, client: SimulatorClient) -> int:
     import cv2
 
     from simulator.driving.expert import Expert
@@ -125,7 +125,7 @@ def _drive(config: Sim, client: SimulatorClient) -> int:
     return DONE
 
 
-def _replay(config: Sim, client: SimulatorClient) -> int:
+def _run_replay(config: Sim, client: SimulatorClient) -> int:
     from simulator.protocol.replay import pictures_of, replay
 
     assert config.replay is not None  # noqa: S101

@@ -1,4 +1,4 @@
-"""Where a car is and how it stands."""
+"""The pose of a car: its position and its angles."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Pose:
-    """The car's place: the point of the ground under the middle of its rear axle, and three angles."""
+    """The point of the ground under the middle of its rear axle, and three angles."""
 
     x_m: float  # east
     y_m: float  # north

@@ -7,45 +7,30 @@ import shlex
 import subprocess
 import tomllib
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from driving import COMMANDS, run
+import make_architecture
+import make_commands
+from driving import COMMANDS
+from repository import ROOT
 
-ROOT = Path(__file__).parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md"]
+WRITTEN_BY_COMMANDS = ("sessions/", "index/", "runs/", "drives/", "IMG/")
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 
 @pytest.fixture(scope="module")
 def flags() -> dict[str, set[str]]:
     """The flags that the --help of each command shows, and of each of its subcommands (`bc-log info`)."""
-    result: dict[str, set[str]] = {}
-    with ThreadPoolExecutor(3) as pool:
-        for name, shown in zip(COMMANDS, pool.map(help_of, COMMANDS), strict=True):
-            result[name] = flags_in(shown)
-            subcommands = [f"{name} {sub}" for sub in re.findall(r"• (\w+) ", shown)]
-            if name == "bc-train":
-                subcommands.append("bc-train export")
-            for subcommand, helped in zip(subcommands, pool.map(help_of, subcommands), strict=True):
-                result[subcommand] = flags_in(helped)
-                result[name] |= result[subcommand]
+    result: dict[str, set[str]] = {name: set() for name in COMMANDS}
+    for name, shown in make_commands.commands().items():
+        invocations = [argument.invocation.split()[0] for argument in make_commands.arguments(shown)]
+        assert invocations, shown
+        result[name] = {word for word in invocations if word.startswith("--")}
+        result[name.split()[0]] |= result[name]
     return result
-
-
-def help_of(command: str) -> str:
-    name, *subcommand = command.split()
-    done = run(name, *subcommand, "--help")
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def flags_in(shown: str) -> set[str]:
-    found = set(re.findall(r"^\W*(?:-\w, )?(--[a-z][a-z0-9-]*)", shown, re.MULTILINE))
-    assert found, shown
-    return found
 
 
 def documentation() -> str:
@@ -67,11 +52,12 @@ def test_the_commands_are_those_of_the_project_file() -> None:
     assert scripts == begun_by
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_and_flag_is_documented(name: str, flags: dict[str, set[str]]) -> None:
-    text = documentation()
-    assert all(command in text for command in flags if command.split()[0] == name)
-    assert flags[name] - {"--help"} - set(FLAG.findall(text)) == set()
+def test_what_is_generated_is_current() -> None:
+    """If this fails: `make docs`."""
+    for module in (make_commands, make_architecture):
+        assert module.PAGE.read_text(encoding="utf-8") == module.generated_page(), f"{module.PAGE.name}: make docs"
+    picture = make_architecture.PICTURE.read_text(encoding="utf-8")
+    assert picture == make_architecture.picture(), "architecture.svg: make docs"
 
 
 def test_the_command_lines_in_the_documentation_have_flags_that_exist(flags: dict[str, set[str]]) -> None:
@@ -95,6 +81,20 @@ def test_the_pictures_and_pages_that_the_documentation_shows_are_there() -> None
         if "://" not in target and not (page.parent / target).exists()
     ]
     assert missing == []
+
+
+@pytest.mark.parametrize("name", ["ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md", "docs/glossary.md"])
+def test_the_files_that_a_page_names_are_there(name: str) -> None:
+    code = re.findall(r"`([\w./-]+)`", (ROOT / name).read_text(encoding="utf-8"))
+    named = {place for place in code if place.endswith(("/", ".py", ".md", ".toml", ".proto", ".yml", ".txt"))}
+    paths = {place for place in named if not place.startswith(WRITTEN_BY_COMMANDS) and "YOUR" not in place}
+    missing = {path for path in paths if not (ROOT / path).exists() and ("/" in path or not named_so(path))}
+    assert missing == set()
+
+
+def named_so(name: str) -> bool:
+    """`cli.py` stands for the files of that name in every room."""
+    return any(ROOT.glob(f"*/{name}"))
 
 
 def test_no_file_names_a_place_on_one_persons_machine() -> None:

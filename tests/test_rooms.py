@@ -6,6 +6,7 @@ import ast
 import graphlib
 import importlib
 import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -70,6 +71,15 @@ def sub_package(name: str, room: str) -> str | None:
 def test_every_folder_with_code_is_a_room() -> None:
     folders = {path.parent.name for path in ROOT.glob("*/__init__.py")}
     assert folders == set(MAY_IMPORT)
+
+
+def test_the_architecture_names_every_room_its_folders_and_what_it_may_import() -> None:
+    page = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) ?\|$", page, re.MULTILINE)
+    below = {room: set(re.findall(r"`(\w+)`", names)) for room, names, _ in rows}
+    assert {room: rooms | ({"common"} - {room}) for room, rooms in below.items()} == MAY_IMPORT
+    folders = {room: {path.parent.name for path in (ROOT / room).glob("*/__init__.py")} for room in MAY_IMPORT}
+    assert {room: set(re.findall(r"`(\w+)`", names)) for room, _, names in rows} == folders
 
 
 @pytest.mark.parametrize("room", MAY_IMPORT)

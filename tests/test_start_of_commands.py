@@ -176,7 +176,7 @@ import os, signal, sys, time, weakref
 from dataclasses import dataclass
 from pathlib import Path
 from common.command import run_command
-from common.files import whole_file
+from common.files import atomic_file
 from common.interrupts import stop_signals, uninterrupted
 
 @dataclass
@@ -218,7 +218,7 @@ WAYS = {
     "uninterrupted": "slow(lambda: uninterrupted().__enter__() or sleep())",
     "a stop that is noted": ("with stop_signals() as stopped:\n        begun(); noted(stopped); begun(); sleep()"),
     "a file half written": (
-        "with whole_file(Path('whole'), overwrite=False) as part:\n"
+        "with atomic_file(Path('whole'), overwrite=False) as part:\n"
         "        part.write_bytes(b'half'); slow(lambda: sleep())"
     ),
 }

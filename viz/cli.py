@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from common import UserError
-from common.command import DONE, flags_given, refuse_no_port, run_command, usage_errors, warn, warn_skipped
+from common.command import DONE, check_port, flags_given, run_command, usage_errors, warn, warn_skipped
 from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.output import print_message, print_result
 
 if TYPE_CHECKING:
     from model.evaluation.log_predictions import LogPredictions
-    from viz.targets import Shown, Where
+    from viz.targets import Content, Destination
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,8 @@ def _refuse_nonsense(config: Play) -> None:
         _refuse_no_moment(config)
     if config.save is not None and config.web:
         raise UsageError("--save writes a file and opens nothing: give it without --web")
-    refuse_no_port("--port", config.port)
-    refuse_no_port("--web-port", config.web_port)
+    check_port("--port", config.port)
+    check_port("--web-port", config.web_port)
 
 
 def _refuse_no_moment(config: Play) -> None:
@@ -163,7 +163,7 @@ def _refuse_other_endings(config: Play) -> None:
             raise UsageError(f"{flag} {path}: it writes an {ending} file; give it such a name")
 
 
-def _show_or_save(config: Play, shown: Shown) -> int:
+def _show_or_save(config: Play, shown: Content) -> int:
     """Show it, or write it to a file; the exit code."""
     if config.save is None:
         return shown.show(_where(config))
@@ -172,12 +172,12 @@ def _show_or_save(config: Play, shown: Shown) -> int:
     return code
 
 
-def _what(config: Play) -> Shown:
+def _what(config: Play) -> Content:
     from viz.live.live_log import find_log, is_finished
-    from viz.playback.comparison import prepared_comparison
-    from viz.playback.rerun_recording import prepared_log
-    from viz.targets import GrowingLogShown, GrowingTraining, Whole
-    from viz.training_curves import prepared_training, refuse_no_training
+    from viz.playback.comparison import prepare_comparison
+    from viz.playback.rerun_recording import prepare_log
+    from viz.targets import FinishedContent, GrowingLogContent, GrowingTrainingContent
+    from viz.training_curves import prepare_training, refuse_no_training
 
     if len(config.logs) > 1:
         folders = [path for path in config.logs if path.is_dir()]
@@ -185,17 +185,21 @@ def _what(config: Play) -> Shown:
             raise UserError(f"{folders[0]} is a folder: logs are compared; a run's training is shown alone")
         _look_at(config.logs)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
-        return Whole(lambda: prepared_comparison(config.logs, config.by, config.at), size)
+        return FinishedContent(lambda: prepare_comparison(config.logs, config.by, config.at), size)
     if _is_run(config):
         refuse_no_training(config.log, is_awaited=config.follow)
-        return GrowingTraining(config.log) if config.follow else Whole(lambda: prepared_training(config.log))
+        return (
+            GrowingTrainingContent(config.log)
+            if config.follow
+            else FinishedContent(lambda: prepare_training(config.log))
+        )
     if not config.log.exists() and (Path("runs") / config.log).is_dir():
         raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play runs/{config.log}`")
     path = find_log(config.log) if config.follow else config.log
     if config.follow and not is_finished(path):
-        return GrowingLogShown(path)
+        return GrowingLogContent(path)
     _look_at([path])
-    return Whole(lambda: prepared_log(path, at_s=config.at), path.stat().st_size if path.is_file() else 0)
+    return FinishedContent(lambda: prepare_log(path, at_s=config.at), path.stat().st_size if path.is_file() else 0)
 
 
 def _look_at(paths: Sequence[Path]) -> None:
@@ -212,12 +216,12 @@ def _look_at(paths: Sequence[Path]) -> None:
                 print_message(f"{path}: {WITHOUT_CRCS}")
 
 
-def _where(config: Play) -> Where:
-    from viz.targets import Where
+def _where(config: Play) -> Destination:
+    from viz.targets import Destination
     from viz.viewer_process import Ports
 
     address = None if config.connect is None else "".join(config.connect)
-    return Where(config.web, address, Ports(config.web_port, config.port))
+    return Destination(config.web, address, Ports(config.web_port, config.port))
 
 
 def make_video(config: Play, video: Path) -> int:
@@ -256,8 +260,8 @@ def _play_predicted(config: Play) -> int:
     """A log, and what networks say of it; the exit code."""
     from model import find_run
     from model.evaluation.predict_log import predict_log
-    from viz.playback.predicted_recording import prepared_predictions
-    from viz.targets import Whole
+    from viz.playback.predicted_recording import prepare_predictions
+    from viz.targets import FinishedContent
 
     if config.log.is_dir():
         raise UserError(f"{config.log} is a folder: --run shows what a network says of a log; give one")
@@ -275,8 +279,8 @@ def _play_predicted(config: Play) -> int:
         found = predict_log(config.log, runs)
         return max(_tell(config, found), _told(found.notice))
     codes = [DONE]
-    whole = Whole(
-        lambda: prepared_predictions(
+    whole = FinishedContent(
+        lambda: prepare_predictions(
             config.log,
             runs,
             lambda found: codes.append(_tell(config, found)),

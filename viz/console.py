@@ -1,4 +1,4 @@
-"""What is said on stderr while something is shown, and under which name: beside another command, as its viewer."""
+"""Messages of bc-play on stderr, under its own name or, beside another command, under that of its viewer."""
 
 from __future__ import annotations
 
@@ -7,33 +7,32 @@ from common.command import DONE, DONE_BUT_SKIPPED
 from common.output import print_message
 
 
-class _Speaker:
-    of_its_own = "bc-play"
-    name = of_its_own
+class _Program:
+    name = "bc-play"
 
 
-def speak_as(name: str) -> None:
-    """Say all from now on under this name instead of bc-play's."""
-    _Speaker.name = name
+def set_program_name(name: str) -> None:
+    """Print messages from now on under this name instead of bc-play's."""
+    _Program.name = name
 
 
-def or_in_a_browser() -> str:
-    """What bc-play adds where its viewer fails. Beside another command, which has no such flag,
+def browser_hint() -> str:
+    """A hint that bc-play adds where its viewer fails. Beside another command, which has no such flag,
     `viz.preview_command` adds the bc-play command that shows the same."""
-    return "; or give --web to use a browser instead" if _Speaker.name == _Speaker.of_its_own else ""
+    return "; or give --web to use a browser instead" if _Program.name == "bc-play" else ""
 
 
-def say(text: str) -> None:
-    print_message(f"{_Speaker.name}: {text}")
+def print_notice(text: str) -> None:
+    print_message(f"{_Program.name}: {text}")
 
 
-def complain(error: UserError) -> int:
-    """Print what went wrong, in one line; the exit code that says so."""
-    return command.complain(_Speaker.name, error)
+def print_error(error: UserError) -> int:
+    """Print an error in one line; return its exit code."""
+    return command.print_error(_Program.name, error)
 
 
-def say_skipped(skipped: Skipped) -> int:
-    """Print what was left out of what is shown; the exit code that says so."""
+def print_skipped(skipped: Skipped) -> int:
+    """Print what was left out of what is shown, if anything; return the exit code."""
     for line in skipped.lines():
-        print_message(line, heading=f"{_Speaker.name}: skipped", style="yellow")
+        print_message(line, heading=f"{_Program.name}: skipped", style="yellow")
     return DONE_BUT_SKIPPED if len(skipped) else DONE

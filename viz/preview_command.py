@@ -12,7 +12,7 @@ from common import UserError
 from common.command import INTERRUPTED, run_command
 from common.files import final_path
 from viz.cli import Play, play
-from viz.console import speak_as
+from viz.console import set_program_name
 
 _NAME = "viewer"  # nobody has called bc-play
 
@@ -40,5 +40,5 @@ def _show(config: Play) -> int:
 
 def main() -> None:
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
-    speak_as(_NAME)
+    set_program_name(_NAME)
     run_command(_NAME, Play, _show)

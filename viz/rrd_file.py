@@ -14,7 +14,7 @@ from typing import IO, Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from common import UserError, whole_file
+from common import UserError, atomic_file
 
 APPLICATION: Final = "behavioural-cloning-toolkit"
 
@@ -38,7 +38,7 @@ def rrd_file(
 
     Raises UserError if `path` exists and may not be overwritten, or where the disk is full; nothing is then left.
     """
-    with whole_file(path, overwrite=overwrite) as part:
+    with atomic_file(path, overwrite=overwrite) as part:
         recording = rr.RecordingStream(APPLICATION, recording_id=recording_id)
         if sys.platform == "win32":  # a pipe has no name there that Rerun could open
             part.touch()  # of a folder that cannot be written, Rerun makes a hang

@@ -1,4 +1,4 @@
-"""What bc-play shows, and where: in a window, to browsers, in a viewer that runs already, or into a file."""
+"""The content that bc-play shows, and its destination: a window, browsers, a running viewer, or a file."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from common.command import DONE, warn, warn_skipped
 from common.interrupts import stop_signals
 from common.output import print_result
 from common.preview import has_display
-from viz.console import complain, say
-from viz.live.follow import VIEWER_MEMORY, Follower, GoneError, feed, follow, save_growing
-from viz.playback.rerun_recording import Prepared, save_prepared
-from viz.training_curves import follow_training, prepared_training, wait_until_trained
+from viz.console import print_error, print_notice
+from viz.live.follow import VIEWER_MEMORY, Follower, ViewerGoneError, feed_viewer, follow_log, save_growing
+from viz.playback.rerun_recording import PreparedRecording, save_prepared
+from viz.training_curves import follow_training, prepare_training, wait_until_trained
 from viz.viewer_connection import check_viewer, set_time, viewer_url
 from viz.viewer_process import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
 WINDOW_MEMORY: Final = "1MB"
-"""What the server of a window keeps: nobody comes late, and the window has its own copy."""
+"""Memory of the server of a window: nobody connects late, and the window has its own copy."""
 _ROOM: Final = 300_000_000  # bytes that a server needs for more than the logs, so that it drops nothing
 
 
 @dataclass(frozen=True)
-class Where:
-    """Where to show it."""
+class Destination:
+    """A viewer: in a window, for browsers, or one that runs already."""
 
     web: bool
     connect: str | None  # the address of a viewer; empty: the usual one
     ports: Ports
 
 
-class Shown(Protocol):
-    """What can be shown."""
+class Content(Protocol):
+    """Logs, or the training of a run, to be shown."""
 
     def save(self, rrd: Path, *, overwrite: bool) -> int:
-        """Write it to a file; the exit code."""
+        """Write it to a file; return the exit code."""
 
-    def show(self, where: Where) -> int:
-        """Show it until the viewer is closed, or another's viewer has it; the exit code."""
+    def show(self, destination: Destination) -> int:
+        """Show it until the viewer is closed, or a viewer that runs already has it; return the exit code."""
 
 
-class Whole:
-    """What does not grow: logs, or how a training went."""
+class FinishedContent:
+    """Content that does not grow: logs, or how a training went."""
 
-    def __init__(self, prepare: Callable[[], AbstractContextManager[Prepared]], size: int = 0) -> None:
+    def __init__(self, prepare: Callable[[], AbstractContextManager[PreparedRecording]], size: int = 0) -> None:
         """`size` is that of what is shown, in bytes."""
         self._prepare = prepare
         self._size = size
@@ -58,23 +58,26 @@ class Whole:
     def save(self, rrd: Path, *, overwrite: bool) -> int:
         with self._prepare() as prepared:
             save_prepared(prepared, rrd, overwrite=overwrite)
-            return told(prepared.notices)
+            return warn_all(prepared.notices)
 
-    def show(self, where: Where) -> int:
+    def show(self, destination: Destination) -> int:
         # The viewer starts while the logs are read. The server of a page holds all of them: it may be opened late.
         memory_mb = max(1000, int(1.2 * self._size + _ROOM) // 1_000_000)
-        if self._size > _LARGE and where.connect is None:
+        if self._size > _LARGE and destination.connect is None:
             less = "a file needs less memory: --save FILE.rrd, then `rerun FILE.rrd`"
-            say(f"{self._size / 1e9:.1f} GB to show: {less}")
-        with opened(where, server_memory=f"{memory_mb}MB") as (url, viewer), self._prepare() as prepared:
-            code = told(prepared.notices)
-            fed = feed(_Sender(url, prepared), viewer)
-            if viewer is None and fed == DONE:
+            print_notice(f"{self._size / 1e9:.1f} GB to show: {less}")
+        with (
+            open_destination(destination, server_memory=f"{memory_mb}MB") as (url, viewer),
+            self._prepare() as prepared,
+        ):
+            notice_code = warn_all(prepared.notices)
+            code = feed_viewer(_Sender(url, prepared), viewer)
+            if viewer is None and code == DONE:
                 print_result(f"{prepared.name}: sent to {urlsplit(url).netloc}")
-            return max(code, fed)
+            return max(notice_code, code)
 
 
-class GrowingLogShown:
+class GrowingLogContent:
     """A log that is being written."""
 
     def __init__(self, path: Path) -> None:
@@ -83,14 +86,14 @@ class GrowingLogShown:
     def save(self, rrd: Path, *, overwrite: bool) -> int:
         with stop_signals() as stopped:  # what is there by then is kept
             followed = save_growing(self._path, rrd, overwrite=overwrite, stop=stopped)
-        return max(told([followed.notice]), warn_skipped(followed.skipped))
+        return max(warn_all([followed.notice]), warn_skipped(followed.skipped))
 
-    def show(self, where: Where) -> int:
-        with opened(where, memory=VIEWER_MEMORY, server_memory=VIEWER_MEMORY) as (url, viewer):
-            return follow(self._path, url, viewer)
+    def show(self, destination: Destination) -> int:
+        with open_destination(destination, memory=VIEWER_MEMORY, server_memory=VIEWER_MEMORY) as (url, viewer):
+            return follow_log(self._path, url, viewer)
 
 
-class GrowingTraining:
+class GrowingTrainingContent:
     """A run that is being trained."""
 
     def __init__(self, run: Path) -> None:
@@ -98,47 +101,47 @@ class GrowingTraining:
 
     def save(self, rrd: Path, *, overwrite: bool) -> int:
         wait_until_trained(self._run)
-        return Whole(lambda: prepared_training(self._run)).save(rrd, overwrite=overwrite)
+        return FinishedContent(lambda: prepare_training(self._run)).save(rrd, overwrite=overwrite)
 
-    def show(self, where: Where) -> int:
-        with opened(where, memory=VIEWER_MEMORY, server_memory=VIEWER_MEMORY) as (url, viewer):
+    def show(self, destination: Destination) -> int:
+        with open_destination(destination, memory=VIEWER_MEMORY, server_memory=VIEWER_MEMORY) as (url, viewer):
             return follow_training(self._run, url, viewer)
 
 
 @contextlib.contextmanager
-def opened(
-    where: Where, *, memory: str | None = None, server_memory: str | None = None
+def open_destination(
+    destination: Destination, *, memory: str | None = None, server_memory: str | None = None
 ) -> Iterator[tuple[str, Viewer | None]]:
-    """A viewer: its URL, and its process if it was opened for this. It shows nothing yet.
+    """Open an empty viewer: its URL, and its process unless it runs already.
 
     Raises UserError if it cannot be opened, or does not listen.
     """
-    if where.connect is not None:
-        url = viewer_url(where.connect)
+    if destination.connect is not None:
+        url = viewer_url(destination.connect)
         if notice := check_viewer(url):
-            say(notice)
+            print_notice(notice)
         yield url, None
         return
-    web = where.web or not has_display()
+    web = destination.web or not has_display()
     # A window gets a port of its own: several may be open beside each other.
-    ports = where.ports if web else Ports(where.ports.web, free_port())
+    ports = destination.ports if web else Ports(destination.ports.web, free_port())
     kept = server_memory if web else WINDOW_MEMORY
     with open_viewer(ports, web=web, memory=memory, server_memory=kept) as viewer:
         if web:
             print_result(ports.web_address)
-            say("open that address in a browser; Ctrl-C ends")
+            print_notice("open that address in a browser; Ctrl-C ends")
         yield ports.data_address, viewer
 
 
-def told(notices: Sequence[str]) -> int:
-    """Print what logs that were never finished have to say; the exit code that says so."""
+def warn_all(notices: Sequence[str]) -> int:
+    """Print the notices of logs that were never finished; return the exit code."""
     return max((warn(notice) for notice in notices if notice), default=DONE)
 
 
 class _Sender(Follower):
-    """Sends what does not grow."""
+    """Sends content that does not grow."""
 
-    def __init__(self, url: str, prepared: Prepared) -> None:
+    def __init__(self, url: str, prepared: PreparedRecording) -> None:
         super().__init__(url)
         self._prepared = prepared
 
@@ -151,9 +154,9 @@ class _Sender(Follower):
                 self._prepared.send(recording, lambda: self._flush(recording))
                 if self._prepared.at_s is not None:
                     set_time(self.url, recording, self._prepared.at_s, self.stop)
-            except GoneError:
+            except ViewerGoneError:
                 self._refuse_silence()
                 return
         except UserError as error:
-            self.code = complain(error)
+            self.code = print_error(error)
         self._disconnect(recording)

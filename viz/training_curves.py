@@ -20,16 +20,16 @@ from dataset import MAX_STEERING_DEG
 from model.metrics import Errors
 from model.runs.history import History, HistoryReader, read_history
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
-from viz.console import complain, say, say_skipped
-from viz.live.follow import POLL_S, Follower, GoneError, feed
-from viz.playback.rerun_recording import Prepared
+from viz.console import print_error, print_notice, print_skipped
+from viz.live.follow import POLL_S, Follower, ViewerGoneError, feed_viewer
+from viz.playback.rerun_recording import PreparedRecording
 from viz.viewer_process import Viewer
 from viz.worst_frames import send_worst, worst_views
 
 SAMPLES: Final = "samples"  # learnt from since the run began: what all curves are drawn over
 EPOCH: Final = "epoch"
 
-_MOST_NAMES: Final = 5  # in an error
+_MAX_NAMES: Final = 5  # in an error
 
 _BLUE, _ORANGE, _GREEN, _GREY, _DARK = (
     (120, 160, 255),
@@ -80,7 +80,7 @@ def refuse_no_training(folder: Path, *, is_awaited: bool) -> None:
     within = sorted(folder.iterdir())
     found = [str(path) for path in within if path.suffix == ".mcap" or _is_trained(path)]
     if found:
-        some = ", ".join(found[:_MOST_NAMES]) + (", ..." if len(found) > _MOST_NAMES else "")
+        some = ", ".join(found[:_MAX_NAMES]) + (", ..." if len(found) > _MAX_NAMES else "")
         raise UserError(f"{folder}: no training in it, but logs or runs: give one of them, {some}")
     if not is_awaited:
         read_history(folder)
@@ -91,11 +91,13 @@ def _is_trained(folder: Path) -> bool:
 
 
 @contextlib.contextmanager
-def prepared_training(run: Path) -> Iterator[Prepared]:
+def prepare_training(run: Path) -> Iterator[PreparedRecording]:
     """How the training of `run` went by now. Raises RunError if `run` holds no training."""
     history, skipped = read_history(run)
     notices = [f"skipped {line}" for line in skipped.lines()]
-    yield Prepared(_name(run), None, lambda recording, flush: _send_whole(history, recording, flush), notices)
+    yield PreparedRecording(
+        _name(run), None, lambda recording, flush: _send_whole(history, recording, flush), notices
+    )
 
 
 def _send_whole(history: History, recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
@@ -117,7 +119,7 @@ def follow_training(run: Path, url: str, viewer: Viewer | None) -> int:
     What goes wrong with the run is told on stderr when it happens, and the viewer stays open. Raises UserError if
     the viewer does not start, or dies.
     """
-    return feed(_TrainingFollower(run, url), viewer)
+    return feed_viewer(_TrainingFollower(run, url), viewer)
 
 
 def training_layout(*, has_errors: bool) -> rrb.Blueprint:
@@ -230,14 +232,14 @@ class _TrainingFollower(Follower):
         reader = HistoryReader(self._run)
         self._recording = self._connected(_name(self._run))
         if not self._run.is_dir():  # bc-train makes it when it has read its index
-            say(f"waits until {self._run} is trained")
+            print_notice(f"waits until {self._run} is trained")
         while not self._run.is_dir() and not self.stop.is_set():
             self.stop.wait(POLL_S)
         try:
             self._send(reader)
         except UserError as error:
-            self.code = complain(error)
-        skipped = say_skipped(reader.skipped)
+            self.code = print_error(error)
+        skipped = print_skipped(reader.skipped)
         self.code = self.code or skipped
         self._disconnect(self._recording)
 
@@ -252,7 +254,7 @@ class _TrainingFollower(Follower):
             sender.send(history)
             try:
                 self._flush(self._recording)
-            except GoneError:
+            except ViewerGoneError:
                 self._refuse_silence()
                 return
             self.stop.wait(POLL_S)

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common import Skipped, UserError, whole_file
+from common import Skipped, UserError, atomic_file
 from common.errors import counted
 from common.files import refuse_existing
 from common.progress import track
@@ -37,9 +37,9 @@ TICKS_A_SECOND: Final = 60
 """A picture appears at the sixtieth of a second that is nearest to its time: no screen or player needs finer."""
 HELD_S: Final = 0.5
 """For so long the last picture before a gap stays, in place of the gap."""
-SLOWEST, FASTEST = 0.01, 1000.0
+MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
-_LEAST_WIDTH, _MOST_SIDE, _LEAST_SIDE = 640, 1920, 64
+_MIN_WIDTH, _MAX_SIDE, _MIN_SIDE = 640, 1920, 64
 _TICK: Final = Fraction(1, TICKS_A_SECOND)
 # g: a place to jump to every few seconds; bf: with pictures stored out of their order, the last one loses its time
 _ENCODER: Final = {"preset": "veryfast", "crf": "23", "g": "60", "bf": "0"}
@@ -85,8 +85,8 @@ class Schedule:
 
 def check_speed(speed: float) -> None:
     """Raises UserError for what no video plays at."""
-    if not SLOWEST <= speed <= FASTEST:
-        raise UserError(f"--speed {speed:g}: how many times as fast must be {SLOWEST:g} to {FASTEST:g}")
+    if not MIN_SPEED <= speed <= MAX_SPEED:
+        raise UserError(f"--speed {speed:g}: how many times as fast must be {MIN_SPEED:g} to {MAX_SPEED:g}")
 
 
 def write_video(
@@ -108,7 +108,7 @@ def write_video(
         panel = Panel(pictures.width, readings.top_mph) if readings is not None else None
         height = pictures.height + (panel.height if panel is not None else 0)
         canvas = np.zeros((height, pictures.width, 3), np.uint8)
-        with whole_file(video, overwrite=overwrite) as part, _Mp4(part, video, pictures.width, height) as mp4:
+        with atomic_file(video, overwrite=overwrite) as part, _Mp4(part, video, pictures.width, height) as mp4:
             for number, begin, end in track(plan.shown(), "video", len(plan.numbers)):
                 pictures.draw(number, canvas[: pictures.height])
                 if readings is not None and panel is not None:
@@ -158,7 +158,7 @@ class _Pictures:
             many = f"none of {counted(len(self.times_ns), 'picture')}" if len(self.times_ns) else "no picture"
             raise UserError(f"{log.path}: {many} of the centre camera can be shown, and a video is made of those")
         self.width, self.height = _video_size(first.shape[1], first.shape[0])
-        if min(self.width, self.height) < _LEAST_SIDE:
+        if min(self.width, self.height) < _MIN_SIDE:
             size = f"{first.shape[1]} x {first.shape[0]}"
             raise UserError(f"{log.path}: pictures of {size} pixels, of which no video can be made")
 
@@ -245,8 +245,8 @@ class _Mp4:
 
 def _video_size(width: int, height: int) -> tuple[int, int]:
     """The size of a video for pictures of this size: whole times larger or as it is, and even, as H.264 needs."""
-    scale = float(max(1, math.ceil(_LEAST_WIDTH / width)))
-    scale = min(scale, _MOST_SIDE / max(width, height))
+    scale = float(max(1, math.ceil(_MIN_WIDTH / width)))
+    scale = min(scale, _MAX_SIDE / max(width, height))
     return int(width * scale) // 2 * 2, int(height * scale) // 2 * 2
 
 

@@ -37,7 +37,7 @@ _RED: Final[Color] = (90, 90, 230)
 
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _BAR_LEFT, _BAR_RIGHT = 276.0, 444.0
-_MOST_MPH: Final = 999.0  # there is room for it
+_MAX_MPH: Final = 999.0  # there is room for it
 _SPEED_Y, _THROTTLE_Y, _BRAKE_Y = 80.0, 104.0, 128.0
 _DRIVER_COLORS: Final[dict[Driver, Color]] = {"network": PREDICTED, "expert": _GREEN, "human": RECORDED}
 
@@ -130,7 +130,7 @@ class Panel:
         right = _WIDTH - 18
         self._text(clock(reading.time_s), right, 50, 24, _BRIGHT, is_right=True)
         if math.isfinite(reading.speed_mph):
-            end = self._text(f"{min(reading.speed_mph, _MOST_MPH):.1f}", 184, 50, 38, _BRIGHT)
+            end = self._text(f"{min(reading.speed_mph, _MAX_MPH):.1f}", 184, 50, 38, _BRIGHT)
             self._text("mph", end + 6, 50, 15, _DIM)
         if math.isfinite(reading.autonomy_percent):
             self._text(f"autonomy {reading.autonomy_percent:.0f} %", _BAR_RIGHT + 4, 50, 15, _DIM, is_right=True)

@@ -21,7 +21,7 @@ _DRIVERS: Final[dict[float, Driver]] = {
     PilotCommand.HUMAN: "human",
     PilotCommand.EXPERT: "expert",
 }
-_LEAST_TOP_MPH, _MOST_TOP_MPH = 30.0, 300.0  # the simulator's car reaches 30
+_MIN_TOP_MPH, _MAX_TOP_MPH = 30.0, 300.0  # the simulator's car reaches 30
 
 
 class Readings:
@@ -43,7 +43,7 @@ class Readings:
     @property
     def top_mph(self) -> float:
         """Where a bar for the speed should end."""
-        top = max(_LEAST_TOP_MPH, min(self._states.largest(3), _MOST_TOP_MPH))
+        top = max(_MIN_TOP_MPH, min(self._states.largest(3), _MAX_TOP_MPH))
         return 10.0 * math.ceil(top / 10)
 
     def at(self, time_ns: int) -> Reading:

@@ -21,7 +21,7 @@ import rerun_cli
 from common import UserError
 from common.interrupts import leave_signals_to_main_thread
 from common.output import print_message
-from viz.console import or_in_a_browser
+from viz.console import browser_hint
 
 LOCAL: Final = "127.0.0.1"
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
@@ -69,14 +69,14 @@ class Viewer(subprocess.Popen[bytes]):
 
     def __init__(self, line: list[str], environment: dict[str, str]) -> None:
         super().__init__(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment)
-        self._trouble = ""
+        self._failure_reason = ""
         self._reader = threading.Thread(target=self._read, name="viewer", daemon=True)
         self._reader.start()
 
-    def trouble(self) -> str:
+    def failure_reason(self) -> str:
         """Why it could not draw, and what helps, once it has ended; empty if it was something else."""
         self._reader.join(_LAST_WORDS_S)
-        return self._trouble
+        return self._failure_reason
 
     def _read(self) -> None:
         leave_signals_to_main_thread()
@@ -84,12 +84,12 @@ class Viewer(subprocess.Popen[bytes]):
         with self.stderr as lines:
             for line in lines:
                 if _NO_GRAPHICS.search(line):
-                    self._trouble = (
+                    self._failure_reason = (
                         "finds no graphics driver to draw with; without a graphics card, Debian's and Ubuntu's"
                         " package mesa-vulkan-drivers draws in software (`sudo apt install mesa-vulkan-drivers`)"
                     )
                 elif _NO_WINDOW.search(line):
-                    self._trouble = self._trouble or "cannot open a window on this display"
+                    self._failure_reason = self._failure_reason or "cannot open a window on this display"
                 else:
                     print_message(line.decode("utf-8", "replace").rstrip("\r\n"))
 
@@ -146,7 +146,7 @@ def wait_until_it_listens(viewer: Viewer, url: str) -> None:
         with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), _PATIENCE_S):
             return
         time.sleep(0.05)
-    raise UserError(f"the Rerun viewer did not start{or_in_a_browser()}")
+    raise UserError(f"the Rerun viewer did not start{browser_hint()}")
 
 
 def wait_until_closed(viewer: Viewer) -> None:
@@ -154,9 +154,9 @@ def wait_until_closed(viewer: Viewer) -> None:
     code = viewer.wait()
     if code:
         how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
-        if trouble := viewer.trouble():
-            how = trouble
-        raise UserError(f"the Rerun viewer {how}{or_in_a_browser()}")
+        if failure_reason := viewer.failure_reason():
+            how = failure_reason
+        raise UserError(f"the Rerun viewer {how}{browser_hint()}")
 
 
 def _refuse_taken(port: int) -> None:

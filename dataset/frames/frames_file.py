@@ -14,8 +14,10 @@ from common.files import final_path
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.image_check_cache import read_image_check
+from dataset.frames.topic_columns import TOPIC_COLUMNS
 from recorder import Log
 from recorder.log.tags import Tag
+from recorder.log.topics import VEHICLE_COLUMNS
 
 FRAMES_FORMAT: Final = 6
 
@@ -30,10 +32,8 @@ FRAMES_SCHEMA: Final = pa.schema(
         pa.field("offset", pa.int64()),
         pa.field("length", pa.int64()),  # of the JPEG, in bytes
         pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
-        pa.field("steering", pa.float64()),  # where an expert drove, what he commanded
-        pa.field("throttle", pa.float64()),
-        pa.field("brake", pa.float64()),
-        pa.field("speed_mph", pa.float64()),
+        # steering: where an expert drove, what he commanded
+        *(pa.field(name, pa.float64()) for name in (*VEHICLE_COLUMNS, *TOPIC_COLUMNS)),
         pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" where nobody says
         pa.field("drive", pa.int64()),
         pa.field("block", pa.int64()),
@@ -85,6 +85,7 @@ def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
         "validation": session in config.validation if config.validation else config.validation_share,
         "seed": config.seed,
         "drives": config.drives,
+        **({"columns": list(TOPIC_COLUMNS)} if TOPIC_COLUMNS else {}),
     }
 
 

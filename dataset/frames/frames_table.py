@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
 from dataset.config import IndexConfig
-from dataset.frames.distinct_rows import number_distinct
-from dataset.frames.drivers import DRIVERS, EXPERT, Commands, is_taken, read_commands
+from dataset.frames.drivers import DRIVERS, EXPERT, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
 from dataset.frames.image_check_cache import read_image_check
+from dataset.frames.pairing import paired_rows
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
+from dataset.frames.topic_columns import TOPIC_COLUMNS, topic_columns
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
 from recorder.log.row_quality import States, drive_numbers
 from recorder.log.tags import Tag
-from recorder.log.topics import camera_topic
+from recorder.log.topics import VEHICLE_COLUMNS, camera_topic
 
 
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:
@@ -35,7 +36,7 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
     looked = read_image_check(index, session, log.fingerprint)
-    return frames_of(states, pictures, session, config, tags, looked, driver)
+    return frames_of(states, pictures, session, config, tags, looked, driver, topic_columns(log, states))
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
@@ -63,9 +64,10 @@ def frames_of(
     tags: Sequence[Tag] = (),
     looked: ImageFindings | None = None,
     driver: NDArray[np.int8] | None = None,
+    others: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> pa.Table:
-    """The frames of a session from its vehicle states, from where its pictures lie, and from who drove at each
-    state (as `driven_states` gives it; without, nobody says)."""
+    """The frames of a session from its vehicle states, from where its pictures lie, from who drove at each state
+    (as `driven_states` gives it; without, nobody says), and from its `topic_columns` (without, NaN)."""
     if driver is None:
         driver = np.zeros(len(states.row), np.int8)
     drive = drive_numbers(states.time_ns)
@@ -101,7 +103,11 @@ def frames_of(
         "offset": offset,
         "length": length,
         "chunk": chunk,
-        **{name: getattr(states, name)[state] for name in ("steering", "throttle", "brake", "speed_mph")},
+        **{name: getattr(states, name)[state] for name in VEHICLE_COLUMNS},
+        **{
+            name: others[name][state] if others is not None else np.full(len(order), np.nan)
+            for name in TOPIC_COLUMNS
+        },
         "driver": pa.DictionaryArray.from_arrays(driver[state], list(DRIVERS)),
         "drive": drive[state],
         "block": block[state],
@@ -141,14 +147,3 @@ def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
             if tag.name not in names[at]:
                 names[at].append(tag.name)
     return pa.array(names, pa.list_(pa.string()))
-
-
-def paired_rows(messages: Pictures | Commands, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs messages with vehicle states by row number and log time: (positions of states, of messages)."""
-    count = len(states.row)
-    number, first = number_distinct(
-        np.concatenate([states.time_ns, messages.log_time_ns]), np.concatenate([states.row, messages.sequence])
-    )
-    state = first[number[count:]]  # the first of those alike: a state, if there is one
-    found = np.flatnonzero(state < count)
-    return state[found], found

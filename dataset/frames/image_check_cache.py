@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from common import whole_file
+from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.progress import progress_bar
 from dataset.errors import write_errors
@@ -100,7 +100,7 @@ def write_image_check(index: Path, session: str, fingerprint: str, found: ImageF
     """Keep what was found in the log with this fingerprint."""
     stored = _Stored(1, fingerprint, found.pictures, dict(found.broken), dict(found.frozen))
     path = _path(index, session)
-    with write_errors(path), whole_file(path, overwrite=True) as part:
+    with write_errors(path), atomic_file(path, overwrite=True) as part:
         part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
 
 

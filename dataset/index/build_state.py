@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from common import whole_file
+from common import atomic_file
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from recorder.log.tags import tags_path
 
@@ -69,6 +69,6 @@ def read_state(index: Path) -> State:
 
 
 def write_state(path: Path, state: State) -> None:
-    with whole_file(path, overwrite=True) as part:
+    with atomic_file(path, overwrite=True) as part:
         stored = json.dumps(msgspec.to_builtins(state), indent=1, sort_keys=True)
         part.write_text(stored + "\n", encoding="utf-8")

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.command import DONE, warn
-from common.errors import shown
+from common.errors import printable
 from common.output import print_message
 from dataset.index.build import Indexed
 from dataset.index.sessions import unfinished_recordings
@@ -80,7 +80,7 @@ def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
     parts = []
     for (width, height), names in sorted(sessions.items(), reverse=True):
         more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""
-        parts.append(f"{width:,} x {height:,} px in {', '.join(map(shown, names[:_MOST_NAMES]))}{more}")
+        parts.append(f"{width:,} x {height:,} px in {', '.join(map(printable, names[:_MOST_NAMES]))}{more}")
     return [
         f"pictures of different sizes: {'; '.join(parts)}. Of each the same share is cut off, and the rest is"
         f" brought to {SIZE_PX} x {SIZE_PX} px: they should show the same part of the world"

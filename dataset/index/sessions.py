@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from common.errors import did_you_mean, shown
+from common.errors import did_you_mean, printable
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state, sources_of
@@ -42,7 +42,7 @@ def find_logs(sessions: Sequence[Path | str], folder: Path | str) -> list[Path]:
 
 def name_problem(log: Path) -> str:
     """Why no index can hold a session of this name; empty if it can."""
-    if session_name(log) and shown(log.name) == log.name:
+    if session_name(log) and printable(log.name) == log.name:
         return ""
     return f"{log}: a session needs a name of plain UTF-8 text; rename the log"
 

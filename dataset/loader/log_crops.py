@@ -17,7 +17,8 @@ from common import Skipped
 from common.closeable import Closeable
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
-from dataset.frames.frames_table import driven_states, paired_rows
+from dataset.frames.frames_table import driven_states
+from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import Crops
 from dataset.loader.loader import UNDECODED
 from dataset.loader.prefetch import filled

@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from common import whole_file
+from common import atomic_file
 from common.car import CAMERAS
 from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
@@ -84,7 +84,7 @@ def write_samples(
     ends = np.searchsorted(chosen.frame, np.cumsum(sizes))
     starts = np.concatenate([[0], ends[:-1]])
     with (
-        whole_file(path, overwrite=True) as part,
+        atomic_file(path, overwrite=True) as part,
         pq.ParquetWriter(
             part, SAMPLES_SCHEMA.with_metadata(stored), compression="zstd", write_page_checksum=True
         ) as writer,

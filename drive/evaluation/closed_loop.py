@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.files import refuse_existing
-from common.interrupts import Stop, stop_signals
+from common.interrupts import StopEvent, stop_signals
 from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.log.summary import DriveSummary
 from drive.server import DriveServer
 from model import Pilot
 from recorder.server.telemetry_server import ServerMode
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 
 SIMULATOR_METADATA: Final = "bc.simulator"
 """The metadata record of a log that holds the simulator's own book of the drive."""
@@ -137,7 +137,7 @@ def drive_course(
 
 
 def drive_built_in(
-    server: DriveServer, course: Course, stopped: Stop, *, shows_progress: bool = True
+    server: DriveServer, course: Course, stopped: StopEvent, *, shows_progress: bool = True
 ) -> dict[str, Any]:
     """Serve until the built-in simulator has driven its course or `stopped` is set; the simulator's book, which is
     kept in the log too, empty if it was stopped. Raises DriveError if the simulator fails.

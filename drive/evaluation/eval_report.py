@@ -10,7 +10,7 @@ from rich.bar import Bar
 from rich.markup import escape
 from rich.table import Table
 
-from common.errors import counted, shown
+from common.errors import counted, printable
 from common.output import print_result, print_table
 from model.evaluation.evaluate import Evaluation
 from model.metrics import Measures
@@ -48,7 +48,7 @@ def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
 def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
     of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
-    title = f"{shown(run_name(evaluation.run))}: {counted(measures.frames, 'frame')}; errors in degrees"
+    title = f"{printable(run_name(evaluation.run))}: {counted(measures.frames, 'frame')}; errors in degrees"
     table = _table(title, "", "network", "always zero", "always the mean")
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
         table.add_row(heading, *(_number(getattr(errors, name)) for errors in of.values()))
@@ -79,7 +79,7 @@ def _sessions_table(sessions: dict[str, Measures]) -> Table:
     for session, measures in sessions.items():
         errors = measures.network
         table.add_row(
-            escape(shown(session)),
+            escape(printable(session)),
             f"{measures.frames:,}",
             _number(errors.mae_deg),
             _number(errors.rmse_deg),
@@ -96,7 +96,7 @@ def _worst_table(worst: Sequence[WorstFrame]) -> Table:
     )
     for frame in worst:
         table.add_row(
-            escape(shown(frame.session)),
+            escape(printable(frame.session)),
             f"{frame.row:,}",
             _clock(frame),
             f"{frame.predicted_deg:+.2f}",

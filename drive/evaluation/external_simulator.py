@@ -51,7 +51,7 @@ class Connecting:
         Raises DriveError where it tells of no expert who could take over, ListenError if the port is taken,
         KeyboardInterrupt if it was stopped; the log is finished then too.
         """
-        with StatusLine() as status, stop_signals(most=2) as stopped:
+        with StatusLine() as status, stop_signals(max_signals=2) as stopped:
 
             def say(text: str) -> None:
                 print_message(f"bc-drive: {text}")

@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from common.errors import shown
+from common.errors import printable
 from common.untrusted import read_bounded
 from model.errors import RunError
 from model.runs.run_files import replaced_file
@@ -92,5 +92,6 @@ def _halves(data: bytes) -> tuple[bytes, memoryview]:
 def _say_unsealed(run: Path) -> None:
     # by `logging`: it is heard wherever a network is loaded, also where no command is
     logging.getLogger(__name__).warning(
-        "%s", shown(f"{run}: of an earlier version, without checksums: damage to its weights cannot be noticed")
+        "%s",
+        printable(f"{run}: of an earlier version, without checksums: damage to its weights cannot be noticed"),
     )

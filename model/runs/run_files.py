@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from common import whole_file
+from common import atomic_file
 from model.errors import RunWriteError
 
 
@@ -17,7 +17,7 @@ from model.errors import RunWriteError
 def replaced_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; it takes the place of `path` at the end. Raises RunWriteError, and
     leaves what was there, where the disk is full or does not let it."""
-    with named(path), whole_file(path, overwrite=True) as part:
+    with named(path), atomic_file(path, overwrite=True) as part:
         yield part
 
 

@@ -19,7 +19,7 @@ from rich.progress import Progress
 from torch import Tensor
 
 from common import UserError
-from common.errors import counted, shown
+from common.errors import counted, printable
 from common.versions import TOOLKIT
 from dataset import Loader, Samples
 from dataset.preprocess import CROP_BYTES
@@ -237,7 +237,7 @@ class TrainingLoop:
         if self._is_busy_told or not self.group.is_first:
             return
         if notice := busy_notice(torch.get_num_threads(), wall_s, cpu_s):
-            logging.getLogger(__name__).warning("%s", shown(notice))
+            logging.getLogger(__name__).warning("%s", printable(notice))
             self._is_busy_told = True
 
     def _end_epoch(self) -> None:

@@ -172,6 +172,7 @@ TOPICS: Final[Mapping[str, Topic]] = {
 }
 """Every topic that is written, by name; besides them, a log of predictions has one for each run."""
 
+VEHICLE_COLUMNS: Final = tuple(column.name for column in TOPICS[VEHICLE].columns)
 PLOTS: Final = tuple(dict.fromkeys(line.plot for topic in TOPICS.values() for line in topic.lines))
 CAMERA_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.camera is not None)
 PICTURE_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.is_picture)

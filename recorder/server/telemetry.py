@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from common.car import MAX_STEERING_DEG
-from common.errors import counted, shown
+from common.errors import counted, printable
 from recorder.pictures.jpeg import whole_jpeg_size
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, parse_world
@@ -169,7 +169,7 @@ def _number(value: object, field: str, decimal: str) -> float:
 def _shortened(value: object) -> str:
     """The beginning of a client's text, printable."""
     text = str(value)
-    return shown(text if len(text) <= _MAX_CHARACTERS_SHOWN else f"{text[:_MAX_CHARACTERS_SHOWN]}...")
+    return printable(text if len(text) <= _MAX_CHARACTERS_SHOWN else f"{text[:_MAX_CHARACTERS_SHOWN]}...")
 
 
 def _image(value: object) -> bytes:

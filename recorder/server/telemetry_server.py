@@ -14,7 +14,7 @@ import socketio
 from engineio.exceptions import EngineIOError
 from socketio import packet
 
-from common.errors import shown
+from common.errors import printable
 from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify
 from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, ServerHost
@@ -216,7 +216,7 @@ class TelemetryServer:
         with self._lock:  # once: a page that tries one name after another must not fill the screen
             if not self._has_refused:
                 self._has_refused = True
-                self._notify_once(NOTICE_REFUSED.format(shown(what[:MAX_SHOWN_CHARACTERS])))
+                self._notify_once(NOTICE_REFUSED.format(printable(what[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         if not _is_for_websocket(environ) and len(self._engine.sockets) > MAX_CONNECTIONS:

@@ -65,7 +65,7 @@ def import_tub(
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
     first = next(frames, None)
     if first is None:
-        raise RecordingError(f"{folder}: no usable record in this DonkeyCar tub{skipped.because()}")
+        raise RecordingError(f"{folder}: no usable record in this DonkeyCar tub{skipped.error_suffix()}")
     metadata = {
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,

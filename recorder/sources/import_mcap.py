@@ -154,7 +154,7 @@ def import_mcap(source: Path, log: Path, topics: McapTopics, *, overwrite: bool 
     rows = _rows(files, topics.image, steering, f"importing {source.name}", skipped)
     first = next(rows, None)
     if first is None:
-        raise RecordingError(f"{source}: no picture on {topics.image} can be used{skipped.because()}")
+        raise RecordingError(f"{source}: no picture on {topics.image} can be used{skipped.error_suffix()}")
     metadata = {
         "source": "ros2 bag" if source.is_dir() else "mcap",
         "recording": Path(os.path.realpath(source)).name,
@@ -233,7 +233,7 @@ def _read_steering(
         else:
             times.append(time_ns)
     if not times:
-        problem = "; ".join(skipped.lines(most_names=1)) or problem
+        problem = "; ".join(skipped.lines(max_names=1)) or problem
         raise RecordingError(f"{source}: --steering: no number can be read on {brief(topic)}: {problem}")
     order = np.argsort(np.array(times, np.int64), kind="stable")
     return _Steering(np.array(times, np.int64)[order], np.array(values, np.float64)[order])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common import Skipped
-from common.errors import KEPT_NAMES
+from common.errors import MAX_KEPT_NAMES
 from recorder.log.writer import LogWriter
 
 
@@ -41,8 +41,8 @@ class SkippedEvents:
             for reason, name in self.skipped:
                 self._added(reason, name)
             for reason, count in self.skipped.counts.items():
-                if count > KEPT_NAMES:
-                    self._added(reason, f"and {count - KEPT_NAMES:,} more")
+                if count > MAX_KEPT_NAMES:
+                    self._added(reason, f"and {count - MAX_KEPT_NAMES:,} more")
 
     def _added(self, reason: str, name: str) -> None:
         if self._writer is not None:

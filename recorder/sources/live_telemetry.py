@@ -130,7 +130,7 @@ class _Session:
     def say(self, text: str) -> None:
         """Show it in the status line; where there is none, print it."""
         self._text = text
-        self._status.say(text)
+        self._status.show_or_print(text)
 
     def finish(self) -> None:
         """To be called when nothing more will come."""
@@ -143,7 +143,7 @@ class _Session:
 
     def why_nothing(self) -> str:
         if self.skipped:
-            return f"nothing was recorded{self.skipped.because()}"
+            return f"nothing was recorded{self.skipped.error_suffix()}"
         if self._manuals:
             return (
                 "nothing was recorded: the simulator tells nothing while its keys are held; drive in its training"

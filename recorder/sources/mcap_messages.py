@@ -21,7 +21,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 
-from common.errors import shown
+from common.errors import printable
 from recorder.errors import RecordingError
 from recorder.pictures.image_check import decodes
 from recorder.pictures.jpeg import is_whole_jpeg
@@ -131,7 +131,7 @@ def is_whole_picture(data: bytes) -> bool:
 
 def brief(text: str) -> str:
     """Text of somebody else's file, short enough for an error and without what moves a cursor."""
-    return shown(text if len(text) <= 200 else f"{text[:200]}...")
+    return printable(text if len(text) <= 200 else f"{text[:200]}...")
 
 
 def _child(value: object, name: str, parents: str) -> object:

@@ -24,7 +24,7 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.sources.find_recording import recordings_near
+from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE, udacity_metadata, vehicle_state
@@ -76,7 +76,8 @@ def watch_udacity(
             on_started(writer.part)
         if not recording.has_csv():
             hint = recordings_near(folder)
-            status.say(f"waiting for {folder / CSV_NAME};{hint}" if hint else f"waiting for {folder / CSV_NAME}")
+            waiting = f"waiting for {folder / CSV_NAME}"
+            status.show_or_print(f"{waiting};{hint}" if hint else waiting)
         while not stopped.is_set():
             is_busy = recording.poll()
             writer.flush_if_due()
@@ -115,7 +116,7 @@ class _GrowingRecording:
         self._rate = 0.0
 
     def has_csv(self) -> bool:
-        return os.path.isfile(self._folder / CSV_NAME)  # noqa: PTH113  (never raises)
+        return is_udacity(self._folder)
 
     def poll(self) -> bool:
         """Log what is new; True if there is more to do at once."""
@@ -171,7 +172,7 @@ class _GrowingRecording:
         csv = self._folder / CSV_NAME
         if not self.has_csv():
             return f"{csv}: it never came; give the folder that the simulator's training mode records into"
-        return f"{csv}: no usable row{self.skipped.because()}"
+        return f"{csv}: no usable row{self.skipped.error_suffix()}"
 
     def _new_lines(self) -> list[tuple[int, bytes]]:
         with contextlib.suppress(OSError):  # a csv that cannot be read now is read the next time

@@ -159,7 +159,7 @@ class UdacityRecording:
         if not row_count:
             if not self.csv.stat().st_size:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
-            raise RecordingError(f"{self.csv}: no usable row{self._skipped.because()}")
+            raise RecordingError(f"{self.csv}: no usable row{self._skipped.error_suffix()}")
         if not found:
             with _readable(self.folder):
                 raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")

@@ -1,4 +1,4 @@
-"""A car on a track, and the book that is kept of it: laps, distance from the line, off the road, interventions."""
+"""A car on a track, and the measures of its drive: laps, distance from the line, off the road, interventions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.driving.vehicle import AXLE_TO_CENTRE_M, MPS_PER_MPH, STEP_S, WHEELBASE_M, VehicleState, step
+from simulator.driving.vehicle import AXLE_TO_CENTRE_M, MPS_PER_MPH, STEP_S, WHEELBASE_M, CarState, step
 from simulator.pose import Pose
 from simulator.roads.centreline import Centreline
 
@@ -26,7 +26,7 @@ _STUCK_PROGRESS_M = 1.0
 
 
 class Road(Protocol):
-    """What a course needs of a track."""
+    """The road of a track, as far as a course needs it."""
 
     @property
     def line(self) -> Centreline: ...
@@ -37,8 +37,8 @@ class Road(Protocol):
 
 
 @dataclass(frozen=True)
-class Measures:
-    """What an evaluation says of a drive, from its start to now."""
+class CourseMeasures:
+    """The measures of a drive, from its start to now."""
 
     elapsed_s: float
     distance_m: float  # rolled, in any direction
@@ -59,7 +59,7 @@ class Course:
     centre line than the road's half width there.
     """
 
-    vehicle: VehicleState
+    vehicle: CarState
     arc_m: float  # where the car is along the road, 0 .. its length
     offset_m: float  # of the car's centre from the centre line, positive to the left
     interventions: int
@@ -75,7 +75,7 @@ class Course:
         self.start()
 
     def start(self, arc_m: float = 0.0) -> None:
-        """Puts the car at rest on the centre line at ``arc_m`` and opens a new book."""
+        """Puts the car at rest on the centre line at ``arc_m`` and starts the measures anew."""
         self._steps = 0
         self._pause_s = 0.0
         self._distance_m = 0.0
@@ -86,7 +86,7 @@ class Course:
         self._steering = 0.0
         self._steering_travel = 0.0
         self.interventions = 0
-        self._put(arc_m, 0.0, 0.0, VehicleState(0.0, 0.0, 0.0))
+        self._put(arc_m, 0.0, 0.0, CarState(0.0, 0.0, 0.0))
 
     def advance(self, steering: float, throttle: float, seconds: float = STEP_S) -> None:
         """Holds a command (each -1..1, clamped) for ``seconds``, a whole number of 0.02 s steps."""
@@ -100,12 +100,12 @@ class Course:
             place = self._line.at(self.arc_m)
             slope = place.slope * math.cos(self.vehicle.heading_rad - place.heading_rad)
             self.vehicle = step(self.vehicle, steering, throttle, slope, self.off_road)
-            self._keep_book()
+            self._measure()
 
     def intervene(self) -> None:
         """Puts the car at rest on the centre line where it last was on the road, aligned, and counts it."""
         self.interventions += 1
-        self._put(self._road_arc_m, 0.0, 0.0, VehicleState(0.0, 0.0, 0.0))
+        self._put(self._road_arc_m, 0.0, 0.0, CarState(0.0, 0.0, 0.0))
 
     def displace(self, offset_m: float, turn_rad: float, seconds: float) -> None:
         """Moves the car beside the centre line at its arc length, turned by ``turn_rad`` (left is positive) from
@@ -165,14 +165,14 @@ class Course:
 
     @property
     def intervention_due(self) -> bool:
-        """When a policy without a person's judgement takes over: off the road, or stuck."""
+        """True if the car is off the road or stuck: where a policy without a person's judgement takes over."""
         return self.off_road or self.stuck
 
     @property
-    def measures(self) -> Measures:
+    def measures(self) -> CourseMeasures:
         elapsed = self._steps * STEP_S
         steps, seconds = max(1, self._steps), max(STEP_S, elapsed)
-        return Measures(
+        return CourseMeasures(
             elapsed_s=elapsed,
             distance_m=self._distance_m,
             laps=self.laps,
@@ -210,9 +210,9 @@ class Course:
             roll_rad=math.atan2(left - right, WHEEL_TRACK_M),
         )
 
-    def _put(self, arc_m: float, offset_m: float, turn_rad: float, motion: VehicleState) -> None:
+    def _put(self, arc_m: float, offset_m: float, turn_rad: float, motion: CarState) -> None:
         place = self._line.at(arc_m)
-        self.vehicle = VehicleState(
+        self.vehicle = CarState(
             place.x_m - offset_m * math.sin(place.heading_rad),
             place.y_m + offset_m * math.cos(place.heading_rad),
             place.heading_rad + turn_rad,
@@ -226,7 +226,7 @@ class Course:
         self._progress_mark_m = self._progress_m
         self._progress_step = self._steps
 
-    def _keep_book(self) -> None:
+    def _measure(self) -> None:
         self._steps += 1
         moved_m = abs(self.vehicle.speed_mps) * STEP_S
         self._distance_m += moved_m

@@ -14,7 +14,7 @@ from simulator.driving.vehicle import (
     MPS_PER_MPH,
     STEERING_LAG_S,
     THROTTLE_MPS2,
-    VehicleState,
+    CarState,
     resistance_mps2,
     slope_mps2,
     wheel_angle_for,
@@ -60,7 +60,7 @@ class Expert:
 
     def _steer(self, course: Course) -> float:
         """Pure pursuit (Coulter 1992, CMU-RI-TR-92-01): the arc from the rear axle to a point of the line."""
-        x, y, direction = _where_it_will_be(course.vehicle)
+        x, y, direction = _predict_rear_axle(course.vehicle)
         speed = abs(course.vehicle.speed_mps)
         arc, _ = self._line.project(x, y, course.arc_m)
         goal = self._line.at(arc + LOOK_AHEAD_M + LOOK_AHEAD_S * speed)
@@ -70,7 +70,7 @@ class Expert:
         return -wheel_angle_for(curvature, speed) / MAX_WHEEL_RAD
 
     def _throttle(self, course: Course) -> float:
-        """What the wanted acceleration, the resistances and the slope ask of engine or brakes."""
+        """The throttle for the wanted acceleration, against the resistances and the slope."""
         speed = course.vehicle.speed_mps
         place = self._line.at(course.arc_m)
         point: int = round(course.arc_m / self._line.step_m)
@@ -99,7 +99,7 @@ def plan_speed(line: Centreline, most_mps: float) -> Floats:
     return speed
 
 
-def _where_it_will_be(car: VehicleState) -> tuple[float, float, float]:
+def _predict_rear_axle(car: CarState) -> tuple[float, float, float]:
     """The rear axle's place and direction of motion when a command given now takes hold of the wheels."""
     turn = car.yaw_rate_radps * STEERING_LAG_S
     middle = car.heading_rad + turn / 2 - car.rear_slip_rad

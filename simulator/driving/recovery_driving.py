@@ -1,4 +1,4 @@
-"""The drive of a recording: the expert follows the line, is pushed off it now and then, and comes back.
+"""Recovery driving for recordings: the expert follows the line, is pushed off it now and then, and comes back.
 
 A network that has only seen the middle of the road does not know what to do beside it. The push is not recorded
 (nobody should learn to leave the line), the coming back is; the clock runs on meanwhile, so that each push is
@@ -75,7 +75,7 @@ def drive_for_recording(
 
 
 def steps_each(rate_hz: float) -> int:
-    """How many of the simulator's steps there are to a told one. Raises ValueError if they are no whole number."""
+    """Steps of the simulator for each recorded, or sent, one. Raises ValueError if they are no whole number."""
     steps = round(1.0 / (rate_hz * STEP_S)) if rate_hz > 0 else 0
     if steps < 1 or abs(steps * STEP_S * rate_hz - 1.0) > 1e-6:
         raise ValueError(f"--rate {rate_hz:g}: it must divide {1 / STEP_S:g} (as 5, 10, 12.5, 25 do)")
@@ -88,11 +88,11 @@ def _drive(
     random = np.random.default_rng(seed)
     course.start()
     recovering_since_s: float | None = None
-    next_push_s = _normal_stretch_s(random, share, _USUAL_RECOVERY_S)
+    next_push_s = _undisturbed_s(random, share, _USUAL_RECOVERY_S)
     after_gap = False
     while course.progress_m <= end_m:
-        if recovering_since_s is not None and _back(course, recovering_since_s):
-            next_push_s = course.time_s + _normal_stretch_s(random, share, course.time_s - recovering_since_s)
+        if recovering_since_s is not None and _has_recovered(course, recovering_since_s):
+            next_push_s = course.time_s + _undisturbed_s(random, share, course.time_s - recovering_since_s)
             recovering_since_s = None
         if recovering_since_s is None and course.time_s >= next_push_s:
             _push(course, random)
@@ -116,8 +116,8 @@ def _drive(
             course.advance(*expert.control(course))
 
 
-def _normal_stretch_s(random: np.random.Generator, share: float, recovery_s: float) -> float:
-    """How long the expert is left alone for, so that a recovery of ``recovery_s`` makes up its share."""
+def _undisturbed_s(random: np.random.Generator, share: float, recovery_s: float) -> float:
+    """The time until the next push, so that a recovery of ``recovery_s`` makes up its share."""
     if share == 0.0:
         return math.inf
     return recovery_s * (1.0 - share) / share * random.uniform(0.5, 1.5)
@@ -133,7 +133,7 @@ def _push(course: Course, random: np.random.Generator) -> None:
     course.displace(offset_m, max(-most, min(most, turn)), PUSH_S)
 
 
-def _back(course: Course, since_s: float) -> bool:
+def _has_recovered(course: Course, since_s: float) -> bool:
     if course.time_s - since_s >= _LONGEST_RECOVERY_S:
         return True
     return abs(course.offset) <= _BACK_OFFSET and abs(course.heading_error_rad) <= _BACK_TURN_RAD

@@ -1,4 +1,4 @@
-"""The built-in simulator as one thing: a track, its world, a car on it, and what the car's cameras see."""
+"""The built-in simulator: a track, its world, a car on it, and the car's cameras."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from simulator.driving.course import Course
 from simulator.pose import Pose
 from simulator.rendering.camera import Renderer
 from simulator.rendering.world_maps import build_world
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 
 JPEG_QUALITY = 75  # Unity's default; the pictures are of the size of the real ones
 
@@ -24,7 +24,7 @@ class Simulation:
         self._renderer = Renderer(world)
 
     def jpeg(self, camera: Camera = "center", pose: Pose | None = None) -> bytes:
-        """What a camera sees, 320x160, from where the car is or from another pose."""
+        """A camera's picture, 320x160, at the car's pose or at another one."""
         picture = self._renderer.render(pose or self.course.pose, camera)
         ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         if not ok:  # cannot happen with a picture of ours; said rather than lost in silence

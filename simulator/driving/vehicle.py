@@ -50,8 +50,8 @@ _STEERING_SHARE = 1.0 - math.exp(-STEP_S / STEERING_LAG_S)  # of the way to the 
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleState:
-    """Where the car is and how it moves. Angles and rates are counter-clockwise: positive is LEFT."""
+class CarState:
+    """Position and motion of the car. Angles and rates are counter-clockwise: positive is LEFT."""
 
     x_m: float  # of the car's centre, midway between the axles
     y_m: float
@@ -76,13 +76,13 @@ class VehicleState:
 
     @property
     def rear_slip_rad(self) -> float:
-        """How far the rear axle's motion points out of the bend: lateral force over cornering stiffness."""
+        """The slip angle of the rear axle, out of the bend: lateral force over cornering stiffness."""
         return self.lateral_mps2 / (CORNERING_PER_RAD * GRAVITY_MPS2)
 
 
 def step(
-    state: VehicleState, steering: float, throttle: float, slope: float = 0.0, off_road: bool = False
-) -> VehicleState:
+    state: CarState, steering: float, throttle: float, slope: float = 0.0, off_road: bool = False
+) -> CarState:
     """The state ``STEP_S`` later.
 
     ``steering`` -1 (left) .. 1 (right) and ``throttle`` -1 .. 1 are clamped to their ranges. Throttle above 0
@@ -100,7 +100,7 @@ def step(
     sideways = AXLE_TO_CENTRE_M * yaw_rate - abs(speed) * slip
     heading = state.heading_rad + yaw_rate * STEP_S / 2  # in the middle of the step
     cos, sin = math.cos(heading), math.sin(heading)
-    return VehicleState(
+    return CarState(
         state.x_m + (speed * cos - sideways * sin) * STEP_S,
         state.y_m + (speed * sin + sideways * cos) * STEP_S,
         state.heading_rad + yaw_rate * STEP_S,
@@ -111,7 +111,7 @@ def step(
 
 
 def resistance_mps2(speed_mps: float, off_road: bool = False) -> float:
-    """How much drag and rolling resistance slow a car that moves at ``speed_mps`` (0 or more)."""
+    """The deceleration by drag and rolling resistance of a car that moves at ``speed_mps`` (0 or more)."""
     resistance = DRAG_PER_S * abs(speed_mps) + ROLLING_MPS2
     if off_road:
         resistance += OFF_ROAD_DRAG_PER_S * abs(speed_mps) + OFF_ROAD_ROLLING_MPS2
@@ -119,7 +119,7 @@ def resistance_mps2(speed_mps: float, off_road: bool = False) -> float:
 
 
 def slope_mps2(slope: float) -> float:
-    """How much gravity slows a car that climbs ``slope`` (rise over run)."""
+    """The deceleration by gravity of a car that climbs ``slope`` (rise over run)."""
     return GRAVITY_MPS2 * slope / math.sqrt(1.0 + slope * slope)
 
 

@@ -1,1 +1,1 @@
-"""The real simulator's side of the connection, and its recordings' folder."""
+"""The real simulator's protocol as its client, and the folder of its recordings."""

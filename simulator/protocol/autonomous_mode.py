@@ -1,8 +1,8 @@
-"""Autonomous mode: the built-in simulator in the real one's place on the wire.
+"""Autonomous mode: the built-in simulator connects to a server in the place of the real one.
 
 In lock-step, simulated time stands still until an answer comes, so that a drive depends on the answers alone, and
 not on how fast anybody's machine is. As with the real simulator two telemetries are in flight: the car acts on
-what it saw one step ago. So does an expert whose command is told with the picture, and who is sent to the wheel:
+what it saw one step ago. So does an expert whose command is sent with the picture, and who is sent to the wheel:
 one more command of the network comes before his first.
 """
 
@@ -16,29 +16,35 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from simulator.driving.course import Course, Measures
+from simulator.driving.course import Course, CourseMeasures
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
-from simulator.protocol.client import Answer, SimulatorClient, Steer, Telemetry, Told
+from simulator.protocol.client import (
+    ServerCommand,
+    SimulatorClient,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    SteerCommand,
+)
 
 DEFAULT_RATE_HZ = 25.0
 
 # An expert who takes the wheel at full lock has the car back on the road, and a metre on, within 10 s. A course
 # calls it stuck meanwhile, because progress is made on the road only.
-BRING_BACK_S = 10.0
+RECOVERY_LIMIT_S = 10.0
 
 GIVE_UP_S = 60.0
 """A car that has not come a metre farther for so long, however often it was put back, never will."""
 
 
 @dataclass(frozen=True)
-class Driven:
+class AutonomousDrive:
     """A finished drive."""
 
     track: str
     whole_laps: int
-    measures: Measures
+    measures: CourseMeasures
     gave_up: bool  # before all laps were driven: see `GIVE_UP_S`
     unreadable: int  # commands that were not numbers
     trajectory_sha256: str  # of every pose: two drives with the same one went the same way
@@ -59,15 +65,15 @@ def drive_autonomously(
     leave_off_road: bool = False,
     progress: Callable[[float], None] = lambda laps: None,
     lost: Callable[[], object] = lambda: None,
-) -> Driven:
+) -> AutonomousDrive:
     """Drive `laps` from the start, at `rate_hz` telemetries a second of simulated time (it must divide 50).
 
     A car that leaves the road or does not get on is put back on the centre line, and that is counted; with
-    `leave_off_road`, only one that has been stuck for `BRING_BACK_S`, for whoever drives may bring it back. A car
-    that gets nowhere for `GIVE_UP_S` ends the drive. With `real_time`, simulated time passes no faster than the
-    clock. With `expert`, each telemetry tells the world too, and what the expert would command where its picture
-    was taken. `progress` is told the laps driven so far, `lost` is called when the server has gone, which is then
-    waited for.
+    `leave_off_road`, only one that has been stuck for `RECOVERY_LIMIT_S`, for whoever drives may bring it back. A
+    car that gets nowhere for `GIVE_UP_S` ends the drive. With `real_time`, simulated time passes no faster than
+    the clock. With `expert`, each telemetry holds the world too, and what the expert would command where its
+    picture was taken. `progress` is called with the laps driven so far, `lost` when the server has gone, which is
+    then waited for.
 
     Raises WaitTimeoutError where no server answers.
     """
@@ -75,25 +81,25 @@ def drive_autonomously(
     course.start()
     step_s = 1.0 / rate_hz
     trajectory = hashlib.sha256()
-    command = Steer(0.0, 0.0)
+    command = SteerCommand(0.0, 0.0)
     start_s = 0.0
     stuck_since_s = math.inf
     farthest_m, farthest_s, gave_up = 0.0, 0.0, False
 
-    def must_be_put_back() -> bool:
+    def must_intervene() -> bool:
         nonlocal stuck_since_s
         stuck_since_s = min(stuck_since_s, course.time_s) if course.stuck else math.inf
-        return course.time_s - stuck_since_s >= BRING_BACK_S if leave_off_road else course.intervention_due
+        return course.time_s - stuck_since_s >= RECOVERY_LIMIT_S if leave_off_road else course.intervention_due
 
-    def next_telemetry(answer: Answer) -> Told:
+    def next_telemetry(received: ServerCommand) -> SimulatorMessage:
         nonlocal command, start_s, farthest_m, farthest_s, gave_up
-        if isinstance(answer, Steer):
-            command = answer
+        if isinstance(received, SteerCommand):
+            command = received
             start_s = start_s or time.monotonic()
             if real_time:
                 time.sleep(max(0.0, start_s + course.time_s - time.monotonic()))
             course.advance(command.steering, command.throttle, step_s)
-            if must_be_put_back():
+            if must_intervene():
                 course.intervene()
             pose = course.pose
             trajectory.update(struct.pack("<4d", pose.x_m, pose.y_m, pose.z_m, pose.heading_rad))
@@ -110,10 +116,10 @@ def drive_autonomously(
         car = course.vehicle
         steering = min(max(car.steering, -1.0), 1.0)
         world = _world(course, pose, expert) if expert is not None else None
-        return Telemetry(steering, throttle, car.speed_mph, simulation.jpeg(pose=pose), world)
+        return SimulatorTelemetry(steering, throttle, car.speed_mph, simulation.jpeg(pose=pose), world)
 
     client.run(next_telemetry, lost)
-    return Driven(
+    return AutonomousDrive(
         simulation.track.name,
         course.whole_laps,
         course.measures,
@@ -124,7 +130,7 @@ def drive_autonomously(
 
 
 def _world(course: Course, pose: Pose, expert: Expert) -> dict[str, float]:
-    """What is told beside the telemetry. Its names and units are those of `recorder.server.telemetry.World`."""
+    """The `world` field of a telemetry. Its names and units are those of `recorder.server.world.World`."""
     expert_steering, expert_throttle = expert.control(course)
     return {
         "time_s": course.time_s,

@@ -1,4 +1,4 @@
-"""Speaks the real simulator's side of the wire, byte for byte as the Unity program does.
+"""The simulator's side of its Socket.IO protocol, byte for byte as the Unity program speaks it.
 
 Observed on the real client's code: it connects by websocket, announces no Socket.IO connection (no `40`), takes
 the server's `0{...}` as a second "open", sends every message in websocket frames of at most 1016 bytes with
@@ -29,29 +29,29 @@ RETRY_S: Final = 0.05  # the real one retries without any delay, about 10,000 ti
 
 
 @dataclass(frozen=True)
-class Telemetry:
-    """What the simulator tells of one moment."""
+class SimulatorTelemetry:
+    """The telemetry that the simulator sends of one moment."""
 
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # 0..1
     speed_mph: float
     jpeg: bytes  # the centre camera
-    world: Mapping[str, float] | None = None  # the real simulator never tells one
+    world: Mapping[str, float] | None = None  # the real simulator never sends one
 
 
 @dataclass(frozen=True)
-class Steer:
+class SteerCommand:
     """A command from the server."""
 
     steering: float  # -1..1, as sent: not clamped
     throttle: float  # > 0 accelerates, < 0 brakes
 
 
-Answer = Steer | Literal["manual"] | None
-"""What a telemetry is asked for after: a command, `manual`, or None where the connection has just opened."""
+ServerCommand = SteerCommand | Literal["manual"] | None
+"""A message that asks for a telemetry: a command, `manual`, or None where the connection has just opened."""
 
-Told = Telemetry | Literal["manual", "nothing"] | None
-"""What the simulator tells: a telemetry; "manual" while a human holds a key; "nothing", to go on listening only;
+SimulatorMessage = SimulatorTelemetry | Literal["manual", "nothing"] | None
+"""A message of the simulator: a telemetry; "manual" while a human holds a key; "nothing", to go on listening only;
 None to quit."""
 
 
@@ -60,7 +60,7 @@ class WaitTimeoutError(Exception):
 
 
 class NoHostError(Exception):
-    """What is no name or address of a machine, or a name that nobody knows: to wait would not help."""
+    """The host is no name or address of a machine, or a name that cannot be resolved: to wait would not help."""
 
 
 class SimulatorClient:
@@ -82,7 +82,11 @@ class SimulatorClient:
         self.bad_steers = 0  # received and not understood: each has cost a telemetry
         self.connections = 0
 
-    def run(self, next_telemetry: Callable[[Answer], Told], lost: Callable[[], object] = lambda: None) -> None:
+    def run(
+        self,
+        next_telemetry: Callable[[ServerCommand], SimulatorMessage],
+        lost: Callable[[], object] = lambda: None,
+    ) -> None:
         """Connect and drive until `next_telemetry` returns None. `lost` is called when the server has gone.
 
         It is called twice when a connection opens, and then once for each command.
@@ -118,14 +122,16 @@ class SimulatorClient:
                 self.connections += 1
                 return connection
 
-    def _one_connection(self, connection: websocket.WebSocket, next_telemetry: Callable[[Answer], Told]) -> bool:
-        """Drive until the server goes (True: connect again) or there is nothing more to tell (False)."""
-        answers: list[Answer] = [None]  # the socket is open: the first of the two "open" events
+    def _one_connection(
+        self, connection: websocket.WebSocket, next_telemetry: Callable[[ServerCommand], SimulatorMessage]
+    ) -> bool:
+        """Drive until the server goes (True: connect again) or there is nothing more to send (False)."""
+        commands: list[ServerCommand] = [None]  # the socket is open: the first of the two "open" events
         next_ping_s = time.monotonic()
         try:
             while True:
-                for answer in answers:
-                    telemetry = next_telemetry(answer)
+                for command in commands:
+                    telemetry = next_telemetry(command)
                     if telemetry is None:
                         self._send(connection, "41")
                         self._send(connection, "1")
@@ -136,13 +142,13 @@ class SimulatorClient:
                 if time.monotonic() >= next_ping_s:
                     self._send(connection, "2")
                     next_ping_s = time.monotonic() + PING_S
-                answers = self._receive(connection, next_ping_s)
+                commands = self._receive(connection, next_ping_s)
         except (OSError, websocket.WebSocketException):
             return True
         finally:
             self._close(connection)
 
-    def _receive(self, connection: websocket.WebSocket, until_s: float) -> list[Answer]:
+    def _receive(self, connection: websocket.WebSocket, until_s: float) -> list[ServerCommand]:
         connection.settimeout(max(0.01, until_s - time.monotonic()))
         try:
             message = connection.recv()
@@ -160,7 +166,7 @@ class SimulatorClient:
             return self._command(message[2:])
         return []  # "3", "40", "43": nothing to do
 
-    def _command(self, payload: str) -> list[Answer]:
+    def _command(self, payload: str) -> list[ServerCommand]:
         try:
             name, *arguments = json.loads(payload)
         except (ValueError, TypeError):
@@ -171,7 +177,9 @@ class SimulatorClient:
         if name != "steer":
             return []
         try:
-            steer = Steer(self._number(arguments[0]["steering_angle"]), self._number(arguments[0]["throttle"]))
+            steer = SteerCommand(
+                self._number(arguments[0]["steering_angle"]), self._number(arguments[0]["throttle"])
+            )
         except (ValueError, TypeError, KeyError, IndexError):
             self.bad_steers += 1  # the real client throws, swallows it, and this telemetry is lost
             return []
@@ -188,7 +196,7 @@ class SimulatorClient:
             raise ValueError(text)
         return value
 
-    def _event(self, telemetry: Telemetry | Literal["manual"]) -> str:
+    def _event(self, telemetry: SimulatorTelemetry | Literal["manual"]) -> str:
         if telemetry == "manual":
             return '42["telemetry",null]'
         fields: dict[str, Any] = {

@@ -15,7 +15,7 @@ from common import UserError, files
 from common.car import Camera
 from common.interrupts import uninterrupted
 
-ORDER: tuple[Camera, ...] = ("center", "left", "right")
+COLUMNS: tuple[Camera, ...] = ("center", "left", "right")
 
 
 class UdacityWriter:
@@ -33,7 +33,7 @@ class UdacityWriter:
         self._csv_path = folder / "driving_log.csv"
         self._part = files.part_path(self._csv_path)
         self._made: list[Path] = []
-        with self._told():
+        with self._writing():
             self._made = files.make_folder(self._images)
             try:
                 self._csv = self._part.open("x", encoding="utf-8", newline="")
@@ -54,17 +54,17 @@ class UdacityWriter:
         """One row and its pictures; the time becomes part of their names, to the millisecond."""
         moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
         stamp = f"{moment:%Y_%m_%d_%H_%M_%S}_{moment.microsecond // 1000:03d}"
-        paths = [self._images / f"{camera}_{stamp}.jpg" for camera in ORDER]
+        paths = [self._images / f"{camera}_{stamp}.jpg" for camera in COLUMNS]
         # C# prints floats with seven significant digits, and exponents as E-05
         values = [f"{value:.7g}".replace("e", "E") for value in (steering, throttle, brake, speed_mph)]
-        with self._told():
-            for camera, path in zip(ORDER, paths, strict=True):
+        with self._writing():
+            for camera, path in zip(COLUMNS, paths, strict=True):
                 path.write_bytes(jpegs[camera])
             self._csv.write(",".join([*map(str, paths), *values]) + "\n")
 
     def finish(self) -> None:
         """Bring all rows to the disk; the csv still has its temporary name."""
-        with self._told():
+        with self._writing():
             self._csv.flush()
             os.fsync(self._csv.fileno())
 
@@ -78,7 +78,7 @@ class UdacityWriter:
             if kind is not None:
                 self._discard()
                 return
-            with self._told():
+            with self._writing():
                 self._csv.close()
             files.publish(self._part, self._csv_path, overwrite=False)
 
@@ -90,8 +90,8 @@ class UdacityWriter:
         files.remove_empty(self._made)
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        """What cannot be written, in one line."""
+    def _writing(self) -> Iterator[None]:
+        """Turn an OSError into a UserError of one line."""
         try:
             yield
         except OSError as error:

@@ -1,1 +1,1 @@
-"""What the cameras see: the land, the road's surface, what stands beside it, the sky."""
+"""The cameras' pictures: the land, the road's surface, what stands beside it, the sky."""

@@ -1,6 +1,6 @@
 """The simulator's three cameras: a height-field ray caster on numpy and OpenCV.
 
-For each pixel the ray caster tells how far away the ground is; that place is looked up in the world's maps.
+For each pixel the ray caster finds how far away the ground is; that place is looked up in the world's maps.
 Near the road the colour comes from the unrolled road texture, elsewhere from the land's; grain or cobbles
 are laid over both, then haze, then what stands beside the road, and last the bonnet.
 """
@@ -24,7 +24,7 @@ from simulator.rendering.road_texture import ACROSS_M, LEVELS, REACH_M
 from simulator.rendering.road_texture import COLUMNS as ROAD_COLUMNS
 from simulator.rendering.sky import BOTTOM, HAZE, TOP
 from simulator.rendering.terrain import CELL_M
-from simulator.rendering.world_maps import World
+from simulator.rendering.world_maps import WorldMaps
 
 Picture = NDArray[np.uint8]
 
@@ -43,7 +43,7 @@ SHARP_M = 9.0  # up to here the road texture's sharpest level is right
 
 @dataclass(frozen=True)
 class View:
-    """Where the pixels of a picture look: an eye, and per pixel the tangents to the left and up, level to
+    """The directions of a picture's pixels: an eye, and per pixel the tangents to the left and up, level to
     the ground."""
 
     eye: Eye
@@ -54,7 +54,7 @@ class View:
 class Renderer:
     """Renders pictures of one world; holds no state between pictures."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldMaps) -> None:
         self._world = world
         self._rays = RayCaster(world.height)
         length = np.float32(world.length_m)
@@ -150,7 +150,7 @@ class Renderer:
         return np.asarray(cv2.convertScaleAbs(cv2.merge(planes)), dtype=np.uint8)
 
     def _texture(self, eye: Eye, column: Field, row: Field, distance: Field, cobbles: Picture) -> Field:
-        """What grain, coarse unevenness and cobblestones multiply the colours by; each fades where pixels
+        """The factors of the colours by grain, coarse unevenness and cobblestones; each fades where pixels
         outgrow it."""
 
         def tile(image: Picture, texel_m: float) -> Field:

@@ -10,7 +10,7 @@ from simulator.rendering.noise import Field, smooth_noise
 from simulator.rendering.props import SUN
 from simulator.rendering.terrain import CELL_M, Terrain, along_road, smoothstep
 from simulator.roads.road_stretches import EdgeKind
-from simulator.roads.track_names import Track
+from simulator.roads.track import Track
 
 # BGR, read off published pictures of the Udacity simulator's lake and jungle.
 MEADOW, DRY_GRASS, SAND, EARTH = (42, 118, 128), (92, 158, 172), (112, 168, 196), (62, 112, 176)

@@ -1,4 +1,4 @@
-"""What stands beside the road: trees, bushes, boulders and posts, each a flat picture that faces the
+"""The props beside the road: trees, bushes, boulders and posts, each a flat picture that faces the
 camera."""
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.rendering.terrain import CELL_M, Terrain
 from simulator.roads.road_stretches import Floats
-from simulator.roads.track_names import Track
+from simulator.roads.track import Track
 
 Sprite = NDArray[np.uint8]  # (rows, columns, 4) BGRA, standing on its lowest row
 
@@ -59,7 +59,7 @@ def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> 
 
 
 def cast_shadows(track: Track, terrain: Terrain, props: Floats, random: np.random.Generator) -> NDArray[np.uint8]:
-    """How much light the props and the branches over shaded stretches leave: (rows, columns) uint8, 255 is
+    """The light that the props and the branches over shaded stretches leave: (rows, columns) uint8, 255 is
     all."""
     light = np.full(terrain.height_m.shape, 255, np.uint8)
     reach = np.array([-SUN[0], -SUN[1]]) / SUN[2]

@@ -1,8 +1,8 @@
-"""What a viewer sees of a height map: the distance to the ground along each line of sight.
+"""Ray casting over a height map: the distance to the ground along each line of sight.
 
 The map is sampled on a fan: columns at equal steps of the tangent of the azimuth, rows at distances in
 geometric progression. Along a column a sample is seen if it stands at a steeper angle than everything before
-it, so the running maximum of the angles tells at which sample each line of sight ends.
+it, so the running maximum of the angles gives the sample at which each line of sight ends.
 """
 
 from __future__ import annotations

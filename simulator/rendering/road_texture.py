@@ -17,7 +17,7 @@ from simulator.rendering.ground_texture import exposure
 from simulator.rendering.noise import Field, smooth_noise
 from simulator.rendering.terrain import CELL_M, PARAPET_M, Terrain
 from simulator.roads.road_stretches import Edge, Look
-from simulator.roads.track_names import Track
+from simulator.roads.track import Track
 
 ACROSS_M, ALONG_M = 0.05, 0.25  # one texel
 REACH_M = 9.0  # painted this far from the centre line; beyond it the land's own colours show

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simulator.rendering.noise import Field, smooth_noise
 from simulator.roads.road_stretches import Edge
-from simulator.roads.track_names import Track
+from simulator.roads.track import Track
 
 CELL_M = 0.4
 MARGIN_M = 90.0  # of land around the road's bounding box

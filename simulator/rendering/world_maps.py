@@ -19,13 +19,13 @@ from simulator.rendering.road_texture import paint_road
 from simulator.rendering.sky import paint_sky
 from simulator.rendering.terrain import CELL_M, shape_terrain
 from simulator.roads.road_stretches import Floats
-from simulator.roads.track_names import Track
+from simulator.roads.track import Track
 
 FORMAT = 3  # of the cache files; raise it when anything that shapes or paints a world changes
 
 
 @dataclass(frozen=True)
-class World:
+class WorldMaps:
     """Maps of (rows to the north, columns to the east) square cells of ``CELL_M``; cell [0, 0] is at
     ``origin_m``."""
 
@@ -52,7 +52,7 @@ class World:
         )
 
 
-def build_world(track: Track, cache: bool = True) -> World:
+def build_world(track: Track, cache: bool = True) -> WorldMaps:
     """Bake a track's world, or read it back if an earlier call has.
 
     The cache lies in ``$BC_CACHE``, else in ``behavioural-cloning-toolkit`` under ``$XDG_CACHE_HOME`` or
@@ -68,14 +68,14 @@ def build_world(track: Track, cache: bool = True) -> World:
     return world
 
 
-def _bake(track: Track) -> World:
+def _bake(track: Track) -> WorldMaps:
     seed = int.from_bytes(hashlib.sha256(track.name.encode()).digest()[:8], "little")
     random = np.random.default_rng(seed)
     terrain = shape_terrain(track, random)
     props = place_props(track, terrain, random)
     light = cast_shadows(track, terrain, props, random)
     ground = paint_ground(track, terrain, light, random)
-    return World(
+    return WorldMaps(
         origin_m=np.array(terrain.origin_m),
         length_m=np.array(track.line.length_m),
         height=terrain.height_m,
@@ -99,21 +99,21 @@ def _cache_file(track: Track) -> Path:
     return folder / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
 
 
-def _load(path: Path) -> World | None:
+def _load(path: Path) -> WorldMaps | None:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            return World(**{field.name: file[field.name] for field in fields(World)})
+            return WorldMaps(**{field.name: file[field.name] for field in fields(WorldMaps)})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
 
-def _save(path: Path, world: World) -> None:
+def _save(path: Path, world: WorldMaps) -> None:
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
             temporary = Path(file.name)
-            np.savez(file, **{field.name: getattr(world, field.name) for field in fields(World)})
+            np.savez(file, **{field.name: getattr(world, field.name) for field in fields(WorldMaps)})
         os.replace(temporary, path)  # noqa: PTH105 - the whole file at once, or none of it
     except OSError:
         if temporary is not None:

@@ -21,7 +21,7 @@ EdgeKind = Literal["kerb", "striped", "dirt", "line", "wall", "grass"]
 
 @dataclass(frozen=True)
 class Edge:
-    """What a road ends in on one side.
+    """The edge of a road on one side.
 
     ``kerb``: yellow double line, then a pale kerb. ``striped``: yellow line, then a red and white kerb.
     ``dirt``: bare earth. ``line``: a white line, then grass. ``wall``: a bridge's dark parapet. ``grass``:

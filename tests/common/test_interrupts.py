@@ -7,10 +7,10 @@ import threading
 
 import pytest
 
-from common.interrupts import HANG_UP, STOPPING, stop_signals, uninterrupted
+from common.interrupts import SIGHUP, STOP_SIGNALS, stop_signals, uninterrupted
 
 
-@pytest.mark.parametrize("number", STOPPING)
+@pytest.mark.parametrize("number", STOP_SIGNALS)
 def test_a_signal_is_noted_and_interrupts_nothing(number: signal.Signals) -> None:
     before = signal.signal(number, signal.default_int_handler)  # the tests may run under nohup
     try:
@@ -23,16 +23,16 @@ def test_a_signal_is_noted_and_interrupts_nothing(number: signal.Signals) -> Non
         signal.signal(number, before)
 
 
-@pytest.mark.skipif(HANG_UP is None, reason="this system has no terminals that hang up")
+@pytest.mark.skipif(SIGHUP is None, reason="this system has no terminals that hang up")
 def test_a_terminal_that_is_closed_is_passed_over_under_nohup() -> None:
-    assert HANG_UP is not None
-    before = signal.signal(HANG_UP, signal.SIG_IGN)
+    assert SIGHUP is not None
+    before = signal.signal(SIGHUP, signal.SIG_IGN)
     try:
         with stop_signals() as stopped:
-            signal.raise_signal(HANG_UP)
+            signal.raise_signal(SIGHUP)
             assert not stopped.is_set()
     finally:
-        signal.signal(HANG_UP, before)
+        signal.signal(SIGHUP, before)
 
 
 def test_a_signal_waits_for_the_end_of_what_must_not_be_interrupted() -> None:

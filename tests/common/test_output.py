@@ -16,7 +16,7 @@ import pytest
 from rich.table import Table
 from test_rooms import MAY_IMPORT
 
-from common.output import as_typed, print_message, print_result, print_table
+from common.output import print_message, print_result, print_table, shell_command
 from driving import command, environment, run
 from logs import write_log
 from model import train
@@ -112,16 +112,16 @@ def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
 def test_a_message_stands_above_a_status_line_and_the_way_out_is_said_once(tmp_path: Path) -> None:
     """Whoever prints it: the status line is erased before, and drawn anew below."""
     code = (
-        "import threading; from common.interrupts import Stopping, way_out_was_said\n"
+        "import threading; from common.interrupts import GracefulStop, force_quit_announced\n"
         "from common.output import print_message; from common.progress import StatusLine, track\n"
-        "slow = threading.Event(); asked = Stopping(lambda: None, slow.set)\n"
+        "slow = threading.Event(); asked = GracefulStop(lambda: None, slow.set)\n"
         "with StatusLine() as line:\n"
         "    line.show('the live line')\n"
         "    print_message('MESSAGE')\n"
         "for item in track([1], 'the live line', 1):\n"
         "    print_message('MESSAGE')\n"
         "with asked:\n"
-        "    asked.heard(2, 2); way_out_was_said()\n"
+        "    asked.receive(2, 2); force_quit_announced()\n"
         "    print_message(f'said again: {slow.wait(2.5)}')\n"
     )
     shown = on_terminal([sys.executable, "-c", code], tmp_path)
@@ -149,21 +149,21 @@ def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
     (scripts / "bc-play").chmod(0o755)
     monkeypatch.setattr("sysconfig.get_path", lambda name: str(scripts))
     monkeypatch.setenv("PATH", "/nowhere")
-    assert shlex.split(as_typed("bc-play")) == [str(scripts / "bc-play")]
+    assert shlex.split(shell_command("bc-play")) == [str(scripts / "bc-play")]
     monkeypatch.chdir(tmp_path)
     print_result("look at it with `bc-play run.mcap`; `bc-playful` is none, and bc-play is a name")
     assert capsys.readouterr().out == (
         "look at it with `'a place/bin/bc-play' run.mcap`; `bc-playful` is none, and bc-play is a name\n"
     )
     monkeypatch.setenv("PATH", str(scripts))
-    assert as_typed("bc-play") == "bc-play"
-    assert as_typed("rerun") == "rerun"  # of a toolkit that is not installed
+    assert shell_command("bc-play") == "bc-play"
+    assert shell_command("rerun") == "rerun"  # of a toolkit that is not installed
 
 
 def test_what_libraries_print_keeps_its_colours_and_loses_the_rest() -> None:
     code = (
-        "import sys; from common.streams import drain, unhurried_streams\n"
-        "with unhurried_streams():\n"
+        "import sys; from common.streams import drain, nonblocking_streams\n"
+        "with nonblocking_streams():\n"
         f"    print('\\x1b[31mred\\x1b[0m', {EVIL!r}, file=sys.stderr)\n"
         "    print('\\udcff, and a tab:\\t.')\n"
         "    drain()\n"

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from common.streams import MOST_WAITING, Outlet
+from common.streams import MAX_QUEUED, BackgroundWriter
 from driving import PATIENCE_S, command, environment, road_jpeg, run, untrained_run
 from model.runs.run_folder import find_run
 from recorder import Log
@@ -199,9 +199,9 @@ def test_streams_that_are_closed_from_the_start_get_into_no_file(closed: str, tm
 def test_results_wait_for_a_slow_reader_and_none_is_lost() -> None:
     read, write = os.pipe()
     with open(read, "rb") as reader, open(write, "wb", buffering=0) as raw:  # noqa: PTH123
-        outlet = Outlet(raw)
+        outlet = BackgroundWriter(raw)
         line = b"x" * 99 + b"\n"
-        lines = [line] * (MOST_WAITING + 2000)  # a pipe holds fewer than 2,000 of them
+        lines = [line] * (MAX_QUEUED + 2000)  # a pipe holds fewer than 2,000 of them
 
         def put_all() -> None:
             for each in lines:
@@ -216,8 +216,8 @@ def test_results_wait_for_a_slow_reader_and_none_is_lost() -> None:
 def test_messages_do_not_wait_and_who_reads_again_is_told_how_many_are_lost() -> None:
     read, write = os.pipe()
     with open(read, "rb") as reader, open(write, "wb", buffering=0) as raw:  # noqa: PTH123
-        outlet = Outlet(raw)
-        count = MOST_WAITING + 2000
+        outlet = BackgroundWriter(raw)
+        count = MAX_QUEUED + 2000
         for number in range(count):
             outlet.put(b"%-99d\n" % number, is_result=False)
         got = []
@@ -225,7 +225,7 @@ def test_messages_do_not_wait_and_who_reads_again_is_told_how_many_are_lost() ->
             got.append(int(line))
         # where the pipe took some while they came, later ones had room again
         assert got == sorted(set(got))
-        assert got[:MOST_WAITING] == list(range(MOST_WAITING))
+        assert got[:MAX_QUEUED] == list(range(MAX_QUEUED))
         lost = re.fullmatch(rb"\(([\d,]+) messages lost here: nobody read them\)\n", line)
         assert lost is not None
         assert len(got) + int(lost[1].replace(b",", b"")) == count

@@ -92,6 +92,6 @@ def test_where_there_is_no_terminal_a_line_now_and_then_tells_how_far_it_is(
         while number == 1 and "reading: 25 %" not in said:
             time.sleep(0.01)
             said += capfd.readouterr().err
-    assert progress.time_text(40) == "40 s"
-    assert progress.time_text(725) == "12 min"
-    assert progress.time_text(3 * 3600 + 300) == "3 h 5 min"
+    assert progress.duration_text(40) == "40 s"
+    assert progress.duration_text(725) == "12 min"
+    assert progress.duration_text(3 * 3600 + 300) == "3 h 5 min"

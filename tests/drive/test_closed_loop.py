@@ -23,7 +23,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.cli import main as record_main
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from simulator.cli import main as sim_main
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 from udacity import call
 
 DRIVE = SimulatedDrive(track="lake", laps=0.02, seed=5)

@@ -40,7 +40,14 @@ from recorder.log.recover import recover, recovered_name
 from recorder.server.telemetry import MAX_IMAGE_BYTES
 from rrd import contents, free_ports
 from serving import wait_until
-from simulator.protocol.client import Answer, SimulatorClient, Steer, Telemetry, Told, WaitTimeoutError
+from simulator.protocol.client import (
+    ServerCommand,
+    SimulatorClient,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    SteerCommand,
+    WaitTimeoutError,
+)
 from simulator.protocol.replay import replay
 from udacity import call
 
@@ -139,14 +146,14 @@ class Drive:
     run: Path
     told: list[bytes]
     client: SimulatorClient
-    commands: list[Steer]
+    commands: list[SteerCommand]
     modern: list[dict[str, Any]] = field(default_factory=list)
-    together: tuple[list[Steer], list[dict[str, Any]]] = field(default_factory=lambda: ([], []))
+    together: tuple[list[SteerCommand], list[dict[str, Any]]] = field(default_factory=lambda: ([], []))
     malformed: dict[str, tuple[str, Any]] = field(default_factory=dict)
     between: list[tuple[str, Any]] = field(default_factory=list)
-    manual: list[Answer] = field(default_factory=list)
+    manual: list[ServerCommand] = field(default_factory=list)
     comma_client: SimulatorClient | None = None
-    comma: list[Steer] = field(default_factory=list)
+    comma: list[SteerCommand] = field(default_factory=list)
     comma_wire: tuple[str, Any] = ("", None)
     second: str = ""
     exit_code: int = -1
@@ -164,14 +171,14 @@ class Drive:
         return self.log.with_name("run-2.mcap")
 
 
-def drive_manually(port: int) -> list[Answer]:
+def drive_manually(port: int) -> list[ServerCommand]:
     """Tells "manual", a telemetry, "manual", ... and keeps the answers."""
-    answers: list[Answer] = []
-    told: Iterator[Told] = iter(
-        what for i in range(MANUAL) for what in ("manual", Telemetry(0.0, 0.0, 5.0, road_jpeg(i)))
+    answers: list[ServerCommand] = []
+    told: Iterator[SimulatorMessage] = iter(
+        what for i in range(MANUAL) for what in ("manual", SimulatorTelemetry(0.0, 0.0, 5.0, road_jpeg(i)))
     )
 
-    def next_telemetry(answer: Answer) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         if answer is not None:
             answers.append(answer)
         return next(told, None if len(answers) == 2 * MANUAL else "nothing")
@@ -199,7 +206,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         modern = ModernClient(port)
         done.modern = [modern.tell(fields(i)) for i in range(MODERN)]
 
-        old_commands: list[Steer] = []
+        old_commands: list[SteerCommand] = []
         old = threading.Thread(
             target=lambda: old_commands.extend(
                 replay(SimulatorClient(port=port), [road_jpeg(i) for i in range(TOGETHER)])
@@ -445,7 +452,7 @@ def reason_kind(message: str) -> str:
 
 def test_manual_is_answered_by_manual(drive: Drive) -> None:
     assert drive.manual.count("manual") == MANUAL
-    assert sum(isinstance(answer, Steer) for answer in drive.manual) == MANUAL
+    assert sum(isinstance(answer, SteerCommand) for answer in drive.manual) == MANUAL
     events = [LogMessage.FromString(data).message for _, _, data in messages(drive.log, "/events")]
     assert events.count("manual: a human drives") == MANUAL  # each stretch
 
@@ -576,25 +583,25 @@ def test_a_web_page_of_another_site_is_not_let_in(pilot_run: Path, tmp_path: Pat
 def test_at_the_end_the_car_is_braked_to_a_stand(pilot_run: Path, tmp_path: Path) -> None:
     """It would keep its last command, and one that brakes would reverse it in the end."""
     with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
-        commands: list[Steer] = []
+        commands: list[SteerCommand] = []
         speed_mph = 9.0
         client = SimulatorClient(port=process.wait_until_it_listens(), wait_s=0)
 
-        def next_telemetry(answer: Answer) -> Told:
+        def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
             nonlocal speed_mph
-            if isinstance(answer, Steer):
+            if isinstance(answer, SteerCommand):
                 commands.append(answer)
                 speed_mph = max(0.0, speed_mph + min(answer.throttle, 0.0))
                 if len(commands) == 10:
                     process.popen.send_signal(signal.SIGINT)
-            return Telemetry(0.0, 0.0, speed_mph, road_jpeg(len(commands)))
+            return SimulatorTelemetry(0.0, 0.0, speed_mph, road_jpeg(len(commands)))
 
         with pytest.raises(WaitTimeoutError):  # it tells on and on, until nobody is there any more
             client.run(next_telemetry)
         assert process.join() == 0
     braking = [command.throttle for command in commands[10:]]
     assert braking.count(-1.0) >= 8
-    assert commands[-1] == Steer(0.0, 0.0)
+    assert commands[-1] == SteerCommand(0.0, 0.0)
     sent = [PilotCommand.FromString(data) for _, _, data in messages(tmp_path / "run.mcap", "/pilot/command")]
     assert [command.steering for command in commands[:-1]] == pytest.approx(
         [command.steering for command in sent], abs=1e-6
@@ -870,10 +877,10 @@ def test_a_full_disk_brakes_the_car_and_ends_in_one_line_that_names_the_file(
 ) -> None:
     throttles: list[float] = []
 
-    def braked_at_once(answer: Answer) -> Telemetry:
-        if isinstance(answer, Steer):
+    def braked_at_once(answer: ServerCommand) -> SimulatorTelemetry:
+        if isinstance(answer, SteerCommand):
             throttles.append(answer.throttle)
-        return Telemetry(0.0, 0.0, 0.0 if -1.0 in throttles else 9.0, road_jpeg(0))
+        return SimulatorTelemetry(0.0, 0.0, 0.0 if -1.0 in throttles else 9.0, road_jpeg(0))
 
     line = driving.command("bc-drive", pilot_run, "--log", tmp_path / "run.mcap", "--port", 0)
     # the system refuses a file that grows above 400 blocks as it refuses one on a full disk

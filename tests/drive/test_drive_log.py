@@ -36,8 +36,7 @@ from recorder.server.eventlet_host import EventletHost
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from repository import HELPERS, ROOT
-from simulator.protocol.client import Answer, SimulatorClient, Told
-from simulator.protocol.client import Telemetry as SimulatorTelemetry
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 
 WORLD = World(
     time_s=0.0,
@@ -539,7 +538,7 @@ def test_a_viewer_that_is_stopped_keeps_neither_the_drive_nor_its_log(tmp_path: 
         left = iter(range(300))
         answers: list[object] = []
 
-        def next_telemetry(answer: Answer) -> Told:
+        def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
             if answer is not None:
                 answers.append(answer)
             number = next(left, None)

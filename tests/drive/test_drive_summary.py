@@ -18,7 +18,7 @@ from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 
 WORLD = World(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
 MPH = 0.44704  # m/s, by definition of the mile

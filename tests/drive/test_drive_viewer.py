@@ -12,7 +12,7 @@ import pytest
 
 from driving import Process, command, command_with_viewer, environment, road_jpeg, untrained_run
 from logs import read_messages
-from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 from waiting import wait_until
 
 FRAMES = 20
@@ -43,13 +43,13 @@ def drive(process: Process) -> None:
     rows: Iterator[int] = iter(range(FRAMES))
     waiting = 0
 
-    def next_telemetry(answer: Answer) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         nonlocal waiting
         waiting -= answer is not None
         if (row := next(rows, None)) is None:
             return "nothing" if waiting else None
         waiting += 1
-        return Telemetry(0.0, 0.25, 9.0, pictures[row])
+        return SimulatorTelemetry(0.0, 0.25, 9.0, pictures[row])
 
     port = int(process.wait_for(r"is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1])
     SimulatorClient(port=port).run(next_telemetry)

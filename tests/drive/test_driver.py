@@ -25,7 +25,7 @@ from model import Pilot
 from model.network.original import SteeringNetwork
 from recorder.server.world import World
 from simulator.driving.expert import BEND_MPS2
-from simulator.driving.vehicle import STEP_S, VehicleState, step
+from simulator.driving.vehicle import STEP_S, CarState, step
 
 MIDDLE = World(0.0, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, -0.3, 0.7)
 NONSENSE = {"speed": "fast"}
@@ -215,7 +215,7 @@ def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
     the next."""
     driver = Driver(half_right, DriveConfig())
     drive(driver, told(speed_mph=speed_mph), 0.0)
-    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    car = CarState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
     throttles: list[float] = []
     events: list[str] = []
     backwards_mps = 0.0
@@ -246,7 +246,7 @@ def test_a_car_of_which_nothing_but_the_speed_can_be_read_is_braked_to_a_stand(
 ) -> None:
     """From the first telemetry on, also downhill, and as the real simulator tells it: without a sign."""
     driver = Driver(half_right, DriveConfig())
-    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    car = CarState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
     throttles: list[float] = []
     for k in range(150):
         data = told(speed_mph=abs(car.speed_mph), image=image)
@@ -267,7 +267,7 @@ def test_a_car_whose_speed_is_never_told_is_braked_once_and_not_reversed_for_eve
     half_right: Pilot, speed_mph: float
 ) -> None:
     driver = Driver(half_right, DriveConfig())
-    car = VehicleState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
+    car = CarState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
     throttles, events = [], list[str]()
     for k in range(1500):
         decision = drive(driver, NONSENSE, k * 2 * STEP_S)
@@ -439,7 +439,7 @@ def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) ->
 def test_in_curves_the_car_is_thrown_outwards_no_more_than_the_expert_allows(steering: float) -> None:
     """By the simulator's own car, held at the speed and the steering until it has settled."""
     speed_mph = min(fastest_mph(steering), 100.0)
-    car = VehicleState(0.0, 0.0, 0.0)
+    car = CarState(0.0, 0.0, 0.0)
     for _ in range(100):
         car = step(replace(car, speed_mps=speed_mph * 0.44704), steering, 0.0)
     assert 0.7 * BEND_MPS2 < abs(car.lateral_mps2) <= BEND_MPS2

@@ -12,7 +12,7 @@ from drive.control.takeover import HAND_BACK_S, Takeover
 from recorder.server.world import World
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 
 STEP_S = 0.04
 MIDDLE = World(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.1, 0.4)

@@ -23,8 +23,7 @@ import websocket
 from driving import PATIENCE_S, road_jpeg
 from recorder.server.telemetry import MAX_IMAGE_BYTES, TelemetryError, parse_telemetry
 from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
-from simulator.protocol.client import Answer as Command
-from simulator.protocol.client import SimulatorClient, Telemetry, Told
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 
 UNUSED = Steer(0.0, -1.0)
 """What a telemetry is answered by that cannot be used."""
@@ -135,17 +134,17 @@ def steering(number: int) -> float:
     return (number % 2001 - 1000) / 1000
 
 
-def tell(port: int, numbers: Sequence[int], **client: Any) -> list[Command]:
+def tell(port: int, numbers: Sequence[int], **client: Any) -> list[ServerCommand]:
     """The real simulator's protocol: told one by one; the answers."""
-    answers: list[Command] = []
+    answers: list[ServerCommand] = []
     left = iter(numbers)
 
-    def next_telemetry(answer: Command) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         if answer is not None:
             answers.append(answer)
         number = next(left, None)
         if number is not None:
-            return Telemetry(steering(number), 0.25, 9.0, PICTURES[number % len(PICTURES)])
+            return SimulatorTelemetry(steering(number), 0.25, 9.0, PICTURES[number % len(PICTURES)])
         return None if len(answers) == len(numbers) else "nothing"
 
     SimulatorClient(port=port, wait_s=PATIENCE_S, **client).run(next_telemetry)

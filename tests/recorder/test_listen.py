@@ -29,7 +29,13 @@ from logs import START_NS, read_messages
 from recorder import Imported, RecordingError
 from recorder.errors import ListenError
 from recorder.sources.live_telemetry import listen_for_telemetry
-from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
+from simulator.protocol.client import (
+    ServerCommand,
+    SimulatorClient,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    WaitTimeoutError,
+)
 
 # `bc-record --listen` without its flags: the log, the port, and where given the seconds of waiting.
 LISTEN = """
@@ -52,7 +58,9 @@ def listen(config):
 
 run_command("listen", Listen, listen)
 """
-DRIVEN = [Telemetry(steering=i / 20 - 1, throttle=i / 40, speed_mph=i / 4, jpeg=road_jpeg(i)) for i in range(40)]
+DRIVEN = [
+    SimulatorTelemetry(steering=i / 20 - 1, throttle=i / 40, speed_mph=i / 4, jpeg=road_jpeg(i)) for i in range(40)
+]
 # Text and binary messages that break Engine.IO, Socket.IO or JSON, or name an event that is not a client's.
 NOTICE_BROKEN = (
     *("42[]", "42", "42{}", '42"telemetry"', "42null", "42[1]", "421", "49", "44", "45", "4", "4{}", "x", ""),
@@ -116,7 +124,7 @@ class ModernClient:
             self._came.notify_all()
 
 
-def fields(telemetry: Telemetry, **changed: Any) -> dict[str, Any]:
+def fields(telemetry: SimulatorTelemetry, **changed: Any) -> dict[str, Any]:
     """A telemetry as JSON, for clients that are not ours; ... leaves a field out."""
     told = {
         "steering_angle": f"{telemetry.steering * 25:.4f}",
@@ -139,12 +147,12 @@ BAD: dict[str, tuple[Any, str]] = {
 }
 
 
-def tell(port: int, telemetries: Sequence[Telemetry | Literal["manual"]]) -> list[Answer]:
+def tell(port: int, telemetries: Sequence[SimulatorTelemetry | Literal["manual"]]) -> list[ServerCommand]:
     """The simulator's own client tells them all, each when the last is answered; the answers."""
-    answers: list[Answer] = []
-    left: Iterator[Told] = iter(telemetries)
+    answers: list[ServerCommand] = []
+    left: Iterator[SimulatorMessage] = iter(telemetries)
 
-    def next_telemetry(answer: Answer) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         if answer is not None:
             answers.append(answer)
         return next(left, None if len(answers) == len(telemetries) else "nothing")
@@ -160,18 +168,18 @@ class Listened:
     log: Path
     began_ns: int = 0
     ended_ns: int = 0
-    old: list[Answer] = field(default_factory=list)
+    old: list[ServerCommand] = field(default_factory=list)
     modern: list[Any] = field(default_factory=list)
     bad: dict[str, Any] = field(default_factory=dict)
-    comma: list[Answer] = field(default_factory=list)
-    manual: list[Answer] = field(default_factory=list)
+    comma: list[ServerCommand] = field(default_factory=list)
+    manual: list[ServerCommand] = field(default_factory=list)
     exit_code: int = -1
     stdout: str = ""
     stderr: list[str] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
 
     @property
-    def rows(self) -> list[Telemetry]:
+    def rows(self) -> list[SimulatorTelemetry]:
         """What must be in the log, in this order."""
         return [*DRIVEN, *DRIVEN[:5], *[DRIVEN[7]] * len(BAD), *DRIVEN[8:12], DRIVEN[3]]
 
@@ -283,7 +291,7 @@ def test_a_kind_of_bad_telemetry_is_said_once_and_fills_no_log(tmp_path: Path) -
     count = 40
     with ListenProcess(tmp_path / "live.mcap") as process:
         port = process.wait_until_it_listens()
-        cut = [Telemetry(0.0, 0.0, 9.0, road_jpeg(0)[: -200 - i]) for i in range(count)]
+        cut = [SimulatorTelemetry(0.0, 0.0, 9.0, road_jpeg(0)[: -200 - i]) for i in range(count)]
         tell(port, [DRIVEN[0], *cut])
         assert process.end() == 3
     assert sum("telemetry that cannot be used" in line for line in process.stderr) == 1
@@ -428,7 +436,7 @@ def test_times_grow_even_if_the_clock_is_set_back(
     ("told", "advice"),
     [
         (["manual"], "--watch"),
-        ([Telemetry(0.0, 0.0, 9.0, b"no picture")], "image is not a JPEG"),
+        ([SimulatorTelemetry(0.0, 0.0, 9.0, b"no picture")], "image is not a JPEG"),
     ],
     ids=["a human drove", "no picture was one"],
 )

@@ -24,7 +24,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
-from common import UserError, files, whole_file
+from common import UserError, atomic_file, files
 from common.car import CAMERAS, Camera
 from common.interrupts import uninterrupted
 from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
@@ -344,7 +344,7 @@ def test_wherever_ctrl_c_comes_while_a_log_is_closed_no_part_of_it_stays(tmp_pat
 def test_wherever_ctrl_c_comes_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
     for number, interruption in enumerate(every_interruption(files)):
         path = tmp_path / f"{number}.txt"
-        with contextlib.suppress(KeyboardInterrupt), whole_file(path, overwrite=False) as part:
+        with contextlib.suppress(KeyboardInterrupt), atomic_file(path, overwrite=False) as part:
             part.write_text("all of it")
             interruption.__enter__()
         interruption.__exit__()
@@ -499,7 +499,7 @@ def test_what_was_made_stays_if_its_name_is_taken_meanwhile(tmp_path: Path) -> N
     path = tmp_path / "file.txt"
 
     def write() -> None:
-        with whole_file(path, overwrite=False) as part:
+        with atomic_file(path, overwrite=False) as part:
             part.write_text("mine")
             path.write_text("theirs")
 

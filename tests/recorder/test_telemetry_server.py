@@ -44,13 +44,12 @@ from serving import (
     tell,
     wait_until,
 )
-from simulator.protocol.client import Answer as Command
-from simulator.protocol.client import SimulatorClient, Telemetry, Told
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 
 
 def test_the_old_protocol_and_modern_clients_are_served_at_once_on_one_port(mode: ServerMode) -> None:
     book = Book()
-    old: list[Command] = []
+    old: list[ServerCommand] = []
     with Serving(mode, book) as serving:
         others = [
             threading.Thread(target=lambda: old.extend(tell(serving.port, range(40)))),
@@ -130,12 +129,12 @@ def test_manual_is_answered_by_manual(mode: ServerMode) -> None:
 
 
 def test_a_simulator_drives_on_with_a_server_that_comes_back(mode: ServerMode) -> None:
-    answers: list[Command] = []
+    answers: list[ServerCommand] = []
     first, second = Book(), Book()
 
-    def next_telemetry(answer: Command) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         answers.append(answer)
-        return None if len(second.answered_ms) >= 5 else Telemetry(0.5, 0.0, 9.0, PICTURES[0])
+        return None if len(second.answered_ms) >= 5 else SimulatorTelemetry(0.5, 0.0, 9.0, PICTURES[0])
 
     with Serving(mode, first) as serving:
         client = SimulatorClient(port=serving.port, wait_s=PATIENCE_S)

@@ -31,7 +31,13 @@ from plain_mcap import Contents, StoredChunk, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.recover import recover, recovered_name
-from simulator.protocol.client import Answer, SimulatorClient, Telemetry, Told, WaitTimeoutError
+from simulator.protocol.client import (
+    ServerCommand,
+    SimulatorClient,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    WaitTimeoutError,
+)
 from udacity import make_recording, paths
 from waiting import PATIENCE_S, wait_until
 
@@ -331,7 +337,7 @@ class Drive:
         assert port is not None
         return int(port[1])
 
-    def _next(self, answer: Answer) -> Told:
+    def _next(self, answer: ServerCommand) -> SimulatorMessage:
         if answer is not None:
             self.answered_s.append(time.monotonic())
             time.sleep(TOLD_EVERY_S)
@@ -339,7 +345,7 @@ class Drive:
         self.told += 1
         if row == MOST_ROWS:
             return None
-        return Telemetry(steering=row / MOST_ROWS, throttle=0.5, speed_mph=9.0, jpeg=self.pictures[row])
+        return SimulatorTelemetry(steering=row / MOST_ROWS, throttle=0.5, speed_mph=9.0, jpeg=self.pictures[row])
 
 
 def recorders_killed_at(moments_s: list[float], folder: Path, pictures: list[bytes]) -> list[Drive]:

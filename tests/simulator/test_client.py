@@ -16,12 +16,12 @@ from driving import road_jpeg, run
 from simulator.cli import main as sim_main
 from simulator.protocol.client import (
     FRAME_BYTES,
-    Answer,
     NoHostError,
+    ServerCommand,
     SimulatorClient,
-    Steer,
-    Telemetry,
-    Told,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    SteerCommand,
     WaitTimeoutError,
 )
 from simulator.protocol.replay import replay
@@ -38,10 +38,12 @@ def serve_for_ever(wire: Wire) -> None:
         wire.hear_telemetry()
 
 
-def telling(told: list[Told], answers: list[Answer]) -> Callable[[Answer], Told]:
+def telling(
+    told: list[SimulatorMessage], answers: list[ServerCommand]
+) -> Callable[[ServerCommand], SimulatorMessage]:
     rest = iter(told)
 
-    def next_telemetry(answer: Answer) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         answers.append(answer)
         return next(rest, None)
 
@@ -59,8 +61,8 @@ def test_it_announces_no_connection_and_tells_two_telemetries_before_any_answer(
         wire.hear()
         wire.hear()
 
-    answers: list[Answer] = []
-    told: list[Told] = [Telemetry(0.0, 0.0, 9.0, road_jpeg(i)) for i in range(3)]
+    answers: list[ServerCommand] = []
+    told: list[SimulatorMessage] = [SimulatorTelemetry(0.0, 0.0, 9.0, road_jpeg(i)) for i in range(3)]
     with BareServer(serve) as server:
         SimulatorClient(port=server.port).run(telling(told, answers))
     (wire,) = server.wires
@@ -68,13 +70,13 @@ def test_it_announces_no_connection_and_tells_two_telemetries_before_any_answer(
     assert not any(message.startswith("40") for message in wire.messages)
     assert [message[:14] for message in wire.messages if message != "2"] == ['42["telemetry"'] * 3 + ["41", "1"]
     assert wire.messages.count("2") == 1  # its heartbeat begins at once
-    assert answers == [None, None, Steer(0.1, 0.2), Steer(-0.5, -1.0)]
+    assert answers == [None, None, SteerCommand(0.1, 0.2), SteerCommand(-0.5, -1.0)]
 
 
 def test_a_telemetry_is_strings_with_four_decimals_in_frames_of_at_most_1016_bytes() -> None:
     jpeg = road_jpeg(0)
     with BareServer(serve_for_ever) as server:
-        SimulatorClient(port=server.port).run(telling([Telemetry(-0.5, 0.25, 1234.56789, jpeg)] * 3, []))
+        SimulatorClient(port=server.port).run(telling([SimulatorTelemetry(-0.5, 0.25, 1234.56789, jpeg)] * 3, []))
     (wire,) = server.wires
     name, fields = json.loads(wire.messages[0][2:])
     assert name == "telemetry"
@@ -91,7 +93,10 @@ def test_a_telemetry_is_strings_with_four_decimals_in_frames_of_at_most_1016_byt
 def test_a_world_is_told_beside_the_strings_as_an_object_of_numbers() -> None:
     jpeg = road_jpeg(0)
     world = {"time_s": 1.5, "offset": -0.1, "interventions": 2}
-    told: list[Told] = [Telemetry(-0.5, 0.25, 9.0, jpeg), Telemetry(-0.5, 0.25, 9.0, jpeg, world)]
+    told: list[SimulatorMessage] = [
+        SimulatorTelemetry(-0.5, 0.25, 9.0, jpeg),
+        SimulatorTelemetry(-0.5, 0.25, 9.0, jpeg, world),
+    ]
     with BareServer(serve_for_ever) as server:
         SimulatorClient(port=server.port, decimal_comma=True).run(telling(told, []))
     plain, with_world = (m for m in server.wires[0].messages if m.startswith("42"))
@@ -108,19 +113,19 @@ def test_a_machine_with_decimal_commas_writes_and_reads_them() -> None:
         while True:
             wire.hear()
 
-    answers: list[Answer] = []
+    answers: list[ServerCommand] = []
     with BareServer(serve) as server:
         client = SimulatorClient(port=server.port, decimal_comma=True)
-        client.run(telling([Telemetry(-0.5, 0.25, 1234.5, b"\xff\xd8")] * 2, answers))
+        client.run(telling([SimulatorTelemetry(-0.5, 0.25, 1234.5, b"\xff\xd8")] * 2, answers))
     _, fields = json.loads(server.wires[0].messages[0][2:])
     assert (fields["steering_angle"], fields["throttle"], fields["speed"]) == ("-12,5000", "0,2500", "1.234,5000")
-    assert answers[2] == Steer(0.25, -1.0)
+    assert answers[2] == SteerCommand(0.25, -1.0)
 
 
 def test_nagles_algorithm_is_on_as_in_the_real_one() -> None:
     options: list[int] = []
 
-    def next_telemetry(answer: Answer) -> Told:
+    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         for found in gc.get_objects():
             if issubclass(type(found), socket.socket) and found.fileno() >= 0 and found.family == socket.AF_INET:
                 try:
@@ -149,7 +154,7 @@ def test_a_servers_ping_is_answered() -> None:
         wire.hear()
 
     with BareServer(serve) as server:
-        SimulatorClient(port=server.port).run(telling([Telemetry(0, 0, 0, b"\xff")] * 2, []))
+        SimulatorClient(port=server.port).run(telling([SimulatorTelemetry(0, 0, 0, b"\xff")] * 2, []))
     assert heard == ["3"]
 
 
@@ -178,11 +183,11 @@ def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted(nonsense
         while True:
             wire.hear()
 
-    answers: list[Answer] = []
+    answers: list[ServerCommand] = []
     with BareServer(serve) as server:
         client = SimulatorClient(port=server.port)
-        client.run(telling([Telemetry(0, 0, 0, b"\xff")] * 2, answers))
-    assert answers == [None, None, Steer(0.5, 0.5)]
+        client.run(telling([SimulatorTelemetry(0, 0, 0, b"\xff")] * 2, answers))
+    assert answers == [None, None, SteerCommand(0.5, 0.5)]
     assert (client.steers, client.bad_steers, client.telemetries) == (1, 1, 2)
 
 
@@ -197,10 +202,10 @@ def test_what_is_no_command_is_ignored(ignored: str) -> None:
         while True:
             wire.hear()
 
-    answers: list[Answer] = []
+    answers: list[ServerCommand] = []
     with BareServer(serve) as server:
         client = SimulatorClient(port=server.port)
-        client.run(telling([Telemetry(0, 0, 0, b"\xff"), "manual"], answers))
+        client.run(telling([SimulatorTelemetry(0, 0, 0, b"\xff"), "manual"], answers))
     assert answers == [None, None, "manual"]
     assert [m for m in server.wires[0].messages if m.startswith("42")][1] == '42["telemetry",null]'
     assert (client.steers, client.manuals, client.bad_steers) == (0, 1, 0)
@@ -214,14 +219,14 @@ def test_it_connects_again_when_the_server_dies_in_the_middle() -> None:
         wire.say(steer())
         wire.hear_telemetry()
 
-    answers: list[Answer] = []
-    told: list[Told] = [Telemetry(0, 0, 0, b"\xff")] * 8
+    answers: list[ServerCommand] = []
+    told: list[SimulatorMessage] = [SimulatorTelemetry(0, 0, 0, b"\xff")] * 8
     with BareServer(die_after_three, serve_for_ever) as server:
         client = SimulatorClient(port=server.port)
         client.run(telling(told, answers))
     assert client.connections == 2
     assert client.telemetries == 8
-    assert answers[:5] == [None, None, Steer(0.1, 0.2), None, None]
+    assert answers[:5] == [None, None, SteerCommand(0.1, 0.2), None, None]
 
 
 def test_a_replay_tells_every_picture_once_and_waits_for_the_last_answer() -> None:
@@ -234,7 +239,7 @@ def test_a_replay_tells_every_picture_once_and_waits_for_the_last_answer() -> No
     pictures = [road_jpeg(i) for i in range(5)]
     with BareServer(answer_each) as server:
         commands = replay(SimulatorClient(port=server.port), pictures)
-    assert commands == [Steer(0.1, 0.2)] * 5
+    assert commands == [SteerCommand(0.1, 0.2)] * 5
     told = [json.loads(message[2:])[1] for message in server.wires[0].messages if message.startswith("42")]
     assert [base64.b64decode(fields["image"]) for fields in told] == pictures
     assert {fields["steering_angle"] for fields in told[2:]} <= {"0.0000", "2.5000"}

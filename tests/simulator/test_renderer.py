@@ -13,9 +13,9 @@ from simulator.pose import Pose
 from simulator.rendering.camera import Renderer
 from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster
 from simulator.rendering.terrain import CELL_M
-from simulator.rendering.world_maps import World, build_world
+from simulator.rendering.world_maps import WorldMaps, build_world
 from simulator.roads.road_stretches import Edge, Look, Stretch, trace
-from simulator.roads.track_names import Track, load_track, make_track
+from simulator.roads.track import Track, load_track, make_track
 
 LINED = Look("asphalt", Edge("line", 0.0, 0.0), Edge("line", 0.0, 0.0), 3.8, jungle=True)
 
@@ -29,16 +29,16 @@ def flat() -> Track:
 
 
 @pytest.fixture(scope="module")
-def flat_world(flat: Track) -> World:
+def flat_world(flat: Track) -> WorldMaps:
     return build_world(flat, cache=False)
 
 
 @pytest.fixture(scope="module")
-def mountain_world() -> World:
+def mountain_world() -> WorldMaps:
     return build_world(load_track("mountain"), cache=False)
 
 
-def on_road(track: Track, world: World, arc_m: float) -> Pose:
+def on_road(track: Track, world: WorldMaps, arc_m: float) -> Pose:
     place = track.line.at(arc_m)
     height = world.height_m(place.x_m, place.y_m)
     return Pose(place.x_m, place.y_m, height, place.heading_rad, float(np.arctan(place.slope)))
@@ -54,7 +54,7 @@ def pixel(ahead_m: float, left_m: float) -> tuple[float, float]:
     return 80 - focal * up / depth, 160 - focal * left_m / depth
 
 
-def test_a_picture_has_the_simulators_size(flat: Track, flat_world: World) -> None:
+def test_a_picture_has_the_simulators_size(flat: Track, flat_world: WorldMaps) -> None:
     pictures = Renderer(flat_world).render_all(on_road(flat, flat_world, 20.0))
     assert set(pictures) == {"center", "left", "right"}
     for picture in pictures.values():
@@ -62,7 +62,7 @@ def test_a_picture_has_the_simulators_size(flat: Track, flat_world: World) -> No
         assert picture.dtype == np.uint8
 
 
-def test_the_same_pose_gives_the_same_bytes(mountain_world: World) -> None:
+def test_the_same_pose_gives_the_same_bytes(mountain_world: WorldMaps) -> None:
     pose = on_road(load_track("mountain"), mountain_world, 130.0)
     first, second = Renderer(mountain_world), Renderer(mountain_world)
     picture = first.render(pose, "left")
@@ -72,7 +72,7 @@ def test_the_same_pose_gives_the_same_bytes(mountain_world: World) -> None:
     assert np.array_equal(picture, first.render_all(pose)["left"])
 
 
-def test_the_sky_is_above_and_the_bonnet_below(flat: Track, flat_world: World) -> None:
+def test_the_sky_is_above_and_the_bonnet_below(flat: Track, flat_world: WorldMaps) -> None:
     renderer = Renderer(flat_world)
     here, there = (renderer.render(on_road(flat, flat_world, arc)) for arc in (20.0, 190.0))
     top = here[:5].reshape(-1, 3).mean(axis=0)
@@ -85,7 +85,7 @@ def test_the_sky_is_above_and_the_bonnet_below(flat: Track, flat_world: World) -
 @pytest.mark.parametrize("ahead_m", [5.0, 8.0, 14.0])
 @pytest.mark.parametrize("line_left_m", [3.5, -3.5])
 def test_a_line_is_where_a_pinhole_camera_sees_it(
-    flat: Track, flat_world: World, camera: Camera, mount_left_m: float, ahead_m: float, line_left_m: float
+    flat: Track, flat_world: WorldMaps, camera: Camera, mount_left_m: float, ahead_m: float, line_left_m: float
 ) -> None:
     row, column = pixel(ahead_m, line_left_m - mount_left_m)
     if not 8 < column < 312:
@@ -96,7 +96,7 @@ def test_a_line_is_where_a_pinhole_camera_sees_it(
     assert abs(int(np.argmax(around)) - 8) <= 2
 
 
-def test_the_horizon_follows_the_nose(flat: Track, flat_world: World) -> None:
+def test_the_horizon_follows_the_nose(flat: Track, flat_world: WorldMaps) -> None:
     pose = on_road(flat, flat_world, 20.0)
     renderer = Renderer(flat_world)
 
@@ -134,7 +134,7 @@ def test_the_ground_under_the_road_is_the_road(name: str) -> None:
             assert world.height_m(x, y) == pytest.approx(place.z_m, abs=0.06)
 
 
-def test_a_short_move_changes_the_picture_little(mountain_world: World) -> None:
+def test_a_short_move_changes_the_picture_little(mountain_world: WorldMaps) -> None:
     track, renderer = load_track("mountain"), Renderer(mountain_world)
     poses = [
         on_road(track, mountain_world, arc) for arc in np.arange(-3.0, 3.0, 0.5)
@@ -146,7 +146,7 @@ def test_a_short_move_changes_the_picture_little(mountain_world: World) -> None:
 
 @pytest.mark.parametrize("damage", [b"", b"no archive", None])
 def test_a_damaged_cache_is_rebuilt(
-    flat: Track, flat_world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: bytes | None
+    flat: Track, flat_world: WorldMaps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: bytes | None
 ) -> None:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     build_world(flat)

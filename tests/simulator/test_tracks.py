@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.roads.track_names import Track, load_track
+from simulator.roads.track import Track, load_track
 
 NAMES = ["lake", "mountain", "random:7"]
 

@@ -21,29 +21,29 @@ from simulator.driving.vehicle import (
     STEERING_RATE_RADPS,
     STEP_S,
     WHEELBASE_M,
-    VehicleState,
+    CarState,
     step,
     wheel_angle_for,
 )
 
-AT_REST = VehicleState(0.0, 0.0, 0.0)
+AT_REST = CarState(0.0, 0.0, 0.0)
 
 
 def hold(
-    state: VehicleState,
+    state: CarState,
     steering: float,
     throttle: float,
     seconds: float,
     slope: float = 0.0,
     off_road: bool = False,
-) -> VehicleState:
+) -> CarState:
     for _ in range(round(seconds / STEP_S)):
         state = step(state, steering, throttle, slope, off_road)
     return state
 
 
-def moving(speed_mps: float, steering: float = 0.0) -> VehicleState:
-    return VehicleState(0.0, 0.0, 0.0, speed_mps, wheel_angle_rad=-steering * MAX_WHEEL_RAD)
+def moving(speed_mps: float, steering: float = 0.0) -> CarState:
+    return CarState(0.0, 0.0, 0.0, speed_mps, wheel_angle_rad=-steering * MAX_WHEEL_RAD)
 
 
 def circle_radius_m(speed_mps: float, steering: float) -> float:

@@ -20,9 +20,9 @@ from simulator.cli import main
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
-from simulator.protocol.autonomous_mode import Driven, drive_autonomously
+from simulator.protocol.autonomous_mode import AutonomousDrive, drive_autonomously
 from simulator.protocol.client import SimulatorClient
-from simulator.roads.track_names import load_track
+from simulator.roads.track import load_track
 from udacity import call
 
 SET_SPEED_MPH = 12.0
@@ -47,7 +47,7 @@ def serving(drive: Drive, heard: list[dict[str, Any]]) -> Callable[[Wire], None]
 
 def driven(
     drive: Drive, laps: float, rate_hz: float = RATE_HZ, **options: Any
-) -> tuple[list[dict[str, Any]], Driven]:
+) -> tuple[list[dict[str, Any]], AutonomousDrive]:
     """The telemetries of a drive of the built-in simulator, and its own book."""
     heard: list[dict[str, Any]] = []
     with BareServer(serving(drive, heard)) as server:

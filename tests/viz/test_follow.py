@@ -34,7 +34,7 @@ from viz import save_growing, save_rrd
 from viz.cli import main
 from viz.live.follow import LogFollower
 from viz.live.live_log import GrowingLog, find_log
-from viz.live.live_messages import Shown
+from viz.live.live_messages import LiveMessage
 from viz.viewer_process import viewer_program
 from waiting import PATIENCE_S, wait_until
 
@@ -81,7 +81,7 @@ def in_the_log(path: Path) -> dict[str, list[tuple[int, Any]]]:
     }
 
 
-def shown_of(parts: Iterator[list[Shown]]) -> dict[str, list[tuple[int, Any]]]:
+def shown_of(parts: Iterator[list[LiveMessage]]) -> dict[str, list[tuple[int, Any]]]:
     found: dict[str, list[tuple[int, Any]]] = {}
     for message in (message for part in parts for message in part):
         content = message.content.SerializeToString()
@@ -101,7 +101,7 @@ def test_however_a_log_grows_all_of_it_is_shown_once(tmp_path: Path, seed: int) 
     path, counts = tmp_path / "grows.mcap", []
     path.touch()
 
-    def parts() -> Iterator[list[Shown]]:
+    def parts() -> Iterator[list[LiveMessage]]:
         with GrowingLog(path) as log:
             for start, end in itertools.pairwise(cuts):
                 with path.open("ab") as stream:

@@ -29,11 +29,11 @@ from recorder.bc_pb2 import VehicleState
 from rrd import arrived, contents, free_ports, lives
 from udacity import call
 from viz.cli import main
-from viz.live.follow import Follower, GoneError, feed
-from viz.live.live_messages import Shown
+from viz.live.follow import Follower, ViewerGoneError, feed_viewer
+from viz.live.live_messages import LiveMessage
 from viz.live.picture_rate import PictureRate
-from viz.playback.rerun_recording import Prepared
-from viz.targets import Where, Whole
+from viz.playback.rerun_recording import PreparedRecording
+from viz.targets import Destination, FinishedContent
 from viz.viewer_connection import viewer_url
 from viz.viewer_process import Ports, open_viewer, viewer_program, wait_until_it_listens
 from waiting import PATIENCE_S, wait_until
@@ -103,11 +103,11 @@ def test_of_a_viewer_that_is_closed_too_early_it_is_not_said_that_it_has_all(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
-        raise GoneError
+        raise ViewerGoneError
 
     with running_viewer() as ports:
-        shown = Whole(lambda: contextlib.nullcontext(Prepared("a.mcap", None, send, [])))
-        assert shown.show(Where(web=False, connect=str(ports.data), ports=ports)) == 1
+        shown = FinishedContent(lambda: contextlib.nullcontext(PreparedRecording("a.mcap", None, send, [])))
+        assert shown.show(Destination(web=False, connect=str(ports.data), ports=ports)) == 1
     said = capsys.readouterr()
     assert "the viewer has lost its connection" in said.err.splitlines()[-1]
     assert said.out == ""
@@ -116,7 +116,7 @@ def test_of_a_viewer_that_is_closed_too_early_it_is_not_said_that_it_has_all(
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one thread alone")
 def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else its progress bar would still stand where the last line is printed."""
-    monkeypatch.setattr("viz.live.follow._LAST_S", PATIENCE_S)
+    monkeypatch.setattr("viz.live.follow.LAST_DATA_S", PATIENCE_S)
     ended = []
 
     class Slow(Follower):
@@ -128,7 +128,7 @@ def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) ->
             ended.append(self)
 
     with pytest.raises(KeyboardInterrupt):
-        feed(Slow(""), None)
+        feed_viewer(Slow(""), None)
     assert ended
 
 
@@ -396,8 +396,8 @@ def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
 # How many pictures are shown
 
 
-def pictures(count: int, topic: str = "/camera/center") -> list[Shown]:
-    return [Shown(topic, time_ns, time_ns, None) for time_ns in range(count)]
+def pictures(count: int, topic: str = "/camera/center") -> list[LiveMessage]:
+    return [LiveMessage(topic, time_ns, time_ns, None) for time_ns in range(count)]
 
 
 def test_of_a_drive_faster_than_the_clock_thirty_pictures_a_second_are_shown_evenly() -> None:

@@ -17,12 +17,12 @@ from common import Skipped, UserError
 from common.command import DONE, INTERRUPTED, warn
 from common.files import final_path
 from common.interrupts import stop_signals
-from common.output import end_bar
+from common.output import clear_live_displays
 from common.streams import end_process
 from recorder.log.mcap_file import WITHOUT_CRCS
-from viz.console import complain, say, say_skipped
+from viz.console import print_error, print_notice, print_skipped
 from viz.live.live_log import GrowingLog
-from viz.live.live_messages import MessageSender
+from viz.live.live_messages import LiveMessageSender
 from viz.live.picture_rate import THINNED, PictureRate
 from viz.rrd_file import APPLICATION, rrd_file
 from viz.viewer_process import Viewer, end_viewer, wait_until_closed, wait_until_it_listens
@@ -38,11 +38,11 @@ WHOLE_S: Final = 2.0
 
 _GRACE_S: Final = 0.5
 _FLUSH_S: Final = 0.5  # how long a viewer may take until it is asked whether anybody still waits for it
-_LAST_S: Final = 1.5  # for another's viewer to take what is on its way
+LAST_DATA_S: Final = 1.5  # for another's viewer to take what is on its way
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowResult:
     """What there is to say of a log that was followed to its end."""
 
     notice: str
@@ -53,7 +53,7 @@ class Followed:
 
 def save_growing(
     path: Path, rrd: Path, *, overwrite: bool = False, stop: threading.Event | None = None
-) -> Followed:
+) -> FollowResult:
     """Write the log at `path` to the file `rrd` as it grows, until it is finished, its recording was killed, or
     `stop` is set.
 
@@ -64,17 +64,17 @@ def save_growing(
     with rrd_file(rrd, overwrite=overwrite) as file, GrowingLog(path) as log:
         file.recording.send_recording_name(final_path(path).name)
         _send(log, file.recording, stop or threading.Event(), file.has_failed)
-    return Followed(log.notice, log.skipped)
+    return FollowResult(log.notice, log.skipped)
 
 
-def follow(path: Path, url: str, viewer: Viewer | None) -> int:
+def follow_log(path: Path, url: str, viewer: Viewer | None) -> int:
     """Show the log at `path` as it grows in the viewer at `url`; the exit code.
 
     `viewer` is its process if it was opened for this, and shows it until it is closed; with None, it is another's,
     and has all when the log is finished. What goes wrong with the log is told on stderr when it happens. Raises
     UserError if the viewer does not start, or dies.
     """
-    return feed(LogFollower(path, url), viewer)
+    return feed_viewer(LogFollower(path, url), viewer)
 
 
 class Follower(threading.Thread):
@@ -96,18 +96,18 @@ class Follower(threading.Thread):
         return recording
 
     def _flush(self, recording: rr.RecordingStream) -> None:
-        """Wait until the viewer has taken what was sent. Raises GoneError if it is closed, or nobody waits."""
+        """Wait until the viewer has taken what was sent. Raises ViewerGoneError if it is closed, or will be."""
         while not self.stop.is_set():
             try:
                 recording.flush(timeout_sec=_FLUSH_S)
             except RuntimeError as error:
                 self.has_unsent = "timed out" in str(error)
                 if not self.has_unsent:
-                    raise GoneError from None
+                    raise ViewerGoneError from None
             else:
                 self.has_unsent = False
                 return
-        raise GoneError
+        raise ViewerGoneError
 
     def _disconnect(self, recording: rr.RecordingStream) -> None:
         with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
@@ -119,11 +119,11 @@ class Follower(threading.Thread):
             raise UserError("the viewer has lost its connection and shows nothing new; open it again")
 
 
-class GoneError(Exception):
-    """The viewer takes nothing any more: it is closed, or shall be."""
+class ViewerGoneError(Exception):
+    """The viewer is closed, or about to be closed."""
 
 
-def feed(follower: Follower, viewer: Viewer | None) -> int:
+def feed_viewer(follower: Follower, viewer: Viewer | None) -> int:
     """Let `follower` feed an open, empty viewer until that is closed, or all has been sent to another's; the exit
     code. Raises as `follow` does."""
     if viewer is None:
@@ -151,11 +151,11 @@ def _feed_other(follower: Follower) -> int:
         if not stopped.is_set():
             return follower.code
         follower.stop.set()
-        follower.join(_LAST_S)
+        follower.join(LAST_DATA_S)
     # Held up by Rerun for a viewer that is frozen, now or when Python ends: nothing else ends it.
     if follower.is_alive() or follower.has_unsent:
-        end_bar()
-        say("stopped; the viewer has not taken all that was sent to it")
+        clear_live_displays()
+        print_notice("stopped; the viewer has not taken all that was sent to it")
         end_process(INTERRUPTED)
     raise KeyboardInterrupt
 
@@ -179,10 +179,10 @@ class LogFollower(Follower):
                 elif not taken:
                     self._refuse_silence()
                 elif log.is_finished and not self.stop.is_set():
-                    say(f"{name} is finished" + ("" if log.skipped else ", all of it is shown"))
+                    print_notice(f"{name} is finished" + ("" if log.skipped else ", all of it is shown"))
             except UserError as error:
-                self.code = complain(error)
-            skipped = say_skipped(log.skipped)
+                self.code = print_error(error)
+            skipped = print_skipped(log.skipped)
             self.code = self.code or skipped
         self._disconnect(recording)
 
@@ -201,7 +201,7 @@ def _send(
     too old are not sent, but counted in `log.skipped`.
     """
     keep_up = flush is not None
-    sender = MessageSender(recording)
+    sender = LiveMessageSender(recording)
     pictures_of_last_s = HISTORY_S if keep_up else None
     last_s = whole_s = time.monotonic()
     rate: PictureRate | None = None  # of what was there before, all of `HISTORY_S` is shown
@@ -220,11 +220,11 @@ def _send(
             whole_s = now_s
         try:
             (flush or recording.flush)()  # what the viewer does not take must not pile up here
-        except (GoneError, RuntimeError):
+        except (ViewerGoneError, RuntimeError):
             return False  # the viewer is gone
         if is_last:
             if not log.has_crcs:
-                say(f"{final_path(log.path)}: {WITHOUT_CRCS}")
+                print_notice(f"{final_path(log.path)}: {WITHOUT_CRCS}")
             return True
         stop.wait(POLL_S)
         now_s = time.monotonic()

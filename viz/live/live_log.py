@@ -19,7 +19,7 @@ from recorder.log.mcap_file import MAGIC, Chunk, McapFile, StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.scan import Structure, has_summary, walk_on
 from recorder.log.topics import PICTURE_TOPICS
-from viz.live.live_messages import SHOWN, Shown
+from viz.live.live_messages import SHOWN, LiveMessage
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
 QUIET_S: Final = 2.0
@@ -76,7 +76,7 @@ class GrowingLog(Closeable):
         if self._file is not None:
             self._file.close()
 
-    def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[Shown]]:
+    def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[LiveMessage]]:
         """What has been completed since the last call, a list for each chunk.
 
         With `pictures_of_last_s`, pictures that are older than that before the newest message are skipped.
@@ -130,7 +130,7 @@ class GrowingLog(Closeable):
                 return None  # it was just given its final name
             raise
 
-    def _shown_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[Shown]:
+    def _shown_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[LiveMessage]:
         records = file.records(chunk)
         try:
             messages = list(file.messages(records))
@@ -150,7 +150,7 @@ class GrowingLog(Closeable):
         kind = SHOWN.get(channel.topic)
         return kind is not None and self._found.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
 
-    def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> Shown | None:
+    def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> LiveMessage | None:
         name = f"{channel.topic} row {stored.sequence}"
         if channel.topic in PICTURE_TOPICS and stored.log_time_ns < since_ns:
             self.skipped.add(LATE, name)
@@ -163,7 +163,7 @@ class GrowingLog(Closeable):
         if stored.log_time_ns > LAST_TIME_NS:
             self.skipped.add("messages of a time that cannot be", name)
             return None
-        return Shown(channel.topic, stored.sequence, stored.log_time_ns, content)
+        return LiveMessage(channel.topic, stored.sequence, stored.log_time_ns, content)
 
 
 def _newest_ns(file: McapFile, chunk: Chunk) -> int:

@@ -35,7 +35,7 @@ _LEVELS: Final = {
 
 
 @dataclass(frozen=True)
-class Shown:
+class LiveMessage:
     """A message to show; `content` is of the type that SHOWN has for its topic."""
 
     topic: str
@@ -44,7 +44,7 @@ class Shown:
     content: Any
 
 
-class MessageSender:
+class LiveMessageSender:
     """Sends messages to a recording, and a layout whenever there is something new to lay out."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:
@@ -54,10 +54,10 @@ class MessageSender:
         self._topics: set[str] = set()
         self._has_size = False
 
-    def send(self, messages: Sequence[Shown]) -> None:
+    def send(self, messages: Sequence[LiveMessage]) -> None:
         if self._start_ns is None:
             self._start_ns = min((message.log_time_ns for message in messages), default=None)
-        by_topic: dict[str, list[Shown]] = {}
+        by_topic: dict[str, list[LiveMessage]] = {}
         for message in messages:
             by_topic.setdefault(message.topic, []).append(message)
         self._prepare(by_topic.keys())

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from recorder.log.topics import PICTURE_TOPICS
-from viz.live.live_messages import Shown
+from viz.live.live_messages import LiveMessage
 
 PICTURES_PER_S: Final = 30.0
 """Of each camera, by the clock on the wall."""
@@ -27,14 +27,14 @@ class PictureRate:
         """Tell the time: seconds of a clock that does not go back."""
         self._now_s = now_s
 
-    def thin(self, messages: Sequence[Shown]) -> tuple[list[Shown], list[Shown]]:
+    def thin(self, messages: Sequence[LiveMessage]) -> tuple[list[LiveMessage], list[LiveMessage]]:
         """What to show, in its order, and what not."""
         counts: dict[str, int] = {}
         for message in messages:
             counts[message.topic] = counts.get(message.topic, 0) + 1
         keep = {topic: self._take(topic, count) for topic, count in counts.items() if topic in PICTURE_TOPICS}
-        shown: list[Shown] = []
-        thinned: list[Shown] = []
+        shown: list[LiveMessage] = []
+        thinned: list[LiveMessage] = []
         seen: dict[str, int] = {}
         for message in messages:
             number = seen[message.topic] = seen.get(message.topic, 0) + 1

@@ -20,16 +20,16 @@ from viz.playback.along_track import along
 from viz.playback.blueprint import LOG_COLORS, comparison_layout, log_entity
 from viz.playback.curves import Drawing
 from viz.playback.rerun_recording import (
-    Drawn,
-    Prepared,
-    chunks_of,
+    DrawnMessages,
+    PreparedRecording,
+    check_moment,
     draw,
+    open_whole_log,
     predicted_curves,
+    read_chunks,
     read_drawn,
-    refuse_beyond,
     send_chunks,
-    sound_log,
-    topics_of,
+    topics_with_messages,
 )
 from viz.timelines import SINCE_START, Clock, Times, on_clock, start_clock
 
@@ -38,43 +38,47 @@ By = Literal["time", "place"]
 PLACE: Final = "place_cm"
 """Centimetres along the way of the first log: of Rerun's time lines, only whole numbers may be no times."""
 
-MOST_LOGS: Final = 6
+MAX_LOGS: Final = 6
 _LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture would have if its log were alone
 
 
 @dataclass(frozen=True)
-class _Beside:
+class _ComparedLog:
     """One of several logs."""
 
     name: str
     log: Log
-    drawn: Drawn
+    drawn: DrawnMessages
     clock: Clock
 
 
 @contextlib.contextmanager
-def prepared_comparison(paths: Sequence[Path], by: By = "time", at_s: float | None = None) -> Iterator[Prepared]:
+def prepare_comparison(
+    paths: Sequence[Path], by: By = "time", at_s: float | None = None
+) -> Iterator[PreparedRecording]:
     """The logs at `paths` beside each other; by time, it opens `at_s` seconds after their starts.
 
     Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
     """
-    if len(paths) > MOST_LOGS:
-        raise UserError(f"{len(paths)} logs: at most {MOST_LOGS} can be shown beside each other")
+    if len(paths) > MAX_LOGS:
+        raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown beside each other")
     with contextlib.ExitStack() as stack:
-        opened = [stack.enter_context(sound_log(path)) for path in paths]
-        refuse_beyond(at_s, zip(paths, (log for log, _ in opened), strict=True))
+        opened = [stack.enter_context(open_whole_log(path)) for path in paths]
+        check_moment(at_s, zip(paths, (log for log, _ in opened), strict=True))
         drawn = [read_drawn(log) for log, _ in opened]
         by_time = [start_clock(log.time_range_ns[0]) for log, _ in opened]
         clocks = _by_place(paths, drawn) if by == "place" else by_time
         logs = [
-            _Beside(name, log, found, clock)
+            _ComparedLog(name, log, found, clock)
             for name, (log, _), found, clock in zip(names_of(paths), opened, drawn, clocks, strict=True)
         ]
-        topics = {each.name: topics_of(each.log) for each in logs}
+        topics = {each.name: topics_with_messages(each.log) for each in logs}
         layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START, at_s=at_s)
         notices = [notice for _, notice in opened if notice]
         name = " | ".join(topics)
-        yield Prepared(name, layout, lambda recording, flush: _send(logs, recording, flush), notices, at_s=at_s)
+        yield PreparedRecording(
+            name, layout, lambda recording, flush: _send(logs, recording, flush), notices, at_s=at_s
+        )
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
@@ -91,7 +95,7 @@ def names_of(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _by_place(paths: Sequence[Path], drawn: Sequence[Drawn]) -> list[Clock]:
+def _by_place(paths: Sequence[Path], drawn: Sequence[DrawnMessages]) -> list[Clock]:
     """Raises UserError if there is a log without poses, or one of another track."""
     ways = [_way(path, found) for path, found in zip(paths, drawn, strict=True)]
     first = ways[0][1]
@@ -112,7 +116,7 @@ def _place_clock(pose_ns: Times, placed_m: NDArray[np.float64]) -> Clock:
     return columns
 
 
-def _way(path: Path, drawn: Drawn) -> tuple[Times, NDArray[np.float64]]:
+def _way(path: Path, drawn: DrawnMessages) -> tuple[Times, NDArray[np.float64]]:
     time_ns, poses = drawn.messages.get(POSE, (np.zeros(0, np.int64), []))
     way = np.array([(each.pose.position.x, each.pose.position.y) for each in poses], np.float64).reshape(-1, 2)
     known = np.isfinite(way).all(axis=1)
@@ -122,7 +126,7 @@ def _way(path: Path, drawn: Drawn) -> tuple[Times, NDArray[np.float64]]:
     return time_ns[known][order], way[known][order]
 
 
-def _send(logs: Sequence[_Beside], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+def _send(logs: Sequence[_ComparedLog], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
     for number, each in enumerate(logs):
         color = LOG_COLORS[number % len(LOG_COLORS)]
         drawing = Drawing(recording, each.clock, log_entity(each.name), each.name, color)
@@ -133,9 +137,9 @@ def _send(logs: Sequence[_Beside], recording: rr.RecordingStream, flush: Callabl
         send_chunks(_moved(each), recording, flush)
 
 
-def _moved(one: _Beside) -> Generator[Chunk]:
+def _moved(one: _ComparedLog) -> Generator[Chunk]:
     """What Rerun's reader makes of a log, under the log's own entity and on the time line of all of them."""
-    chunks = chunks_of(one.log)
+    chunks = read_chunks(one.log)
     with contextlib.closing(chunks):
         for chunk in on_clock((chunk for chunk in chunks if not chunk.is_static), one.clock, left_out=_LEFT_OUT):
             yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)

@@ -18,22 +18,22 @@ from viz.playback.attention_overlay import send_overlays
 from viz.playback.blueprint import attention_entity, entity_part
 from viz.playback.curves import Drawing
 from viz.playback.prediction_curves import prediction_curves
-from viz.playback.rerun_recording import Beside, Prepared, prepared_log
+from viz.playback.rerun_recording import PredictionLayer, PreparedRecording, prepare_log
 
 
 @contextlib.contextmanager
-def prepared_predictions(
+def prepare_predictions(
     path: Path,
     runs: Sequence[Path],
     on_found: Callable[[LogPredictions], object],
     *,
     attention: bool = False,
     at_s: float | None = None,
-) -> Iterator[Prepared]:
+) -> Iterator[PreparedRecording]:
     """The log at `path` and, when that is sent, what the networks of `runs` say of it: steering, errors, the worst
     moments as events, and with `attention` where they look. `on_found` is told all that they say.
 
-    `at_s` is as in `prepared_log`. Raises LogError if the log cannot be read, RunError if a run is given twice;
+    `at_s` is as in `prepare_log`. Raises LogError if the log cannot be read, RunError if a run is given twice;
     sending raises what `predict_log` does.
     """
 
@@ -46,7 +46,7 @@ def prepared_predictions(
         flush()
         on_found(found)
 
-    with prepared_log(path, Beside(run_names(runs), attention, send), at_s) as prepared:
+    with prepare_log(path, PredictionLayer(run_names(runs), attention, send), at_s) as prepared:
         yield prepared
 
 

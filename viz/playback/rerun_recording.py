@@ -18,7 +18,7 @@ from google.protobuf.message import DecodeError
 from rerun.chunk import Chunk, McapReader
 
 from common import UserError
-from common.errors import shown
+from common.errors import printable
 from common.files import refuse_existing
 from common.progress import progress_bar, track
 from recorder import Log
@@ -35,26 +35,26 @@ _ROWS_AT_ONCE: Final = 500  # pictures on their way to a viewer, some megabytes:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What is shown beside a log: what networks say of it."""
+class PredictionLayer:
+    """The predictions of networks, shown beside a log."""
 
     runs: Sequence[str]  # their names
-    attention: bool  # whether it is shown where they look
+    attention: bool  # shown as well
     send: Callable[[rr.RecordingStream, Drawing, Callable[[], object]], object]
-    """To a recording, or as what is drawn there. The third argument is the second of `Prepared.send`."""
+    """To a recording, or as what is drawn there. The third argument is the second of `PreparedRecording.send`."""
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """A log's messages that are drawn: log times (N,) in ns and N contents, by topic."""
+class DrawnMessages:
+    """The messages of a log that are drawn: log times (N,) in ns and N contents, by topic."""
 
     messages: dict[str, tuple[Times, list[Any]]]
     picture_size: tuple[int, int] | None  # width, height of the centre camera's first picture
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """What is ready to be shown: read, and found sound."""
+class PreparedRecording:
+    """A recording that is ready to be sent: what it shows was read, and is sound."""
 
     name: str
     layout: rrb.Blueprint | None  # None: `send` sends one
@@ -73,13 +73,13 @@ def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
     disk is full.
     """
     refuse_existing(rrd, overwrite)
-    with prepared_log(path) as prepared:
+    with prepare_log(path) as prepared:
         save_prepared(prepared, rrd, overwrite=overwrite)
         return "".join(prepared.notices)
 
 
-def save_prepared(prepared: Prepared, rrd: Path, *, overwrite: bool) -> None:
-    """Write it to the file `rrd`. Raises UserError as `save_rrd` does."""
+def save_prepared(prepared: PreparedRecording, rrd: Path, *, overwrite: bool) -> None:
+    """Write a recording to the file `rrd`. Raises UserError as `save_rrd` does."""
     named = prepared.recording_id
     with rrd_file(rrd, overwrite=overwrite, recording_id=named, layout=prepared.layout) as file:
         file.recording.send_recording_name(prepared.name)
@@ -87,14 +87,16 @@ def save_prepared(prepared: Prepared, rrd: Path, *, overwrite: bool) -> None:
 
 
 @contextlib.contextmanager
-def prepared_log(path: Path, beside: Beside | None = None, at_s: float | None = None) -> Iterator[Prepared]:
-    """The log at `path`: first what is drawn of it is sent, then its pictures, then what stands beside it. It
-    opens `at_s` seconds after its start.
+def prepare_log(
+    path: Path, predictions: PredictionLayer | None = None, at_s: float | None = None
+) -> Iterator[PreparedRecording]:
+    """Prepare the log at `path`: curves are sent first, then its pictures, then predictions. It opens `at_s`
+    seconds after its start.
 
     Raises LogError for a bad log, UserError if it is shorter than `at_s`.
     """
-    with sound_log(path) as (log, notice):
-        refuse_beyond(at_s, [(path, log)])
+    with open_whole_log(path) as (log, notice):
+        check_moment(at_s, [(path, log)])
         drawn = read_drawn(log)  # before Rerun starts: it must not be given damage
 
         def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
@@ -103,23 +105,25 @@ def prepared_log(path: Path, beside: Beside | None = None, at_s: float | None = 
             draw(drawn, drawing)
             for curve, time_ns, values in predicted_curves(log):
                 drawing.curve(curve, time_ns, values)
-            with contextlib.closing(chunks_of(log)) as chunks:
+            with contextlib.closing(read_chunks(log)) as chunks:
                 send_chunks(on_clock(chunks, clock), recording, flush)
-            if beside is not None:
-                beside.send(recording, drawing, flush)
+            if predictions is not None:
+                predictions.send(recording, drawing, flush)
 
         recording_id = f"{path.name}-{log.fingerprint[:12]}"
-        yield Prepared(path.name, _layout(log, beside, at_s), send, [notice] if notice else [], recording_id, at_s)
+        yield PreparedRecording(
+            path.name, _layout(log, predictions, at_s), send, [notice] if notice else [], recording_id, at_s
+        )
 
 
 @contextlib.contextmanager
-def sound_log(path: Path) -> Iterator[tuple[Log, str]]:
-    """The log at `path`, or what is whole in it where it was never finished, and its notice.
+def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
+    """Open the log at `path`, or what is whole in it where it was never finished: the log and its notice.
 
     Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read, UserError for a name
     that Rerun cannot take.
     """
-    if shown(str(path)) != str(path):
+    if printable(str(path)) != str(path):
         raise UserError(f"{path}: Rerun opens names of plain UTF-8 text only; rename the log")
     with Log(path, shows_progress=True) as log:
         if not log.problem:
@@ -131,9 +135,9 @@ def sound_log(path: Path) -> Iterator[tuple[Log, str]]:
                 yield recovered, log.notice
 
 
-def read_drawn(log: Log) -> Drawn:
-    """What is drawn of a log; topics of these names that hold another program's messages are not. Raises LogError
-    where it is damaged."""
+def read_drawn(log: Log) -> DrawnMessages:
+    """Read the messages of a log that are drawn, without those of another program on topics of the same names.
+    Raises LogError where it is damaged."""
     found: dict[str, tuple[Times, list[Any]]] = {}
     log.messages(VEHICLE)  # the pass over the file, with a bar of its own
     for topic in (name for name, topic in TOPICS.items() if topic.lines or name == POSE):
@@ -142,31 +146,31 @@ def read_drawn(log: Log) -> Drawn:
         if pairs:
             time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
             found[topic] = time_ns, [content for _, content in pairs]
-    return Drawn(found, _picture_size(log))
+    return DrawnMessages(found, _picture_size(log))
 
 
 def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
-    """The lines that a log has: which, log times (N,) in ns, values (N,)."""
+    """The curves of a log, each with its log times (N,) in ns and values (N,)."""
     for topic, (time_ns, contents) in read_drawn(log).messages.items():
         yield from curve_values(topic, time_ns, contents)
     yield from predicted_curves(log)
 
 
-def draw(drawn: Drawn, drawing: Drawing) -> None:
-    """Send what is drawn of a whole log."""
+def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
+    """Draw the messages of a whole log."""
     drawing.picture_size = drawn.picture_size or drawing.picture_size
     for topic, (time_ns, contents) in drawn.messages.items():
         drawing.send(topic, time_ns, contents)
     drawing.finish()
 
 
-def topics_of(log: Log) -> list[str]:
-    """The topics on which there is a message."""
+def topics_with_messages(log: Log) -> list[str]:
+    """The topics of a log that have a message."""
     return [topic for topic, count in log.counts.items() if count]
 
 
-def chunks_of(log: Log) -> Generator[Chunk]:
-    """What Rerun's own reader makes of a log, as far as it is not drawn; with a progress bar."""
+def read_chunks(log: Log) -> Generator[Chunk]:
+    """Read with Rerun's own reader all that is not drawn; with a progress bar."""
     drawn = [name for name, topic in TOPICS.items() if topic.lines and _is_ours(log, name)]
     drawn += prediction_topics(log)
     others = sum(count for topic, count in log.counts.items() if topic not in drawn)
@@ -190,8 +194,8 @@ def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: 
         flush()
 
 
-def refuse_beyond(at_s: float | None, logs: Iterable[tuple[Path, Log]]) -> None:
-    """Raise UserError if none of these logs is so long."""
+def check_moment(at_s: float | None, logs: Iterable[tuple[Path, Log]]) -> None:
+    """Raise UserError if all of these logs are shorter than `at_s`."""
     if at_s is None:
         return
     lengths = {path: 1e-9 * (log.time_range_ns[1] - log.time_range_ns[0]) for path, log in logs}
@@ -200,14 +204,14 @@ def refuse_beyond(at_s: float | None, logs: Iterable[tuple[Path, Log]]) -> None:
         raise UserError(f"--at {at_s:g}: {longest} is {lengths[longest]:.1f} s long; give fewer seconds")
 
 
-def _layout(log: Log, beside: Beside | None, at_s: float | None) -> rrb.Blueprint:
-    runs = beside.runs if beside is not None else ()
-    looks = runs if beside is not None and beside.attention else ()
-    return log_layout(topics_of(log), runs, looks, at_s=at_s)
+def _layout(log: Log, predictions: PredictionLayer | None, at_s: float | None) -> rrb.Blueprint:
+    runs = predictions.runs if predictions is not None else ()
+    attention = runs if predictions is not None and predictions.attention else ()
+    return log_layout(topics_with_messages(log), runs, attention, at_s=at_s)
 
 
 def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
-    """The lines of what networks say, where a log holds that. Raises LogError where it is damaged."""
+    """The curves of the predictions in a log. Raises LogError where it is damaged."""
     for number, predictions in enumerate(read_predictions(log)):
         yield from prediction_curves(predictions, number)
 
@@ -223,7 +227,7 @@ def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
 
 
 def _picture_size(log: Log) -> tuple[int, int] | None:
-    if CENTER not in topics_of(log) or log.schemas[CENTER] != COMPRESSED_IMAGE.name:
+    if CENTER not in topics_with_messages(log) or log.schemas[CENTER] != COMPRESSED_IMAGE.name:
         return None
     found = log.pictures(CENTER)
     return frame_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))

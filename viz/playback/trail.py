@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_POINTS: Final = 2000  # of longer ways, every second one
+MAX_POINTS: Final = 2000  # of longer ways, every second one
 
 
 class Trail:
-    """The points of a way, as far apart as needed for it to have at most `MOST_POINTS`."""
+    """The points of a way, as far apart as needed for it to have at most `MAX_POINTS`."""
 
     def __init__(self) -> None:
         self.points: list[tuple[float, float]] = []
@@ -23,6 +23,6 @@ class Trail:
         for x, y in points.tolist():
             if not self.points or math.dist(self.points[-1], (x, y)) >= self._apart_m:
                 self.points.append((x, y))
-            if len(self.points) > MOST_POINTS:
+            if len(self.points) > MAX_POINTS:
                 self.points = self.points[::2]
                 self._apart_m *= 2

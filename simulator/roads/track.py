@@ -1,4 +1,4 @@
-"""Tracks by name: ``lake``, ``mountain`` and ``random:SEED``."""
+"""Tracks, and finding them by name: ``lake``, ``mountain`` and ``random:SEED``."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ class Track:
 
     def fingerprint(self) -> str:
         """A hash of everything that the track's world is made from."""
+        # The names of Look and Edge, and of their fields, are in it: renamed, a track would be another one.
         digest = hashlib.sha256(repr((self.name, self.looks)).encode())
         for values in (self.line.points_m, self.half_width_m, self.look_index.astype(np.int64)):
             digest.update(np.ascontiguousarray(values).tobytes())

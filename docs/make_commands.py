@@ -1,0 +1,102 @@
+"""Writes the tables of flags in docs/commands.md from each command's own `--help` (`make docs`)."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+from generated_blocks import ROOT, update, with_blocks
+
+PAGE: Final = ROOT / "docs" / "commands.md"
+_REPEATED: Final = re.compile(r"\[?(\S+) \[\1 \.\.\.\]\]?")  # `[{a,b} [{a,b} ...]]`
+_DEFAULT: Final = re.compile(r" ?\((required|default: ([^()]*))\)$")
+
+
+@dataclass(frozen=True)
+class Argument:
+    """A flag or a positional argument of a command, as `--help` shows it."""
+
+    invocation: str
+    """`--rate FLOAT`, `--force`, `NAME`"""
+    meaning: str
+    default: str
+    """empty where there is none worth a word"""
+
+
+def main() -> None:
+    update(PAGE, generated_page())
+
+
+def generated_page() -> str:
+    """docs/commands.md as it should be."""
+    return with_blocks(PAGE.read_text(encoding="utf-8"), {name: _table(name) for name in commands()})
+
+
+@cache
+def commands() -> dict[str, str]:
+    """The `--help` of each command with arguments of its own: "bc-index", "bc-log check", "bc-train export"."""
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        shown = dict(zip(scripts, pool.map(_help, scripts), strict=True))
+        subcommands = [f"{name} {sub}" for name, text in shown.items() for sub in re.findall(r"• (\w+) ", text)]
+        subcommands.append("bc-train export")  # not shown by tyro: it begins with a word of bc-train's own
+        with_subcommands = {name.split()[0] for name in subcommands if name != "bc-train export"}
+        texts = zip(subcommands, pool.map(_help, subcommands), strict=True)
+        return {name: text for name, text in shown.items() if name not in with_subcommands} | dict(texts)
+
+
+def arguments(help_text: str) -> list[Argument]:
+    """The arguments in the boxes of a command's `--help`."""
+    found: list[tuple[str, str]] = []
+    for line in re.findall(r"^│ (.*?) *│$", help_text, re.MULTILINE):
+        if line.startswith(" "):  # goes on with the argument above
+            invocation, meaning = found.pop()
+            found.append((invocation, f"{meaning} {line.strip()}".strip()))
+        elif line.startswith("-") or "  " in line:
+            invocation, _, meaning = line.partition("  ")
+            found.append((invocation, meaning.strip()))
+    return [_argument(*pair) for pair in found if pair[0] != "-h, --help"]
+
+
+def _argument(invocation: str, meaning: str) -> Argument:
+    default = ""
+    if match := _DEFAULT.search(meaning):
+        meaning, default = meaning[: match.start()], match[2] or ""
+    if default in {"None", "none", "not", "True", "False", "''"}:  # an option that is off
+        default = ""
+    invocation = invocation.replace("{None}|", "").replace("{INT INT}", "INT INT")
+    return Argument(_REPEATED.sub(r"\1 ...", invocation), meaning, default)
+
+
+def _table(command: str) -> str:
+    lines = ["| argument | meaning | default |", "|---|---|---|"]
+    for argument in arguments(commands()[command]):
+        cells = [f"`{argument.invocation}`", argument.meaning, f"`{argument.default}`" if argument.default else ""]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _help(command: str) -> str:
+    name, *subcommand = command.split()
+    code = f"from behavioural_cloning_toolkit import {name.replace('-', '_')} as main; main()"
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "COLUMNS": "2000",
+        "NO_COLOR": "1",
+        "OMP_NUM_THREADS": "1",
+    }
+    line = [sys.executable, "-c", code, *subcommand, "--help"]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+if __name__ == "__main__":
+    main()

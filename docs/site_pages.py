@@ -1,0 +1,42 @@
+"""Brings the pages outside of docs/ into the site, and turns links between files into links between pages.
+
+A hook of MkDocs (mkdocs.yml); GitHub shows the same files where they are.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import Any, Final
+
+from mkdocs.structure.files import File, Files
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+PAGES: Final = {
+    "README.md": "index.md",
+    "ARCHITECTURE.md": "architecture.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "SECURITY.md": "security.md",
+    "CHANGELOG.md": "changelog.md",
+    "benchmarks/README.md": "benchmarks.md",
+}
+_LINK: Final = re.compile(r"(?<=\]\()([^)#\s]+)")
+
+
+def on_files(files: Files, config: Any) -> Files:
+    for source, page in PAGES.items():
+        content = (ROOT / source).read_text(encoding="utf-8")
+        files.append(File.generated(config, page, content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
+    sources = {site: source for source, site in PAGES.items()}
+    folder = posixpath.dirname(sources.get(page.file.src_uri, f"docs/{page.file.src_uri}"))
+
+    def linked(match: re.Match[str]) -> str:
+        source = posixpath.normpath(posixpath.join(folder, match[1]))
+        return PAGES.get(source, source.removeprefix("docs/")) if (ROOT / source).is_file() else match[1]
+
+    return _LINK.sub(linked, markdown)
