@@ -1,4 +1,5 @@
-"""Driving: the pilot's decisions on the telemetry that the simulator tells, and the drive's log."""
+"""Driving: the network's command for each telemetry of a simulator, the drive's log, and closed-loop
+evaluation."""
 
 from behavioural_cloning_toolkit import refuse_hidden
 
@@ -13,18 +14,19 @@ if TYPE_CHECKING:
     from drive.config import DriveConfig
     from drive.control.driver import Decision, Driver
     from drive.control.speed_controller import SpeedController
+    from drive.drive_server import DriveServer
     from drive.errors import DriveError
-    from drive.evaluation.closed_loop import Course, Result, evaluate
-    from drive.server import DriveServer
+    from drive.evaluation.closed_loop import DriveResult, evaluate
+    from drive.evaluation.simulator_process import BuiltInSimulator
 
 __all__ = [
-    "Course",
+    "BuiltInSimulator",
     "Decision",
     "DriveConfig",
     "DriveError",
+    "DriveResult",
     "DriveServer",
     "Driver",
-    "Result",
     "SpeedController",
     "evaluate",
 ]
@@ -32,13 +34,13 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Course": "drive.evaluation.closed_loop",
+        "BuiltInSimulator": "drive.evaluation.simulator_process",
         "Decision": "drive.control.driver",
         "DriveConfig": "drive.config",
         "DriveError": "drive.errors",
-        "DriveServer": "drive.server",
+        "DriveResult": "drive.evaluation.closed_loop",
+        "DriveServer": "drive.drive_server",
         "Driver": "drive.control.driver",
-        "Result": "drive.evaluation.closed_loop",
         "SpeedController": "drive.control.speed_controller",
         "evaluate": "drive.evaluation.closed_loop",
     },

@@ -32,7 +32,7 @@ from drive.config import DriveConfig
 from drive.errors import DriveError
 
 if TYPE_CHECKING:
-    from drive.server import DriveServer
+    from drive.drive_server import DriveServer
 
 
 @dataclass(frozen=True)
@@ -107,16 +107,16 @@ def drive(config: Drive) -> int:
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
 
-    from drive.evaluation.closed_loop import Course, check_laps, drive_built_in
+    from drive.drive_server import DriveServer
+    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
     from drive.low_latency import prepare_process
-    from drive.server import DriveServer
     from model import find_run, load_pilot
 
-    course = None
+    simulator = None
     if config.simulator is not None:
         with usage_errors(DriveError):
             check_laps(config.laps)
-        course = Course(config.simulator, config.laps, config.real_time)
+        simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
     pilot = load_pilot(find_run(config.run, config.runs), config.precision)
     pilot.warm_up()
     prepare_process()
@@ -127,29 +127,29 @@ def drive(config: Drive) -> int:
             path,
             overwrite=config.force,
             host=config.host,
-            port=config.port if course is None else 0,  # nobody else's simulator
+            port=config.port if simulator is None else 0,  # nobody else's simulator
             mode=config.server,
-            is_built_in=course is not None,
-            say=_say,
-            show=status.show,
+            is_built_in=simulator is not None,
+            notify=_notify,
+            show_status=status.show,
         )
 
         with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
-            if (viewer := _viewer(config, path)) is not None:
+            if (viewer := _viewer_target(config, path)) is not None:
                 # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
                 part, force = server.session.writer.part, config.force
                 after.enter_context(
                     preview(part, viewer, overwrite=force, idle_priority=True, notify=print_message)
                 )
-            if course is None:
+            if simulator is None:
                 waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
-                _say(waiting)
+                _notify(waiting)
                 server.run(stopped=stopped)
             else:
-                drive_built_in(server, course, stopped, shows_progress=False)
+                drive_built_in(server, simulator, stopped, shows_progress=False)
             if server.session.is_empty:
-                raise DriveError(f"{path}: nothing was driven: {server.why_nothing}")
-    return _told(server)
+                raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
+    return _print_drives(server)
 
 
 def _refuse_contradictions(config: Drive) -> None:
@@ -171,28 +171,31 @@ def _refuse_contradictions(config: Drive) -> None:
         )
 
 
-def _say(text: str) -> None:
+def _notify(text: str) -> None:
     print_message(f"bc-drive: {text}")
 
 
-def _viewer(config: Drive, log: Path) -> str | None:
-    """Where the drive is shown; where it could be only by another command, that is said."""
+def _viewer_target(config: Drive, log: Path) -> str | None:
+    """The target of the viewer, None for none; without a display, a notice names the command that shows the
+    log."""
     if config.viewer == "auto" and not has_display():
-        _say(f"watch it with `bc-play {shlex.quote(str(log))} --follow`")
+        _notify(f"watch it with `bc-play {shlex.quote(str(log))} --follow`")
         return None
     if config.viewer == "auto":
-        return "window" if sys.platform != "win32" else None  # where no log is shown that grows
+        return "window" if sys.platform != "win32" else None  # there a log that grows cannot be shown
     return None if config.viewer == "off" else config.viewer
 
 
-def _told(server: DriveServer) -> int:
-    """Print how it went; the exit code. Raises DriveError if nothing was driven on at all."""
+def _print_drives(server: DriveServer) -> int:
+    """Print the summaries of the drives; the exit code. Raises DriveError if no telemetry could be driven on."""
+    from drive.log.summary_lines import summary_lines
+
     code = DONE
     for session in server.sessions:
         log, summary = session.writer.path, session.summary
         look = f"; look at it with `bc-play {shlex.quote(str(log))}`" if session.log.frames else ""
         print_result(f"{log}: {counted(session.log.frames, 'frame')}{look}")
-        for line in summary.lines():
+        for line in summary_lines(summary):
             print_result(f"  {line}")
         if summary.bad or summary.without_number:
             code = DONE_BUT_SKIPPED
@@ -202,18 +205,18 @@ def _told(server: DriveServer) -> int:
                 f" {counted(session.log.dropped_rows, 'row')} were not written; log to a faster one with --log"
             )
     if all(session.summary.is_all_lost for session in server.sessions):
-        raise DriveError(f"nothing was driven: {server.session.summary.why_nothing}")
+        raise DriveError(f"nothing was driven: {server.session.summary.no_drive_reason}")
     return code
 
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
     """Drive and train by turns."""
-    from drive.evaluation.aggregation import Aggregation, Places, Round, check_rounds
-    from drive.evaluation.closed_loop import Course, check_laps
-    from drive.evaluation.external_simulator import Connecting
+    from drive.evaluation.aggregation import Aggregation, AggregationFolders, AggregationRound, check_rounds
+    from drive.evaluation.external_simulator import ExternalSimulator
+    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
     from model import TrainConfig, find_run
 
-    rounds: list[Round] = []
+    rounds: list[AggregationRound] = []
     codes = [DONE]
 
     assert config.aggregate is not None  # noqa: S101
@@ -221,14 +224,14 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
         check_rounds(config.aggregate)
         check_laps(config.laps)
         training = TrainConfig(epochs=config.epochs)
-    course: Course | Connecting = Connecting(config.laps, config.host, config.port)
+    simulator: BuiltInSimulator | ExternalSimulator = ExternalSimulator(config.laps, config.host, config.port)
     if config.simulator is not None:
-        course = Course(config.simulator, config.laps, config.real_time)
-    places = Places(config.sessions, Path("drives"), config.runs)
+        simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
+    folders = AggregationFolders(config.sessions, Path("drives"), config.runs)
     run = find_run(config.run, config.runs)
-    aggregation = Aggregation(run, course, settings, config.aggregate, places, training)
+    aggregation = Aggregation(run, simulator, settings, config.aggregate, folders, training)
     try:
-        for done in aggregation.rounds(config.server, _say, lambda notice: codes.append(warn(notice))):
+        for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):
             rounds.append(done)
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:

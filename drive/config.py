@@ -1,4 +1,4 @@
-"""What a drive can be told: how fast, how smoothly, and who may take over."""
+"""The configuration of a drive: set speed, smoothing, takeover."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drive.errors import DriveError
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """How telemetry is answered. Raises DriveError, naming the flag, for a value that makes no sense."""
+    """The settings of a drive. Raises DriveError, naming the flag, for a value that makes no sense."""
 
     set_speed_mph: float = 10.0
     slow_in_curves: bool = False  # drive slower where the steering that is sent would throw the car outwards

@@ -1,4 +1,4 @@
-"""`bc-demo`: the whole chain on the built-in simulator, with the commands that a user would type."""
+"""`bc-demo`: runs the commands of the whole chain on the built-in simulator, as a user would type them."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ class Demo:
 
 
 @dataclass(frozen=True)
-class Step:
+class DemoStep:
     command: str
     seconds: float
-    """What it took when it was measured, on two cores; on another machine, all are slower or faster alike."""
+    """Measured on two cores; on another machine, all steps are slower or faster alike."""
 
 
-def steps_of(config: Demo) -> list[Step]:
-    """What the demo does, one after the other."""
+def steps_of(config: Demo) -> list[DemoStep]:
+    """The steps of the demo, in their order."""
     share = config.share
     return [
-        Step(f"bc-record lake --track lake --laps {share:g}", 3 + 60 * share),
-        Step(f"bc-record mountain --track mountain --laps {share:g}", 3 + 66 * share),
-        Step("bc-index", 3),
-        Step(f"bc-train --name demo --epochs {config.epochs}", 10 + 48 * share * config.epochs),
-        Step(f"bc-eval demo --simulator lake mountain --laps {config.laps:g}", 10 + 85 * config.laps),
-        Step("bc-play drives/demo-mountain-10mph.mcap --save drives/demo-mountain-10mph.rrd", 6),
+        DemoStep(f"bc-record lake --track lake --laps {share:g}", 3 + 60 * share),
+        DemoStep(f"bc-record mountain --track mountain --laps {share:g}", 3 + 66 * share),
+        DemoStep("bc-index", 3),
+        DemoStep(f"bc-train --name demo --epochs {config.epochs}", 10 + 48 * share * config.epochs),
+        DemoStep(f"bc-eval demo --simulator lake mountain --laps {config.laps:g}", 10 + 85 * config.laps),
+        DemoStep("bc-play drives/demo-mountain-10mph.mcap --save drives/demo-mountain-10mph.rrd", 6),
     ]
 
 
@@ -92,7 +92,7 @@ def demo(config: Demo) -> int:
 
 
 def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
-    """Raise UserError, or UsageError, for what a step would refuse, after minutes of those before it."""
+    """Raise UserError, or UsageError, for settings that a later step would refuse, after minutes."""
     if folder.exists():
         raise UserError(f"{folder}: exists already; give another --folder")
     if not 1 <= config.epochs <= 10**6:
@@ -108,7 +108,7 @@ def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
 
 
 def _how_to_type_them() -> str | None:
-    """What a shell needs to find the commands; None if it does."""
+    """The line with which a shell finds the commands; None if it does already."""
     if shell_command("bc-play") == "bc-play":
         return None
     activate = Path(sysconfig.get_path("scripts")) / "activate"
@@ -116,7 +116,7 @@ def _how_to_type_them() -> str | None:
 
 
 def _program(name: str) -> str:
-    # beside this Python first: the virtual environment need not be active
+    # beside this Python first: its virtual environment need not be active
     found = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
     if found is None:
         raise UserError(f"{name}: not installed beside {sys.executable}; install the toolkit with `pip install .`")
@@ -124,7 +124,7 @@ def _program(name: str) -> str:
 
 
 def _run(command: str, folder: Path) -> int:
-    """Run a command to its end; its exit code, if it has done what it should."""
+    """Run a command to its end; its exit code. Raises UserError if it has failed."""
     name, *arguments = shlex.split(command)
     drain()  # it prints by itself
     process = subprocess.Popen([_program(name), *arguments], cwd=folder)

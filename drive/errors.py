@@ -1,4 +1,4 @@
-"""What can keep a drive from starting."""
+"""The error of a drive that cannot start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a process that drives asks of Python and of the system, so that an answer is never late."""
+"""The settings of a process that drives, so that threads and garbage collection do not delay an answer."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import sys
 from typing import Final
 
 SWITCH_S: Final = 0.0005
-"""How long another thread (the log's) may hold up the one that drives; Python's own 5 ms is five networks long."""
+"""The longest that another thread (the log's) may delay the one that drives; Python's 5 ms are five
+predictions."""
 
 
 def prepare_process() -> None:
-    """To be called once everything is loaded, before the first telemetry."""
+    """Prepare this process; to be called once everything is loaded, before the first telemetry."""
     sys.setswitchinterval(SWITCH_S)
-    # What is there now stays: no collection has to look through all of PyTorch in the middle of a drive.
+    # What is loaded stays: no collection has to go through all of PyTorch in the middle of a drive.
     gc.collect()
     gc.freeze()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import subprocess
@@ -17,6 +18,7 @@ from driving import COMMANDS
 from repository import ROOT
 
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md"]
+SOURCES = [path for room in make_architecture.ROOMS for path in make_architecture.modules(room)]
 WRITTEN_BY_COMMANDS = ("sessions/", "index/", "runs/", "drives/", "IMG/")
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
@@ -95,6 +97,29 @@ def test_the_files_that_a_page_names_are_there(name: str) -> None:
 def named_so(name: str) -> bool:
     """`cli.py` stands for the files of that name in every room."""
     return any(ROOT.glob(f"*/{name}"))
+
+
+def test_the_lines_that_troubleshooting_quotes_are_printed() -> None:
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"`([^`]+)`", "".join(re.findall(r"^> .*$", page, re.MULTILINE)))
+    assert len(quoted) > 30
+    sources = [ROOT / "behavioural_cloning_toolkit.py", *SOURCES]
+    texts = {text for path in sources for text in texts_in(path)}
+    not_printed = []
+    for line in quoted:
+        pattern = re.compile(".*".join(map(re.escape, line.split("…"))), re.DOTALL)
+        if not any(pattern.search(text) for text in texts):
+            not_printed.append(line)
+    assert not_printed == []
+
+
+def texts_in(path: Path) -> Iterator[str]:
+    """The string literals of a module; in those with expressions, an ellipsis stands for each."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
 
 
 def test_no_file_names_a_place_on_one_persons_machine() -> None:

@@ -1,4 +1,4 @@
-"""Stopping when there is nothing to drive on: full brake for as long as the car needs, and no longer."""
+"""The emergency brake: full brake for as long as the car needs to stop, and no longer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ WALKING_MPH: Final = 1.0
 
 
 def stopping_s(speed_mph: float) -> float:
-    """How long a full brake takes to stop the car.
+    """The seconds that a full brake takes to stop the car.
 
     The deceleration is that of the built-in simulator's car at this speed, brakes and resistance: 6.5 m/s² at
     10 mph. The real simulator's car brakes with locked wheels, at least as hard. The time is thus rather too
@@ -26,9 +26,9 @@ def stopping_s(speed_mph: float) -> float:
 class EmergencyBrake:
     """Full brake from its first `throttle()` on, until the car must stand; then nothing, until `release()`.
 
-    It stands when it is told to, and else after the time that the brakes need from the speed that was told last:
-    from the top speed if none ever was, by which a car that stood is reversed for two seconds. The speed of the
-    real simulator has no sign: only one that is lower than all before tells that there is more to be braked. A car
+    The car stands when its speed says so, and else after the time that the brakes need from the last known speed:
+    from the top speed if none is known, by which a car that stood is reversed for two seconds. The speed of the
+    real simulator has no sign: only one that is lower than all before shows that there is more to be braked. A car
     that does not get slower, or was stopped once, may be rolling backwards, and a brake would speed it up.
     """
 
@@ -38,11 +38,11 @@ class EmergencyBrake:
 
     @property
     def is_on(self) -> bool:
-        """It was asked to stop the car, and was not released since."""
+        """True from the first `throttle()` until `release()`."""
         return self._until_s is not None
 
     def throttle(self, time_s: float, speed_mph: float | None) -> float:
-        """-1 or 0, at `time_s` and with the speed that was told last; None if none ever was."""
+        """The throttle at `time_s`, -1 or 0. `speed_mph` is the last known speed; None if none is known."""
         known_mph = math.inf if speed_mph is None else speed_mph
         if self._until_s is None or (known_mph < self._lowest_mph and time_s < self._until_s):
             self._lowest_mph = known_mph

@@ -1,4 +1,4 @@
-"""What a simulator tells of the course, as events: laps, and cars that were put back."""
+"""Events of the course: laps, and cars that the simulator put back on the road."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from recorder.server.world import World
 
 
 class CourseEvents:
-    """Compares each telemetry's world with those before it; what was true at the first one is no event."""
+    """Compares each telemetry's world with those before it; the first one makes no event."""
 
     def __init__(self) -> None:
         self._interventions: int | None = None
         self._whole_laps: int | None = None
 
-    def after(self, world: World) -> list[str]:
-        """What has happened since the last call."""
+    def update(self, world: World) -> list[str]:
+        """The events since the last call."""
         events = []
         if world.interventions is not None:
             if self._interventions is not None and world.interventions > self._interventions:

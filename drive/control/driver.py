@@ -1,4 +1,4 @@
-"""What happens to each telemetry: decode, crop, predict, command."""
+"""The driver: each telemetry is decoded, cropped, given to the network and answered by a command."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Final, Literal
 from dataset.preprocess import Image
 from drive.config import DriveConfig
 from drive.control.braking import WALKING_MPH, EmergencyBrake
-from drive.control.clock import DriveClock
 from drive.control.course_events import CourseEvents
+from drive.control.drive_clock import DriveClock
 from drive.control.speed_controller import SpeedController
 from drive.control.steering_filter import SteeringFilter
 from drive.control.takeover import Takeover
@@ -23,16 +23,16 @@ from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.server.world import World, WorldNotices
 
 USUAL_SIZE: Final = (160, 320)  # height, width
-NONSENSE_S: Final = 1.0
-"""So long the car rolls on, steered as before, while nothing usable comes; then it is braked."""
+UNUSABLE_S: Final = 1.0
+"""While nothing usable comes, the car rolls on for so long, steered as before; then it is braked."""
 
 NO_NUMBER: Final = "the network gave no number"
-NOTHING_USABLE: Final = f"nothing usable for {NONSENSE_S:g} s"
+NOTHING_USABLE: Final = f"nothing usable for {UNUSABLE_S:g} s"
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The answer to one telemetry, and what led to it.
+    """The answer to one telemetry, and how it came about.
 
     `telemetry` and `crop` are None where the telemetry could not be used; `problem` says why. Where the network
     gave no number there is a `problem` too, but nothing was wrong with the telemetry: both are there.
@@ -42,7 +42,7 @@ class Decision:
     throttle: float  # -1..1, as sent
     decimal_separator: str = POINT
     driver: Literal["pilot", "expert", "brake"] = "pilot"  # whose throttle was sent
-    speed_mph: float | None = None  # as told, also where nothing else of the telemetry could be used
+    speed_mph: float | None = None  # the car's, also where nothing else of the telemetry could be used
     telemetry: Telemetry | None = None
     picture_size: tuple[int, int] | None = None  # width, height; None where the telemetry could not be used
     crop: Image | None = None
@@ -50,10 +50,10 @@ class Decision:
     parse_ms: float = 0.0  # from the telemetry's last byte until its numbers are read
     decode_ms: float = 0.0  # JPEG and crop
     network_ms: float = 0.0
-    set_speed_mph: float = 0.0  # lower than asked for in a curve, if that was asked for
+    set_speed_mph: float = 0.0  # lower than the configured one in a curve, if that is configured
     problem: str = ""
-    kind: str = ""  # of problem: the same for all that differ only in their numbers
-    events: tuple[str, ...] = ()  # what has begun or ended with this telemetry
+    kind: str = ""  # of problem: equal for all that differ only in their values
+    events: tuple[str, ...] = ()  # that happened with this telemetry
 
 
 class Driver:
@@ -69,38 +69,38 @@ class Driver:
         self._takeover = Takeover() if config.takeover else None
         self._course = CourseEvents()
         self._steering = 0.0
-        self._speed_mph: float | None = None  # until it is told
-        self._decimal_separator: str | None = None  # until it is told
-        self._nonsense_since_s: float | None = None
+        self._speed_mph: float | None = None  # the last known one
+        self._decimal_separator: str | None = None  # the last known one
+        self._unusable_since_s: float | None = None
         self._gave_number = True
-        self._said_size = False
+        self._reported_size = False
         self._world_notices = WorldNotices()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
-        """The command for what the simulator told.
+        """The command that answers a telemetry.
 
-        `received_s` is when the last byte of it had come, by `time.perf_counter()`; `now_s` the time of a
-        monotonic clock, for smoothing where the simulator does not tell its own, and for braking always.
+        `received_s` is the `time.perf_counter()` at which its last byte had arrived; `now_s` is the time of a
+        monotonic clock, for smoothing where the simulator does not send its own time, and always for braking.
 
         Never raises, because an unanswered telemetry would stop the simulator's loop for good. Where one cannot be
-        used, the steering is kept and the throttle let go; after `NONSENSE_S` of nothing else the car is braked.
+        used, the steering is kept and the throttle let go; after `UNUSABLE_S` of nothing else the car is braked.
         """
         now_s = time.monotonic() if now_s is None else now_s
         try:
-            told = parse_telemetry(data, self._decimal_separator)
+            telemetry = parse_telemetry(data, self._decimal_separator)
         except TelemetryError as error:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = error.world, error.world_problems, error.speed_mph
             self._note(speed_mph, error.decimal_separator)
-            time_s = self._clock.at(now_s, world)
-            decision = self._without(error, time_s)
+            time_s = self._clock.advance(now_s, world)
+            decision = self._answer_unusable(error, time_s)
         else:
             parsed_s = time.perf_counter()
-            world, problems, speed_mph = told.world, told.world_problems, told.speed_mph
-            self._note(speed_mph, told.observed_separator)
-            time_s = self._clock.at(now_s, world)
-            decision = self._answer(told, parsed_s, time_s)
-        if events := self._of_world(world, problems):
+            world, problems, speed_mph = telemetry.world, telemetry.world_problems, telemetry.speed_mph
+            self._note(speed_mph, telemetry.observed_separator)
+            time_s = self._clock.advance(now_s, world)
+            decision = self._answer_by_network(telemetry, parsed_s, time_s)
+        if events := self._world_events(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
         if self._last_brake is not None:
             throttle = self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
@@ -112,9 +112,9 @@ class Driver:
         """From now on the car is braked to a stand, and steered as before meanwhile."""
         self._last_brake = EmergencyBrake()
 
-    def unasked_brake(self, now_s: float | None = None) -> tuple[float, float]:
-        """After `stop`, while nothing is told: the steering, and the throttle that brakes or lets go."""
-        self._clock.at(time.monotonic() if now_s is None else now_s, None)
+    def brake_without_telemetry(self, now_s: float | None = None) -> tuple[float, float]:
+        """Steering and throttle after `stop`, while no telemetry comes: it brakes, and then lets go."""
+        self._clock.advance(time.monotonic() if now_s is None else now_s, None)
         if self._last_brake is None:
             return self._steering, 0.0
         return self._steering, self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
@@ -125,33 +125,35 @@ class Driver:
         if decimal_separator is not None:
             self._decimal_separator = decimal_separator
 
-    def _of_world(self, world: World | None, problems: Sequence[str]) -> list[str]:
-        """What has happened on the course, and, once, what of the world cannot be used."""
-        events = [] if world is None else self._course.after(world)
+    def _world_events(self, world: World | None, problems: Sequence[str]) -> list[str]:
+        """The course's events, and notices about members of the world that cannot be used."""
+        events = [] if world is None else self._course.update(world)
         return events + self._world_notices.new_notices(problems, clock_stands=self._clock.stands)
 
-    def _answer(self, told: Telemetry, parsed_s: float, time_s: float) -> Decision:
-        """The answer to a telemetry; whether its picture can be used is found out here."""
+    def _answer_by_network(self, telemetry: Telemetry, parsed_s: float, time_s: float) -> Decision:
+        """The answer to a telemetry whose numbers are good; its picture may prove unusable here."""
         try:
-            picture, size = camera_picture(told.jpeg)
+            picture, size = camera_picture(telemetry.jpeg)
         except TelemetryError as error:
-            return self._without(error, time_s)
+            return self._answer_unusable(error, time_s)
         crop = self._pilot.crop(picture)
         decoded_s = time.perf_counter()
         predicted = self._pilot.predict(crop)
         predicted_s = time.perf_counter()
 
         decision = (
-            self._drive(told, predicted, time_s) if math.isfinite(predicted) else self._without_number(time_s)
+            self._drive(telemetry, predicted, time_s)
+            if math.isfinite(predicted)
+            else self._answer_without_number(time_s)
         )
         events = decision.events
-        if picture.shape[:2] != USUAL_SIZE and not self._said_size:
-            self._said_size = True
+        if picture.shape[:2] != USUAL_SIZE and not self._reported_size:
+            self._reported_size = True
             height, width = picture.shape[:2]
             events = (*events, f"pictures of {width}x{height} pixels, not 320x160: driven on all the same")
         return replace(
             decision,
-            telemetry=told,
+            telemetry=telemetry,
             picture_size=size,
             crop=crop,
             predicted_steering=predicted,
@@ -160,43 +162,43 @@ class Driver:
             events=events,
         )
 
-    def _drive(self, told: Telemetry, predicted: float, time_s: float) -> Decision:
+    def _drive(self, telemetry: Telemetry, predicted: float, time_s: float) -> Decision:
         events = []
         if self._brake.is_on:
             events.append("the brakes are released")
         self._brake.release()
-        self._nonsense_since_s, self._gave_number = None, True
+        self._unusable_since_s, self._gave_number = None, True
         wanted = min(max(predicted, -1.0), 1.0)
         if self._takeover is not None:
-            events += self._takeover.after(time_s, told.world, wanted)
-        expert = None if told.world is None else told.world.expert
+            events += self._takeover.update(time_s, telemetry.world, wanted)
+        expert = None if telemetry.world is None else telemetry.world.expert
         if self._takeover is not None and self._takeover.expert_drives and expert is not None:
             steering, throttle = expert
-            self._filter.note(time_s, steering)
+            self._filter.override(time_s, steering)
         else:
-            steering = self._filter.at(time_s, wanted)
-            throttle = self._speed.throttle(told.speed_mph, steering)
+            steering = self._filter.apply(time_s, wanted)
+            throttle = self._speed.throttle(telemetry.speed_mph, steering)
         return self._decision(steering, throttle, events=events)
 
-    def _without(self, problem: TelemetryError, time_s: float) -> Decision:
-        """There is nothing to drive on."""
+    def _answer_unusable(self, problem: TelemetryError, time_s: float) -> Decision:
+        """The answer to a telemetry that cannot be used: it rolls on, and brakes after `UNUSABLE_S`."""
         now_s = self._clock.safety_s
-        if self._nonsense_since_s is None:
-            self._nonsense_since_s = now_s
-        if not self._brake.is_on and now_s - self._nonsense_since_s < NONSENSE_S:
-            self._filter.note(time_s, self._steering)
+        if self._unusable_since_s is None:
+            self._unusable_since_s = now_s
+        if not self._brake.is_on and now_s - self._unusable_since_s < UNUSABLE_S:
+            self._filter.override(time_s, self._steering)
             return self._decision(self._steering, 0.0, str(problem), problem.kind)
-        return self._braked(str(problem), problem.kind, time_s, f"{NOTHING_USABLE}: ")
+        return self._answer_braking(str(problem), problem.kind, time_s, f"{NOTHING_USABLE}: ")
 
-    def _without_number(self, time_s: float) -> Decision:
-        """The network may never give one again: there is no reason to wait."""
-        was_news, self._gave_number = self._gave_number, False
-        decision = self._braked(NO_NUMBER, NO_NUMBER, time_s)
-        return replace(decision, events=(NO_NUMBER, *decision.events)) if was_news else decision
+    def _answer_without_number(self, time_s: float) -> Decision:
+        """The answer where the network gave NaN: it brakes at once, for the network may never recover."""
+        is_first, self._gave_number = self._gave_number, False
+        decision = self._answer_braking(NO_NUMBER, NO_NUMBER, time_s)
+        return replace(decision, events=(NO_NUMBER, *decision.events)) if is_first else decision
 
-    def _braked(self, problem: str, kind: str, time_s: float, why: str = "") -> Decision:
-        events = [] if self._brake.is_on else [why + _what_a_brake_does(self._speed_mph)]
-        self._filter.note(time_s, self._steering)
+    def _answer_braking(self, problem: str, kind: str, time_s: float, why: str = "") -> Decision:
+        events = [] if self._brake.is_on else [why + _braking_text(self._speed_mph)]
+        self._filter.override(time_s, self._steering)
         throttle = self._brake.throttle(self._clock.safety_s, self._speed_mph)
         return replace(self._decision(self._steering, throttle, problem, kind, events), driver="brake")
 
@@ -216,7 +218,7 @@ class Driver:
         )
 
 
-def _what_a_brake_does(speed_mph: float | None) -> str:
+def _braking_text(speed_mph: float | None) -> str:
     if speed_mph is None:
         return "the car is braked, as from its top speed: its own was never told"
     return "the car stands" if speed_mph <= WALKING_MPH else "the car is braked"

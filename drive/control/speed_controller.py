@@ -1,4 +1,4 @@
-"""Holding a speed: the original project's proportional-integral controller with a bound, and slower in curves."""
+"""The speed controller: proportional-integral with a bounded integral, and slower in curves if asked for."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ MAX_INTEGRAL_THROTTLE: Final = 0.5  # without a bound, a long climb winds up a t
 
 
 def check_set_speed(set_speed_mph: float) -> None:
-    """Raises DriveError for a set speed that no car of the simulator's kind holds."""
+    """Raises DriveError for a set speed that the simulator's car cannot hold."""
     if not 0 < set_speed_mph <= 100:
         raise DriveError(f"--speed {set_speed_mph:g}: give a speed above 0 mph and up to 100 (the car reaches 30)")
 
 
 class SpeedController:
-    """One telemetry in, one throttle out."""
+    """Gives the throttle for each telemetry's speed, as the original project's controller does."""
 
     def __init__(self, set_speed_mph: float, slow_in_curves: bool = False) -> None:
         self.set_speed_mph = set_speed_mph
@@ -33,7 +33,7 @@ class SpeedController:
         """The set speed in mph while the steering is -1..1: lower in a curve, if that was asked for."""
         if not self._slow_in_curves:
             return self.set_speed_mph
-        return min(self.set_speed_mph, fastest_mph(steering))
+        return min(self.set_speed_mph, max_curve_speed_mph(steering))
 
     def throttle(self, speed_mph: float, steering: float = 0.0) -> float:
         """-1 (full brake) .. 1 (full throttle); never below 0 at walking pace, where it would reverse the car."""
@@ -47,7 +47,7 @@ class SpeedController:
         return min(max(KP * error + KI * self._integral, least), 1.0)
 
 
-def fastest_mph(steering: float) -> float:
+def max_curve_speed_mph(steering: float) -> float:
     """The speed at which the wheels at this steering, -1..1, throw the car outwards by the expert's `BEND_MPS2`.
 
     The bicycle model without slip: the curvature is tan(wheel angle) / wheelbase, the acceleration v² times it.

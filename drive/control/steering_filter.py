@@ -1,4 +1,4 @@
-"""Steering that is calmer than the network's: smoothed, and bounded in its rate. Both are off by default."""
+"""The steering filter: the network's steering is smoothed, and its rate limited. Both are off by default."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 
 
 class SteeringFilter:
-    """Steering -1..1 in, steering out. It starts with the wheels straight.
+    """Exponential smoothing and a rate limit for steering in -1..1; it starts with the wheels straight.
 
-    `smooth_s` is the time constant of an exponential smoothing (63 % of a jump after it, 95 % after three of it),
-    `max_per_s` the fastest change; 0 switches each off. Time counts, not telemetries: the same steering over time
-    comes out of 10 and of 50 telemetries a second.
+    `smooth_s` is the time constant of the smoothing (63 % of a jump after it, 95 % after three of it), `max_per_s`
+    the fastest change; 0 switches each off. Time counts, not telemetries: 10 and 50 telemetries a second give the
+    same steering over time.
     """
 
     def __init__(self, smooth_s: float = 0.0, max_per_s: float = 0.0) -> None:
@@ -19,8 +19,8 @@ class SteeringFilter:
         self._sent = 0.0
         self._time_s = 0.0
 
-    def at(self, time_s: float, wanted: float) -> float:
-        """What is sent at `time_s` (seconds that never go back)."""
+    def apply(self, time_s: float, wanted: float) -> float:
+        """The steering to send at `time_s` (seconds that never go back)."""
         passed_s = time_s - self._time_s
         change = wanted - self._sent
         if self._smooth_s:
@@ -28,11 +28,11 @@ class SteeringFilter:
         if self._max_per_s:
             most = self._max_per_s * passed_s
             change = min(max(change, -most), most)
-        # exactly what is wanted where nothing holds it back: adding the difference would round
+        # exactly what is wanted where nothing limits it: adding the difference would round
         sent = wanted if change == wanted - self._sent else self._sent + change
-        self.note(time_s, sent)
+        self.override(time_s, sent)
         return sent
 
-    def note(self, time_s: float, sent: float) -> None:
-        """Somebody else has steered: from there it goes on."""
+    def override(self, time_s: float, sent: float) -> None:
+        """Go on from this steering, which another driver has sent."""
         self._sent, self._time_s = sent, time_s

@@ -1,4 +1,4 @@
-"""Who drives: the network, or the simulator's expert where the network leaves the lane."""
+"""The takeover: the simulator's expert drives where the network leaves the lane."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ telemetry and 0.1 s of steering lag later, and then wheels and car must turn bef
 HAND_BACK_OFFSET: Final = 0.3
 """It hands back no farther out than this: it comes back to 0.15 even in a hairpin."""
 HAND_BACK_STEERING: Final = 0.2
-"""The network must wish to steer as the expert does, but for this: 5 degrees, a correction and no turn."""
+"""The largest difference between the network's steering and the expert's: 5 degrees, a correction and no turn."""
 HAND_BACK_S: Final = 1.0
-"""Both for so long without a break: a car that only crosses the middle is through sooner."""
+"""Both must hold for so long without a break: a car that only crosses the middle is through sooner."""
 
-NEEDED: Final = ("offset", "expert_steering", "expert_throttle")
-"""What a simulator's world must tell, that an expert can take over."""
+REQUIRED_MEMBERS: Final = ("offset", "expert_steering", "expert_throttle")
+"""The members of a simulator's world without which no expert can take over."""
 
 MISSING_S: Final = 1.0
-"""So long nothing of that may be told until it is said: some simulators tell it from the second telemetry on."""
+"""The time until a notice that they are missing: some simulators send them from the second telemetry on."""
 
 PILOT_DRIVES: Final = "the pilot drives again"
-_LONGEST_GAP_S: Final = 0.5  # between two telemetries that tell a sideways speed
+_LONGEST_GAP_S: Final = 0.5  # between two telemetries that give a sideways speed
 
 
 class Takeover:
-    """The expert takes over before the car is off the road, and hands back when all has been well for a while."""
+    """Decides who drives: the expert takes over before the car is off the road, and hands back once it is
+    steady."""
 
     def __init__(self) -> None:
         self.expert_drives = False
         self._last: tuple[float, float, int | None] | None = None  # time, offset, interventions
-        self._well_since_s: float | None = None
+        self._hand_back_since_s: float | None = None
         self._missing_since_s: float | None = None
-        self._said_missing = False
+        self._reported_missing = False
 
-    def after(self, time_s: float, world: World | None, predicted_steering: float) -> list[str]:
-        """Decide who drives on from `time_s`, by the simulator's clock where it tells one; what there is to say of
-        it. Where nobody tells where the car is, or what an expert would do, the network drives."""
+    def update(self, time_s: float, world: World | None, predicted_steering: float) -> list[str]:
+        """Decide who drives on from `time_s`, and give the events of that. `time_s` is by the simulator's clock
+        where it sends one. Where the world lacks the car's offset or the expert's command, the network drives."""
         if world is None or world.offset is None or world.expert is None:
             self._last = None
             return self._without_expert(time_s, world)
@@ -55,12 +56,12 @@ class Takeover:
             return self._hand_back(time_s, world.offset, abs(predicted_steering - world.expert[0]))
         if abs(ahead) <= TAKE_OVER_OFFSET:
             return []
-        self.expert_drives, self._well_since_s = True, None
+        self.expert_drives, self._hand_back_since_s = True, None
         side = "left" if ahead > 0 else "right"
         return [f"the expert takes over: {abs(world.offset):.2f} of the half width, and going off to the {side}"]
 
     def _sideways_per_s(self, time_s: float, offset: float, interventions: int | None) -> float:
-        """How fast the offset grows to the left; 0 where the last telemetry does not tell it."""
+        """The speed of the offset, positive to the left; 0 where the last telemetry does not give it."""
         if self._last is None:
             return 0.0
         last_s, last_offset, last_interventions = self._last
@@ -70,10 +71,10 @@ class Takeover:
 
     def _hand_back(self, time_s: float, offset: float, disagreement: float) -> list[str]:
         if abs(offset) > HAND_BACK_OFFSET or disagreement > HAND_BACK_STEERING:
-            self._well_since_s = None
-        elif self._well_since_s is None:
-            self._well_since_s = time_s
-        elif time_s - self._well_since_s >= HAND_BACK_S:
+            self._hand_back_since_s = None
+        elif self._hand_back_since_s is None:
+            self._hand_back_since_s = time_s
+        elif time_s - self._hand_back_since_s >= HAND_BACK_S:
             self.expert_drives = False
             return [PILOT_DRIVES]
         return []
@@ -83,10 +84,9 @@ class Takeover:
         self.expert_drives = False
         if self._missing_since_s is None:
             self._missing_since_s = time_s
-        if not self._said_missing and time_s - self._missing_since_s >= MISSING_S:
-            self._said_missing = True
-            told = world or World()
-            missing = [name for name in NEEDED if getattr(told, name) is None]
+        if not self._reported_missing and time_s - self._missing_since_s >= MISSING_S:
+            self._reported_missing = True
+            missing = [name for name in REQUIRED_MEMBERS if getattr(world, name, None) is None]
             events.append(
                 f"nobody can take over: the simulator does not tell {', '.join(missing)} (`bc-sim --tell-world`"
                 " does); in Udacity's, a human takes over by holding a key"

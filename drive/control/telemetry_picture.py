@@ -1,4 +1,4 @@
-"""The camera's picture out of a telemetry: a whole JPEG that does not take too long."""
+"""The camera's picture of a telemetry, decoded: a complete JPEG of a bounded size."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from dataset.preprocess import Image
 from recorder.pictures.picture_size import pixels
 from recorder.server.telemetry import TelemetryError, check_whole_jpeg
 
-MOST_PIXELS: Final = 1 << 21
-"""No larger picture is driven on. 1920x1080 is just within, and takes 10 ms to decode. The megabyte that a
-telemetry may hold can say 60 million pixels, and for the second that they take, the car would be left alone."""
+MAX_PIXELS: Final = 1 << 21
+"""The largest picture that is driven on. 1920x1080 is just within, and takes 10 ms to decode. The megabyte that a
+telemetry may hold can unfold to 60 million pixels, and for the second that they take, the car would be left
+alone."""
 
 
 def camera_picture(jpeg: bytes) -> tuple[Image, tuple[int, int]]:
     """(height, width, 3) BGR, and the width and height of the JPEG's header: EXIF may turn what is decoded.
 
-    Raises TelemetryError for a JPEG that is not complete, and for more than `MOST_PIXELS`.
+    Raises TelemetryError for a JPEG that is not complete, and for more than `MAX_PIXELS`.
     """
     try:
         size = check_whole_jpeg(jpeg)
@@ -32,5 +33,5 @@ def camera_picture(jpeg: bytes) -> tuple[Image, tuple[int, int]]:
 
 
 def _refuse_too_large(size: int) -> None:
-    if size > MOST_PIXELS:
-        raise TelemetryError(f"image has more than {MOST_PIXELS:,} pixels", f" ({size:,})")
+    if size > MAX_PIXELS:
+        raise TelemetryError(f"image has more than {MAX_PIXELS:,} pixels", f" ({size:,})")

@@ -1,6 +1,6 @@
-"""Learning from one's own mistakes: drive, let the expert take over, train on what it did, drive again.
+"""Dataset aggregation: drive, let the expert take over, train on what it did, drive again.
 
-Dataset aggregation after Ross, Gordon and Bagnell 2011 (arXiv 1011.0686), with the expert driving only where it
+The method is that after Ross, Gordon and Bagnell 2011 (arXiv 1011.0686), with the expert driving only where it
 has to, as in Kelly et al. 2019 (HG-DAgger, arXiv 1810.02890).
 """
 
@@ -18,31 +18,31 @@ import torch
 from dataset import DatasetError, build_index, find_logs
 from drive.config import DriveConfig
 from drive.errors import DriveError
-from drive.evaluation.closed_loop import Course
-from drive.evaluation.external_simulator import Connecting
+from drive.evaluation.external_simulator import ExternalSimulator
+from drive.evaluation.simulator_process import BuiltInSimulator
 from model import TrainConfig, load_pilot, train
 from model.runs.reproduce import data_of_run
 from model.runs.run_folder import CONFIG, run_name
 from recorder import Log
 from recorder.server.telemetry_server import ServerMode
 
-MOST_ROUNDS: Final = 100
+MAX_ROUNDS: Final = 100
 
 
 @dataclass(frozen=True)
-class Round:
-    """One drive, with the expert at hand."""
+class AggregationRound:
+    """One drive of an aggregation, in which the expert could take over."""
 
     run: str  # the run that drove
     log: Path
-    laps: float | None  # None where the simulator does not tell them
+    laps: float | None  # None where the simulator does not send them
     interventions: int  # the expert took over, or the simulator put the car back
     autonomy_percent: float | None
 
 
 @dataclass(frozen=True)
-class Places:
-    """Where an aggregation finds and keeps what it needs."""
+class AggregationFolders:
+    """The folders of an aggregation's logs and runs."""
 
     sessions: Path  # the logs that the run was trained on,
     drives: Path  # but for those of an aggregation before this one
@@ -50,7 +50,8 @@ class Places:
 
 
 class Aggregation:
-    """`rounds` times: drive `course`, index the takeovers with what `run` was trained on, train its weights on.
+    """Drives `simulator` and trains by turns, `rounds` times: the takeovers are indexed with what `run` was
+    trained on, and its weights are trained on.
 
     Everything is named after the run and the track: drives/RUN-TRACK-0.mcap, the index index-RUN-TRACK, and
     runs/RUN-TRACK-1 and so on; with a simulator that connects by itself, TRACK is "connected". Raises UserError
@@ -60,75 +61,77 @@ class Aggregation:
     def __init__(
         self,
         run: Path,
-        course: Course | Connecting,
+        simulator: BuiltInSimulator | ExternalSimulator,
         config: DriveConfig,
         rounds: int,
-        places: Places,
+        folders: AggregationFolders,
         training: TrainConfig,
     ) -> None:
         check_rounds(rounds)
-        self._course = course
+        self._simulator = simulator
         self._config = replace(config, takeover=True)
         self._training = training
         self._threads = torch.get_num_threads()  # a pilot drives on one
         self._settings, fingerprints = data_of_run(run)
-        self._sessions = _sessions(run, fingerprints, places)
+        self._sessions = _sessions(run, fingerprints, folders)
         self._warned: set[str] = set()
-        name = f"{run_name(run)}-{course.name}"
-        self._index = places.runs.parent / f"index-{name}"
-        self._logs = [places.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
-        self._runs = [run, *(places.runs / f"{name}-{number}" for number in range(1, rounds + 1))]
+        name = f"{run_name(run)}-{simulator.name}"
+        self._index = folders.runs.parent / f"index-{name}"
+        self._logs = [folders.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
+        self._runs = [run, *(folders.runs / f"{name}-{number}" for number in range(1, rounds + 1))]
         if in_the_way := self._left():
             raise DriveError(f"exist already, of an aggregation before this one; move them away: {in_the_way}")
 
     def rounds(
-        self, mode: ServerMode, said: Callable[[str], None], warned: Callable[[str], object]
-    ) -> Iterator[Round]:
-        """Each drive as it is done: the first with the run as it is, one more after every training.
+        self, mode: ServerMode, notify: Callable[[str], None], warn: Callable[[str], object]
+    ) -> Iterator[AggregationRound]:
+        """Give each drive as it is done: the first with the run as it is, one more after every training.
 
-        `warned` is told, once, of every log that its indexes leave out or hold in part, and of pictures that
-        training leaves out. Raises DriveError where the simulator fails, KeyboardInterrupt if it was stopped; how
-        to go on is said.
+        `notify` gets a line for each step, and how to go on if it is stopped; `warn` gets one, once, for every log
+        that an index leaves out or holds in part, and for pictures that training leaves out. Raises DriveError
+        where the simulator fails, KeyboardInterrupt if it was stopped.
         """
         trained = 0  # the last run that is
         for number, (run, log) in enumerate(zip(self._runs, self._logs, strict=True)):
             try:
                 if number:
-                    said(f"training {run}")
-                    self._train(run, self._runs[trained], self._logs[:number], warned)
+                    notify(f"training {run}")
+                    self._train(run, self._runs[trained], self._logs[:number], warn)
                     trained = number
-                said(f"{run_name(run)} drives {self._course.where}, the expert takes over where it has to")
+                notify(
+                    f"{run_name(run)} drives {self._simulator.description}, the expert takes over where it has to"
+                )
                 done = self._drive(run, log, mode)
             except KeyboardInterrupt:
-                said(self._way_on(number, trained))
+                notify(self._way_on(number, trained))
                 raise
             if not done.interventions and number + 1 < len(self._runs):
-                said("the expert had nothing to do: the next training learns nothing new")
+                notify("the expert had nothing to do: the next training learns nothing new")
             yield done
 
     def _left(self) -> str:
-        """What is there already of all that is made, to be pasted into a shell."""
+        """Those of the files to be made that exist already, quoted for a shell."""
         made = (*self._logs, self._index, *self._runs[1:])
         return shlex.join(str(path) for path in made if os.path.lexists(path))
 
     def _way_on(self, number: int, trained: int) -> str:
-        """What is left of a round that was stopped, and how to go on; `trained` is the last run that is."""
+        """The notice of how to go on after a round that was stopped; `trained` is the last run that is."""
         run, log = self._runs[number], self._logs[number]
-        told = ""
+        first = ""
         if trained < number and (run / CONFIG).is_file():
             resume = shlex.join(("bc-train", "--resume", str(run), "--index", str(self._index)))
-            told, trained = f"finish {run} with `{resume}`; then ", number
+            first, trained = f"finish {run} with `{resume}`; then ", number
         elif trained == number and log.exists():
-            told = f"{log} holds the drive so far; "
+            first = f"{log} holds the drive so far; "
         if not trained:
             left = self._left()
-            return f"{told}to begin again, move away {left}" if left else "nothing was driven yet"
-        drive = shlex.join(("bc-drive", str(self._runs[trained]), *self._course.flags))
+            return f"{first}to begin again, move away {left}" if left else "nothing was driven yet"
+        drive = shlex.join(("bc-drive", str(self._runs[trained]), *self._simulator.flags))
         more = len(self._runs) - 1 - trained
         aggregate = f"{drive} --aggregate {more}" if more else f"{drive} --takeover"
-        return f"{told}go on with `{aggregate}` and the other flags as before"
+        return f"{first}go on with `{aggregate}` and the other flags as before"
 
-    def _train(self, run: Path, before: Path, drives: list[Path], warned: Callable[[str], object]) -> None:
+    def _train(self, run: Path, before: Path, drives: list[Path], warn: Callable[[str], object]) -> None:
         torch.set_num_threads(self._threads)
         settings = replace(self._settings, drives="takeovers")
         try:
@@ -136,35 +139,35 @@ class Aggregation:
             notices = build_index(logs, self._index, settings, leave_out_unreadable=True).notices
             for notice in notices:
                 if notice not in self._warned:
-                    warned(notice)
+                    warn(notice)
             self._warned.update(notices)
             trained = train(self._index, run, self._training, init=before)
             for skipped in trained.skipped:
                 for line in skipped.lines():
-                    warned(f"skipped {line}")
+                    warn(f"skipped {line}")
         except DatasetError as error:
             raise DriveError(f"{self._index}: {error}") from None
 
-    def _drive(self, run: Path, log: Path, mode: ServerMode) -> Round:
+    def _drive(self, run: Path, log: Path, mode: ServerMode) -> AggregationRound:
         pilot = load_pilot(run)
         pilot.warm_up()
-        summary = self._course.drive(pilot, self._config, log, mode)
-        return Round(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
+        summary = self._simulator.drive(pilot, self._config, log, mode)
+        return AggregationRound(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
 
 
 def check_rounds(rounds: int) -> None:
-    """Raises DriveError for what is no number of rounds."""
-    if not 1 <= rounds <= MOST_ROUNDS:
-        raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MOST_ROUNDS}")
+    """Raises DriveError for a number of rounds that makes no sense."""
+    if not 1 <= rounds <= MAX_ROUNDS:
+        raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MAX_ROUNDS}")
 
 
-def _sessions(run: Path, fingerprints: dict[str, str], places: Places) -> list[Path]:
-    """The logs that `run` was trained on. Raises DatasetError if one is gone, DriveError if one is another now."""
+def _sessions(run: Path, fingerprints: dict[str, str], folders: AggregationFolders) -> list[Path]:
+    """The logs that `run` was trained on. Raises DatasetError if one is gone, DriveError if one has changed."""
     logs = []
     for name, fingerprint in fingerprints.items():
-        drive = places.drives / f"{name}.mcap"
-        is_drive = drive.is_file() and not (places.sessions / drive.name).exists()
-        (path,) = find_logs([str(drive) if is_drive else name], places.sessions)
+        drive = folders.drives / f"{name}.mcap"
+        is_drive = drive.is_file() and not (folders.sessions / drive.name).exists()
+        (path,) = find_logs([str(drive) if is_drive else name], folders.sessions)
         with Log(path) as log:
             if log.fingerprint != fingerprint:
                 raise DriveError(f"{path}: changed since {run} was trained on it; give the --sessions that it was")

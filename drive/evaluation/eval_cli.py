@@ -1,28 +1,25 @@
-"""`bc-eval`: how good a trained network is, in numbers: on recorded frames, or driving."""
+"""`bc-eval`: measures a trained network on recorded frames, or while it drives."""
 
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.table import Table
 
 from common import UserError
 from common.command import DONE, flags_given, run_command, usage_errors, warn, warn_skipped
 from common.errors import UsageError, counted
-from common.output import print_message, print_result, print_table
+from common.output import print_message, print_result
 
 if TYPE_CHECKING:
-    from drive.evaluation.closed_loop import Result
     from model.evaluation.evaluate import Evaluation
 
 
 def _default(metavar: str, value: str) -> Any:
-    """A flag that is None unless it is given: it goes with one way to measure only."""
+    """A flag that is None unless it is given, because it belongs to one way of measuring only."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {value})")
 
 
@@ -126,11 +123,11 @@ def _measure(config: Eval) -> int:
         print_evaluation(found, worst)
         if config.session is None:
             print_result(f"measured on what {index} {'holds out' if split == 'validation' else 'trains on'}")
-    return _told(found, is_training=config.session is None and split == "train")
+    return _print_notices(found, is_training=config.session is None and split == "train")
 
 
 def _index_of(run: Path) -> Path:
-    """The index that the run was trained on; that in the current folder for a run that does not say."""
+    """The index that the run was trained on; the one in the current folder where a run does not name it."""
     from model.runs.run_inputs import index_of
 
     index = index_of(run)
@@ -144,8 +141,8 @@ def _index_of(run: Path) -> Path:
     return index
 
 
-def _told(found: Evaluation, *, is_training: bool) -> int:
-    """Say what a person should know before the numbers are used; the exit code."""
+def _print_notices(found: Evaluation, *, is_training: bool) -> int:
+    """Print what a person should know before the numbers are used; the exit code."""
     from model.runs.run_folder import run_name
 
     code = warn_skipped(found.skipped)
@@ -169,8 +166,9 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
     """Let the network drive."""
     from drive.config import DriveConfig
     from drive.errors import DriveError
-    from drive.evaluation.closed_loop import Course, check_laps
     from drive.evaluation.closed_loop import evaluate as evaluate_run
+    from drive.evaluation.eval_report import print_drives
+    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
     from model import find_run, load_pilot
 
     laps = 1.0 if config.laps is None else config.laps
@@ -178,7 +176,7 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
         check_laps(laps)
         configs = [DriveConfig(set_speed_mph=speed) for speed in config.speed or (10.0,)]
     drives = [
-        (Course(track, laps), each) for each in configs for track in tracks
+        (BuiltInSimulator(track, laps), each) for each in configs for track in tracks
     ]  # before the seconds that a network takes to load: a track may be misspelt
     pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
     pilot.warm_up()
@@ -189,38 +187,15 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
             drives,
             config.logs or Path("drives"),
             overwrite=config.force,
-            said=lambda text: print_message(f"bc-eval: {text}"),
+            notify=lambda text: print_message(f"bc-eval: {text}"),
         ):
             results.append(result)
             if config.json:
                 print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
-            print_table(_table(results))
-            print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
+            print_drives(results)
     return DONE
-
-
-def _table(results: list[Result]) -> Table:
-    # narrow enough for a terminal of 80 columns
-    title = "distances from the centre line are shares of the road's half width"
-    table = Table(title=title, box=None, pad_edge=False)
-    for heading in ("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"):
-        table.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
-    for result in results:
-        book = result.book
-        table.add_row(
-            result.course.track,
-            f"{result.config.set_speed_mph:g}",
-            f"{book['mean_speed_mph']:.1f}",
-            f"{book['laps']:.2f}",
-            f"{book['interventions']:,}",
-            f"{book['autonomy_percent']:.1f} %",
-            f"{book['mean_offset']:.2f}",
-            f"{book['max_offset']:.2f}",
-            f"{book['steering_per_s']:.2f}",
-        )
-    return table
 
 
 def main() -> None:

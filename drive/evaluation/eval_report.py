@@ -1,10 +1,11 @@
-"""What bc-eval prints of an evaluation on recorded frames."""
+"""The tables that bc-eval prints, of recorded frames and of drives."""
 
 from __future__ import annotations
 
 import math
 import shlex
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.bar import Bar
 from rich.markup import escape
@@ -17,6 +18,9 @@ from model.metrics import Measures
 from model.runs.run_arguments import run_argument, short_path
 from model.runs.run_folder import run_name
 from model.worst_moments import WorstFrame
+
+if TYPE_CHECKING:
+    from drive.evaluation.closed_loop import DriveResult  # loads the server
 
 BAR_CELLS = 16  # so that a line fits 80 columns
 
@@ -37,8 +41,32 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> Non
         print_result()
 
 
+def print_drives(results: Sequence[DriveResult]) -> None:
+    """Print the table of drives; then the command that shows the last one."""
+    # narrow enough for a terminal of 80 columns
+    title = "distances from the centre line are shares of the road's half width"
+    table = Table(title=title, box=None, pad_edge=False)
+    for heading in ("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"):
+        table.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
+    for result in results:
+        report = result.report
+        table.add_row(
+            result.simulator.track,
+            f"{result.config.set_speed_mph:g}",
+            f"{report['mean_speed_mph']:.1f}",
+            f"{report['laps']:.2f}",
+            f"{report['interventions']:,}",
+            f"{report['autonomy_percent']:.1f} %",
+            f"{report['mean_offset']:.2f}",
+            f"{report['max_offset']:.2f}",
+            f"{report['steering_per_s']:.2f}",
+        )
+    print_table(table)
+    print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
+
+
 def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
-    """The command that shows a frame, and what the network says of it."""
+    """The command that shows a frame with the network's prediction."""
     log = shlex.quote(str(short_path(evaluation.logs[frame.session])))
     since_begin_ns = frame.log_time_ns - evaluation.begins_ns[frame.session]
     at_ms = -(-since_begin_ns // 1_000_000)  # not before the frame
@@ -107,7 +135,7 @@ def _worst_table(worst: Sequence[WorstFrame]) -> Table:
 
 
 def _table(title: str, *headings: str) -> Table:
-    """Narrow enough for a terminal of 80 columns."""
+    """An empty table, narrow enough for a terminal of 80 columns."""
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for number, heading in enumerate(headings):
         table.add_column(heading, justify="right" if number else "left", no_wrap=number > 0)
@@ -119,5 +147,5 @@ def _number(value: float) -> str:
 
 
 def _clock(frame: WorstFrame) -> str:
-    """Its time as people write it: to the millisecond, UTC."""
+    """The frame's time, UTC, as people write it."""
     return frame.log_time_utc.removesuffix("+00:00").replace("T", " ")

@@ -1,4 +1,4 @@
-"""The log of a drive: every telemetry that was answered, what was answered, and what happened."""
+"""The log of a drive: every telemetry that was answered, its answer, and the events."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _PICTURES_OF_A_ROW: Final = 2  # the camera's and the crop
 
 
 class DriveLog(Closeable):
-    """Writes decisions down, in rows that are numbered from 0. All but `close` returns at once.
+    """Writes decisions, in rows that are numbered from 0. All methods but `close` return at once.
 
     Where the disk is too slow, rows lose their pictures first, and are lost themselves only after many minutes of
-    that; both are counted, and events tell. What a decision holds must not change any more: it is written later.
+    that; both are counted, and events report it. A decision is written later: it must not change any more.
 
     Not to be called by two threads at once. Until it is closed, nobody else may use the writer.
     """
@@ -52,11 +52,11 @@ class DriveLog(Closeable):
 
     @property
     def failure(self) -> UserError | None:
-        """Why the log cannot be written any further; from then on all is passed over."""
+        """The error after which the log cannot be written any further; from then on nothing is."""
         return self._thread.failure
 
     def decision(self, decision: Decision, total_ms: float) -> None:
-        """One telemetry that was answered `total_ms` after it came. One that could not be used is an event."""
+        """Write a telemetry that was answered `total_ms` after it came. One that could not be used is an event."""
         if self.failure is not None:
             return
         received_ns = _ago_ns(total_ms)
@@ -72,8 +72,8 @@ class DriveLog(Closeable):
             self._event(received_ns, text, is_problem=bool(decision.problem))
 
     def manual(self, total_ms: float) -> None:
-        """One telemetry that only says that a human drives. Without picture and steering it is no row: events tell
-        since when a human drives, and when the pilot does again."""
+        """Write that a human drives. Such a telemetry has no picture and no steering, and makes no row: events
+        mark where a human begins to drive, and where the pilot does again."""
         if not self._is_manual:
             self._is_manual = True
             self._event(_ago_ns(total_ms), "manual: a human drives")
@@ -82,7 +82,7 @@ class DriveLog(Closeable):
         self._event(time.perf_counter_ns(), text, is_problem)
 
     def close(self) -> None:
-        """Wait until everything was written. The writer is then its owner's again."""
+        """Wait until everything is written. The writer is then its owner's again."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -93,21 +93,21 @@ class DriveLog(Closeable):
                 self._problem(f"the disk was too slow: {count:,} {what} are missing")
         self._thread.close()
 
-    def _row(self, received_ns: int, decision: Decision, told: Telemetry, total_ms: float) -> None:
+    def _row(self, received_ns: int, decision: Decision, telemetry: Telemetry, total_ms: float) -> None:
         if not self._thread.has_room:
             if not self.dropped_rows:
                 self._problem("the disk is too slow: rows are left out until it has caught up")
             self.dropped_rows += 1
             return
-        time_ns = self._clock.row(received_ns, None if told.world is None else told.world.time_s)
-        size = len(told.jpeg) + (0 if decision.crop is None else decision.crop.nbytes)
+        time_ns = self._clock.row(received_ns, None if telemetry.world is None else telemetry.world.time_s)
+        size = len(telemetry.jpeg) + (0 if decision.crop is None else decision.crop.nbytes)
         if not self._thread.has_room_for(size):
             if not self.dropped_pictures:
                 self._problem("the disk is too slow: pictures are left out until it has caught up")
             self.dropped_pictures += _PICTURES_OF_A_ROW
-            size, told = 0, replace(told, jpeg=b"")
-            decision = replace(decision, telemetry=told, crop=None)
-        self._thread.put(partial(self._write_row, time_ns, self.frames, decision, told, total_ms), size)
+            size, telemetry = 0, replace(telemetry, jpeg=b"")
+            decision = replace(decision, telemetry=telemetry, crop=None)
+        self._thread.put(partial(self._write_row, time_ns, self.frames, decision, telemetry, total_ms), size)
         self.frames += 1
 
     def _event(self, happened_ns: int, text: str, is_problem: bool = False) -> None:
@@ -118,16 +118,20 @@ class DriveLog(Closeable):
             self.dropped_rows += 1
 
     def _problem(self, text: str) -> None:
-        """One of the few events that there is always room for."""
+        """An event of the kind that is so rare that there is always room for it."""
         time_ns = self._clock.event(time.perf_counter_ns())
         self._thread.put(partial(self._writer.event, time_ns, text, "WARNING", "drive"))
 
     # On the thread
 
-    def _write_row(self, time_ns: int, row: int, decision: Decision, told: Telemetry, total_ms: float) -> None:
-        if told.jpeg:
-            self._writer.picture("center", time_ns, row, told.jpeg, decision.picture_size)
-        state = VehicleState(steering=told.steering, throttle=told.throttle, brake=0.0, speed_mph=told.speed_mph)
+    def _write_row(
+        self, time_ns: int, row: int, decision: Decision, telemetry: Telemetry, total_ms: float
+    ) -> None:
+        if telemetry.jpeg:
+            self._writer.picture("center", time_ns, row, telemetry.jpeg, decision.picture_size)
+        state = VehicleState(
+            steering=telemetry.steering, throttle=telemetry.throttle, brake=0.0, speed_mph=telemetry.speed_mph
+        )
         self._writer.vehicle(time_ns, row, state)
         if decision.crop is not None:
             # as OpenCV writes it by default: half the time of its best compression in hand, a fifth larger
@@ -146,10 +150,10 @@ class DriveLog(Closeable):
             network_ms=decision.network_ms,
             total_ms=total_ms,
         )
-        if told.world is not None and told.world.expert_steering is not None:
-            command.expert_steering = told.world.expert_steering
+        if telemetry.world is not None and telemetry.world.expert_steering is not None:
+            command.expert_steering = telemetry.world.expert_steering
         self._writer.command(time_ns, row, command)
-        pose = None if told.world is None else told.world.pose
+        pose = None if telemetry.world is None else telemetry.world.pose
         if pose is not None:
             self._writer.pose(time_ns, row, pose_message(pose, time_ns))
 

@@ -1,4 +1,4 @@
-"""The thread that writes a drive's log: whoever drives hands over what is to be written, and never waits."""
+"""The thread that writes a drive's log, so that the driving loop never waits for the disk."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from typing import Final
 
 from common import UserError
 
-MOST_PICTURE_BYTES: Final = 128 << 20
-"""Of pictures that wait: 35 s of driving at 60 frames a second, each with a JPEG of 15 KB and a crop of 48 KB."""
-MOST_WAITING: Final = 36_000
-"""Rows and events that wait: ten minutes of driving at 60 frames a second, 100 MB without pictures."""
+MAX_PICTURE_BYTES: Final = 128 << 20
+"""The most bytes of pictures that wait: 35 s of driving at 60 frames a second, each with a JPEG of 15 KB and a
+crop of 48 KB."""
+MAX_WAITING: Final = 36_000
+"""The most rows and events that wait: ten minutes of driving at 60 frames a second, 100 MB without pictures."""
 
 _IDLE_S: Final = 0.1
 
 
 class LogThread:
-    """Calls what it was given, in its order, on a thread of its own; and `flush` while there is nothing.
+    """Calls the functions that it is given, in their order, on a thread of its own; and `flush` while it is idle.
 
     eventlet does not replace this program's threads: it is a real one, and works on while the driving loop waits
     for the network or computes. It is as important to the system as the loop: one that is put to sleep while it
@@ -40,15 +41,16 @@ class LogThread:
 
     @property
     def has_room(self) -> bool:
-        """Whether another row or event may wait."""
-        return self._put_count - self._done_count < MOST_WAITING
+        """True if another row or event may wait."""
+        return self._put_count - self._done_count < MAX_WAITING
 
     def has_room_for(self, picture_bytes: int) -> bool:
-        """Whether pictures of so many bytes may wait."""
-        return self._put_bytes - self._done_bytes + picture_bytes <= MOST_PICTURE_BYTES
+        """True if pictures of so many bytes may wait."""
+        return self._put_bytes - self._done_bytes + picture_bytes <= MAX_PICTURE_BYTES
 
     def put(self, write: Callable[[], None], picture_bytes: int = 0) -> None:
-        """Have `write` called soon; after a failure nothing is called any more. Raises what no disk can cause."""
+        """Have `write` called soon; after a failure nothing is called any more. Raises errors that no disk
+        causes."""
         if self._bug is not None:
             raise self._bug
         if self.failure is None:
@@ -57,7 +59,7 @@ class LogThread:
             self._queue.put((write, picture_bytes))
 
     def close(self) -> None:
-        """Wait until everything was written. Raises what no disk can cause."""
+        """Wait until everything is written. Raises errors that no disk causes."""
         self._queue.put(None)
         self._thread.join()
         if self._bug is not None:

@@ -14,7 +14,7 @@ from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.frame_rate import describe_clock
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.udacity_csv import COLUMNS, Row
+from recorder.sources.udacity_csv import CSV_CAMERAS, Row
 from recorder.sources.udacity_recording import MOST_PICTURE_BYTES, UdacityRecording
 
 NOT_WHOLE = "pictures that are not whole JPEG files"
@@ -37,7 +37,7 @@ def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, ove
         all_rows = itertools.chain([first], rows)
         for row, paths in track(all_rows, f"importing {folder.name}", recording.line_count()):
             events.at(writer, row.time_ns)
-            for camera, path in zip(COLUMNS, paths, strict=True):
+            for camera, path in zip(CSV_CAMERAS, paths, strict=True):
                 jpeg = _jpeg(path, events.skipped) if path is not None else None
                 if jpeg is not None:
                     writer.picture(camera, row.time_ns, row_count, jpeg)

@@ -28,7 +28,7 @@ from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE, udacity_metadata, vehicle_state
-from recorder.sources.udacity_csv import COLUMNS, MOST_LINE_BYTES, RowReader
+from recorder.sources.udacity_csv import CSV_CAMERAS, MOST_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import (
     CSV_NAME,
     MOST_PICTURE_BYTES,
@@ -189,7 +189,7 @@ class _GrowingRecording:
             self._last_ns = row.time_ns
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
-            for camera, name in zip(COLUMNS, row.names, strict=True):
+            for camera, name in zip(CSV_CAMERAS, row.names, strict=True):
                 if not name:
                     continue
                 self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))

@@ -15,7 +15,7 @@ from common import UserError, files
 from common.car import Camera
 from common.interrupts import uninterrupted
 
-COLUMNS: tuple[Camera, ...] = ("center", "left", "right")
+CSV_CAMERAS: tuple[Camera, ...] = ("center", "left", "right")
 
 
 class UdacityWriter:
@@ -54,11 +54,11 @@ class UdacityWriter:
         """One row and its pictures; the time becomes part of their names, to the millisecond."""
         moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
         stamp = f"{moment:%Y_%m_%d_%H_%M_%S}_{moment.microsecond // 1000:03d}"
-        paths = [self._images / f"{camera}_{stamp}.jpg" for camera in COLUMNS]
+        paths = [self._images / f"{camera}_{stamp}.jpg" for camera in CSV_CAMERAS]
         # C# prints floats with seven significant digits, and exponents as E-05
         values = [f"{value:.7g}".replace("e", "E") for value in (steering, throttle, brake, speed_mph)]
         with self._writing():
-            for camera, path in zip(COLUMNS, paths, strict=True):
+            for camera, path in zip(CSV_CAMERAS, paths, strict=True):
                 path.write_bytes(jpegs[camera])
             self._csv.write(",".join([*map(str, paths), *values]) + "\n")
 

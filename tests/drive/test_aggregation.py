@@ -16,8 +16,8 @@ import pytest
 from dataset import IndexConfig, build_index
 from drive.config import DriveConfig
 from drive.errors import DriveError
-from drive.evaluation.aggregation import Aggregation, Places
-from drive.evaluation.closed_loop import Course
+from drive.evaluation.aggregation import Aggregation, AggregationFolders
+from drive.evaluation.simulator_process import BuiltInSimulator
 from driving import Process, command, one_line_of, run
 from model import TrainConfig, train
 from model.runs.checkpoint import checkpoint_path, read_position
@@ -98,9 +98,9 @@ def test_the_new_run_has_learnt_from_the_session_and_from_the_takeovers_alone(ag
 
 
 def aggregation(aggregated: Aggregated, run_name: str, sessions: Path) -> Aggregation:
-    places = Places(sessions, aggregated.folder / "drives", aggregated.folder / "runs")
+    places = AggregationFolders(sessions, aggregated.folder / "drives", aggregated.folder / "runs")
     run_folder = aggregated.folder / "runs" / run_name
-    return Aggregation(run_folder, Course("random:4"), DriveConfig(), 1, places, TrainConfig(epochs=1))
+    return Aggregation(run_folder, BuiltInSimulator("random:4"), DriveConfig(), 1, places, TrainConfig(epochs=1))
 
 
 def test_the_new_run_can_go_on_from_there(aggregated: Aggregated) -> None:

@@ -14,7 +14,8 @@ from mcap.reader import make_reader
 
 from common import UserError
 from drive.config import DriveConfig
-from drive.evaluation.closed_loop import Course, evaluate
+from drive.evaluation.closed_loop import evaluate
+from drive.evaluation.simulator_process import BuiltInSimulator
 from driving import Process as Child
 from driving import command, one_line_of, run, untrained_run
 from model import load_pilot
@@ -220,7 +221,7 @@ def pilot_run(folder: Path) -> Path:
 
 def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp_path: Path) -> None:
     """One here, one as a user calls it."""
-    drives = [(Course("lake", 0.005), DriveConfig())]
+    drives = [(BuiltInSimulator("lake", 0.005), DriveConfig())]
     with Child(
         command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.005, "--logs", tmp_path / "b", "--json")
     ) as child:
@@ -240,7 +241,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     assert Path(there["log"]).name == here.log.name
     ours, theirs = (messages(path, "/camera/center") for path in (here.log, Path(there["log"])))
     # 25 telemetries a second; two are in flight when the drive is over
-    assert len(ours) == pytest.approx(here.book["elapsed_s"] * 25, abs=2)
+    assert len(ours) == pytest.approx(here.report["elapsed_s"] * 25, abs=2)
     assert [CompressedImage.FromString(data).data for _, _, data in ours] == [
         CompressedImage.FromString(data).data for _, _, data in theirs
     ]

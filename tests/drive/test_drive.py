@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import socketio
 import torch
 import websocket
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -31,7 +30,7 @@ from drive.cli import Drive as DriveCommand
 from drive.cli import drive as drive_command
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
-from drive.server import MOST_SIMULATORS, DriveServer
+from drive.drive_server import MAX_SIMULATORS, DriveServer
 from driving import PATIENCE_S, DriveProcess, Process, one_line_of, road_jpeg, run, untrained_run
 from model import load_pilot
 from recorder import Log
@@ -39,7 +38,7 @@ from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.recover import recover, recovered_name
 from recorder.server.telemetry import MAX_IMAGE_BYTES
 from rrd import contents, free_ports
-from serving import wait_until
+from serving import ModernClient, wait_until
 from simulator.protocol.client import (
     ServerCommand,
     SimulatorClient,
@@ -83,38 +82,6 @@ MALFORMED: dict[str, Any] = {
 }
 BROKEN_JSON = ('42["telemetry",{"speed":', '42["telemetry",' + "[" * 100_000)
 MALFORMED_NAMES = [*MALFORMED, *(text[-9:] for text in BROKEN_JSON)]
-
-
-class ModernClient:
-    """python-socketio's own client, over a websocket; it takes the answers as they come."""
-
-    def __init__(self, port: int) -> None:
-        self.answers: list[dict[str, Any]] = []
-        self._came = threading.Condition()
-        self._client = socketio.Client(reconnection=False)
-        self._client.on("steer", self._on_steer)
-        self._client.connect(f"http://127.0.0.1:{port}", transports=["websocket"], wait_timeout=PATIENCE_S)
-
-    def tell(self, data: object) -> dict[str, Any]:
-        """Send one telemetry and wait for its answer."""
-        with self._came:
-            expected = len(self.answers) + 1
-            self._client.emit("telemetry", data)
-            assert self._came.wait_for(lambda: len(self.answers) >= expected, PATIENCE_S), "not answered"
-            return self.answers[-1]
-
-    def wait_for(self, answers: int) -> None:
-        """Until so many have come, asked for or not."""
-        with self._came:
-            assert self._came.wait_for(lambda: len(self.answers) >= answers, PATIENCE_S), "not answered"
-
-    def close(self) -> None:
-        self._client.disconnect()
-
-    def _on_steer(self, data: dict[str, Any]) -> None:
-        with self._came:
-            self.answers.append(data)
-            self._came.notify_all()
 
 
 class OldClient:
@@ -204,7 +171,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         done = Drive(pilot_run, told, client, replay(client, told))
 
         modern = ModernClient(port)
-        done.modern = [modern.tell(fields(i)) for i in range(MODERN)]
+        done.modern = [modern.tell(fields(i))[1] for i in range(MODERN)]
 
         old_commands: list[SteerCommand] = []
         old = threading.Thread(
@@ -213,7 +180,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
             )
         )
         old.start()
-        modern_answers = [modern.tell(fields(i)) for i in range(TOGETHER)]
+        modern_answers = [modern.tell(fields(i))[1] for i in range(TOGETHER)]
         old.join(PATIENCE_S)
         done.together = (old_commands, modern_answers)
         modern.close()
@@ -340,15 +307,15 @@ def test_a_second_simulator_has_a_log_of_its_own_and_that_is_said(drive: Drive) 
 def test_so_many_simulators_are_driven_at_once_and_no_more(pilot_run: Path, tmp_path: Path) -> None:
     said: list[str] = []
     pilot, log = load_pilot(pilot_run), tmp_path / "run.mcap"
-    names = [str(number) for number in range(MOST_SIMULATORS + 2)]
-    with DriveServer(pilot, DriveConfig(), log, port=0, say=said.append) as server:
+    names = [str(number) for number in range(MAX_SIMULATORS + 2)]
+    with DriveServer(pilot, DriveConfig(), log, port=0, notify=said.append) as server:
         for name in names:
             server.connected(name)
         answers = [server.telemetry(name, fields(0), time.perf_counter()) for name in names]
         for answer in answers:
             answer.on_sent(1.0)
-    assert [answer.command is None for answer in answers] == [False] * MOST_SIMULATORS + [True] * 2
-    assert len(list(tmp_path.glob("*.mcap"))) == MOST_SIMULATORS
+    assert [answer.command is None for answer in answers] == [False] * MAX_SIMULATORS + [True] * 2
+    assert len(list(tmp_path.glob("*.mcap"))) == MAX_SIMULATORS
     assert sum("are not driven" in line for line in said) == 1
 
 
@@ -366,7 +333,7 @@ def test_who_comes_back_or_takes_anothers_place_goes_on_in_its_log_and_that_is_s
     pilot_run: Path, tmp_path: Path
 ) -> None:
     log, said = tmp_path / "run.mcap", list[str]()
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
         for name in ("a", "b"):
             server.connected(name)
             server.telemetry(name, fields(0), time.perf_counter()).on_sent(1.0)
@@ -390,7 +357,7 @@ def test_a_simulator_that_comes_while_the_others_are_braked_is_braked_too(pilot_
 
 def test_a_second_log_that_cannot_be_opened_leaves_the_first_drive_alone(pilot_run: Path, tmp_path: Path) -> None:
     log, said = tmp_path / f"{'x' * 238}.mcap", list[str]()  # as long as a name may be, and the second's is longer
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
         commands = []
         for name in ("a", "b", "a", "b"):
             answer = server.telemetry(name, fields(0), time.perf_counter())
@@ -404,7 +371,7 @@ def test_a_second_log_that_cannot_be_opened_leaves_the_first_drive_alone(pilot_r
 def test_who_goes_when_he_is_sent_something_unasked_ends_nobodys_drive(
     pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drive.session.WATCHDOG_S", 0.0)  # both are silent for too long
+    monkeypatch.setattr("drive.drive_session.WATCHDOG_S", 0.0)  # both are silent for too long
     with DriveServer(load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0) as server:
         for name in ("a", "b"):
             server.connected(name)
@@ -662,14 +629,14 @@ def test_a_silent_simulator_is_sent_the_brake_and_its_release_without_being_aske
         client.tell(fields(0))
         if answers_braked:
             process.popen.send_signal(signal.SIGINT)
-            while client.answers[-1]["throttle"] != "-1.000000" or answers_braked > 1:
-                answers_braked -= client.tell(fields(0))["throttle"] == "-1.000000"
+            while client.answers[-1][1]["throttle"] != "-1.000000" or answers_braked > 1:
+                answers_braked -= client.tell(fields(0))[1]["throttle"] == "-1.000000"
         else:
             client.wait_for(2)  # it was pushed on, and stays silent
             process.popen.send_signal(signal.SIGINT)
         assert process.join() == 0
         client.close()
-    throttles = [float(answer["throttle"]) for answer in client.answers]
+    throttles = [float(command["throttle"]) for _, command in client.answers]
     braked = throttles[throttles.index(-1.0) :]
     assert set(braked[: braked.index(0.0)]) == {-1.0}
     assert set(braked[braked.index(0.0) :]) == {0.0}
@@ -694,18 +661,18 @@ def test_a_brake_is_released_after_the_stopping_time_and_said_only_once_it_was_s
         server.telemetry("a", fields(0), time.perf_counter()).on_sent(1.0)
         now_s += 0.5
         session.stop()
-        assert session.stopping == ""
+        assert session.stop_notice == ""
         sent = {}
         for tick in range(20):
-            if (steer := session.push_brake()) is not None:
+            if (steer := session.brake_steer()) is not None:
                 sent[tick] = steer.throttle
             now_s += 0.1
-        assert session.stopping == "the car is braked to a stand"
+        assert session.stop_notice == "the car is braked to a stand"
         (braked, released) = sent
         assert (braked, list(sent.values())) == (0, [-1.0, 0.0])
         assert 4 <= released <= 9
-        assert session.is_braked
-        assert session.end() == "the car may still roll: it tells nothing any more"
+        assert session.is_at_rest
+        assert session.end_notice() == "the car may still roll: it tells nothing any more"
         session.connected()  # silence on the drive: a brake is not repeated
         server.telemetry("a", fields(0, speed="30.0000"), time.perf_counter()).on_sent(1.0)
         for _ in range(30):
@@ -713,14 +680,14 @@ def test_a_brake_is_released_after_the_stopping_time_and_said_only_once_it_was_s
             answer = server.telemetry("a", fields(0, speed="30.0000", image="@"), time.perf_counter())
         assert answer.command is not None
         now_s += 1.5
-        pushed = session.push()
+        pushed = session.watchdog_steer()
         assert pushed is not None
         assert pushed.throttle == 0.0
 
 
 def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path) -> None:
     log, said = tmp_path / "run.mcap", list[str]()
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
         server.connected("a")
 
         def tell(speed: str, **changed: Any) -> float:
@@ -732,7 +699,7 @@ def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path)
         tell("9.0000")
         server.stop()
         assert [tell("9.0000"), tell("8.0000", image="%%%"), tell("0.4000"), tell("0.0000")] == [-1, -1, 0, 0]
-        assert server.session.is_braked
+        assert server.session.is_at_rest
     commands = [PilotCommand.FromString(data) for _, _, data in messages(log, "/pilot/command")]
     assert [command.driver for command in commands] == [PilotCommand.PILOT] + [PilotCommand.BRAKE] * 3
     events = [LogMessage.FromString(data).message for _, _, data in messages(log, "/events")]
@@ -742,7 +709,7 @@ def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path)
 def test_a_simulator_that_comes_and_goes_does_not_fill_the_screen(pilot_run: Path, tmp_path: Path) -> None:
     said: list[str] = []
     log = tmp_path / "run.mcap"
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, say=said.append) as server:
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
         for number in range(20):
             server.connected(str(number))
             server.telemetry(str(number), fields(0), time.perf_counter()).on_sent(1.0)
@@ -756,7 +723,7 @@ def test_a_simulator_that_comes_and_goes_does_not_fill_the_screen(pilot_run: Pat
 def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_path: Path) -> None:
     shown: list[str] = []
     with DriveServer(
-        load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0, show=shown.append
+        load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0, show_status=shown.append
     ) as server:
         server.connected("a")
         server.telemetry("a", fields(0), time.perf_counter()).on_sent(1.0)
@@ -830,7 +797,7 @@ def test_threads_serve_as_eventlet_does(drive: Drive, tmp_path: Path) -> None:
         port = process.wait_until_it_listens()
         assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.told) == drive.commands
         modern = ModernClient(port)
-        assert [modern.tell(fields(i)) for i in range(MODERN)] == drive.modern
+        assert [modern.tell(fields(i))[1] for i in range(MODERN)] == drive.modern
         modern.close()
         assert process.end() == 0
     assert images(log, "/camera/center")[:REPLAYED] == drive.told
@@ -850,7 +817,7 @@ def test_a_drive_is_shown_in_a_file_while_it_goes_on(pilot_run: Path, tmp_path: 
 def test_what_the_disk_could_not_take_is_counted_and_said(
     pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("drive.log.log_thread.MOST_PICTURE_BYTES", 0)
+    monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", 0)
     (port,) = free_ports(1)
     told = [road_jpeg(i) for i in range(5)]
 

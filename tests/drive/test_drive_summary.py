@@ -12,8 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drive.control.driver import Decision
-from drive.log.latency import LARGEST_MS, RESOLUTION, SMALLEST_MS, Latency
-from drive.log.summary import DriveSummary
+from drive.log.drive_summary import DriveSummary
+from drive.log.latency_histogram import LARGEST_MS, RESOLUTION, SMALLEST_MS, LatencyHistogram
+from drive.log.live_status import LiveStatus
+from drive.log.summary_lines import summary_lines
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from simulator.driving.course import Course
@@ -73,10 +75,10 @@ def test_laps_are_told_only_if_every_frame_told_them() -> None:
         summary.decision(decided(world=replace(WORLD, time_s=i / 25, laps=i / 100)), 2.0, now_s=1 + i / 25)
     assert summary.laps is None
     assert "laps" not in summary.as_metadata()
-    distance, autonomy, *_ = summary.lines()
+    distance, autonomy, *_ = summary_lines(summary)
     assert "laps" not in distance
     assert autonomy == "autonomy 100.0 %, 0 interventions (for 3 frames nobody told when the car left the road)"
-    assert "laps" not in summary.status(2.0)
+    assert "laps" not in LiveStatus(summary).line(2.0)
 
 
 # Percentiles
@@ -86,7 +88,7 @@ times_ms = st.floats(SMALLEST_MS, LARGEST_MS)
 
 @given(st.lists(times_ms, min_size=1, max_size=200), st.floats(0, 100))
 def test_percentiles_are_numpys_within_the_stated_resolution(values: list[float], percent: float) -> None:
-    latency = Latency()
+    latency = LatencyHistogram()
     for ms in values:
         latency.add(ms)
     exact = np.percentile(values, percent, method="inverted_cdf")
@@ -98,7 +100,7 @@ def test_percentiles_of_a_drives_latencies() -> None:
     random = np.random.default_rng(1)
     values = np.exp(random.normal(0.5, 0.4, 100_000))
     values[:500] += 20
-    latency = Latency()
+    latency = LatencyHistogram()
     for ms in values:
         latency.add(ms)
     for percent in (50, 90, 99, 99.9):
@@ -107,7 +109,7 @@ def test_percentiles_of_a_drives_latencies() -> None:
 
 
 def test_times_that_no_clock_shows_do_no_harm() -> None:
-    latency = Latency()
+    latency = LatencyHistogram()
     assert (latency.percentile_ms(99), latency.max_ms) == (0.0, 0.0)
     for ms in (0.0, -1.0, 1e-9, 1e9, float("inf")):
         latency.add(ms)
@@ -182,7 +184,7 @@ def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float
     summary.manual(2.0, now_s=1500 * clocks_s + 0.5)  # 0.5 s of ours, at 20 mph nobody knows
     assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 60.5))
     assert summary.laps is None
-    assert "this simulator does not tell when the car leaves the road" in " ".join(summary.lines())
+    assert "this simulator does not tell when the car leaves the road" in " ".join(summary_lines(summary))
 
 
 def test_it_is_said_whose_seconds_they_are() -> None:
@@ -190,7 +192,7 @@ def test_it_is_said_whose_seconds_they_are() -> None:
         summary = DriveSummary()
         for i, world in enumerate(worlds):
             summary.decision(decided(0.0, world), 2.0, now_s=i * 0.5)
-        return summary.lines()[0].partition(":")[0]
+        return summary_lines(summary)[0].partition(":")[0]
 
     times = [World(time_s=i * 2.0) for i in range(3)]
     assert first_line(None, None, None) == "3 frames in 1.0 s"
@@ -214,7 +216,7 @@ def test_laps_and_interventions_may_be_told_without_each_other() -> None:
         put_back.decision(decided(world=World(interventions=i)), 2.0, now_s=i / 10)
     assert (laps.laps, laps.put_back) == (1.0, 0)
     assert (put_back.laps, put_back.put_back) == (None, 2)
-    assert "nobody told" not in " ".join(put_back.lines())
+    assert "nobody told" not in " ".join(summary_lines(put_back))
 
 
 def test_a_lap_of_the_expert_is_what_the_simulators_own_book_says() -> None:
@@ -291,7 +293,7 @@ def test_autonomy_and_speed_are_unknown_where_nothing_was_driven() -> None:
                 summary.decision(decision, 2.0, now_s=i / 10)
         assert summary.autonomy_percent is None
         assert "autonomy_percent" not in summary.as_metadata()
-        assert summary.lines()[1].startswith("autonomy unknown, for nothing was driven")
+        assert summary_lines(summary)[1].startswith("autonomy unknown, for nothing was driven")
         assert (summary.mean_speed_mph is None) == (told != [no_number] * 30)
 
 
@@ -301,8 +303,8 @@ def test_the_time_in_which_nothing_could_be_used_is_no_driving() -> None:
         summary.decision(decided() if i <= 100 else BAD, 2.0, now_s=i / 10)
     summary.manual(0.1, 30.1)
     assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 10.1))
-    assert summary.lines()[1].startswith("autonomy 40.6 % of the 10.1 s that were driven, 1 intervention")
-    assert summary.lines()[-1] == "200 telemetries could not be used: not an object (200)"
+    assert summary_lines(summary)[1].startswith("autonomy 40.6 % of the 10.1 s that were driven, 1 intervention")
+    assert summary_lines(summary)[-1] == "200 telemetries could not be used: not an object (200)"
 
 
 def test_a_brake_between_two_stretches_of_the_expert_makes_no_second_takeover() -> None:
@@ -373,7 +375,7 @@ def test_the_lines_for_people() -> None:
     summary.decision(BAD, 0.1, now_s=0.0)
     summary.decision(decided(driver="expert", world=replace(WORLD, time_s=120.0, laps=1.2)), 2.0, now_s=0.0)
     summary.dropped_pictures = 12
-    distance, autonomy, latency, malformed, dropped = summary.lines()
+    distance, autonomy, latency, malformed, dropped = summary_lines(summary)
     assert distance == "1,202 frames in 120.0 s by the simulator's clock: 1.20 laps, 536 m, 10.0 mph on average"
     assert autonomy == "autonomy 95.0 %, 1 intervention: 1 by the expert"
     assert latency.startswith("latency p50/p99/max in ms: parse 0.10/0.10/0.10, decode ")
@@ -385,13 +387,13 @@ def test_frames_without_a_number_of_the_network_are_told() -> None:
     summary = DriveSummary()
     for i in range(3):
         summary.decision(decided(problem="the network gave no number" if i else ""), 2.0, now_s=i / 10)
-    assert summary.lines()[-1] == "the network gave no number for 2 frames: the car was braked"
+    assert summary_lines(summary)[-1] == "the network gave no number for 2 frames: the car was braked"
     assert summary.as_metadata()["without_number"] == "2"
     assert summary.frames == 3
 
 
 def test_a_drive_that_never_was_has_lines_too() -> None:
-    assert DriveSummary().lines() == [
+    assert summary_lines(DriveSummary()) == [
         "0 frames in 0.0 s: distance and speed unknown",
         "autonomy unknown, for nothing was driven, 0 interventions",
     ]
@@ -399,26 +401,28 @@ def test_a_drive_that_never_was_has_lines_too() -> None:
 
 def test_the_live_line_tells_the_last_second() -> None:
     summary = DriveSummary()
-    assert summary.status(0.0) == ""
+    status = LiveStatus(summary)
+    assert status.line(0.0) == ""
     for i in range(1, 401):  # 20 a second for ten seconds, then 50
         now_s = i / 20 if i <= 200 else 10 + (i - 200) / 50
         summary.decision(decided(speed_mph=10.1), 9.0 if i <= 200 else 1.9, now_s)
-        line = summary.status(now_s)
+        line = status.line(now_s)
         if i == 200:
             assert line == "10.1 mph, steer +0.03, 20 Hz, 9.0 ms, 0.0 s ago"
     assert line == "10.1 mph, steer +0.03, 50 Hz, 1.9 ms, 0.0 s ago"
-    assert summary.status(16.5) == "10.1 mph, steer +0.03, 0 Hz, 1.9 ms, 2.5 s ago"
+    assert status.line(16.5) == "10.1 mph, steer +0.03, 0 Hz, 1.9 ms, 2.5 s ago"
     summary.manual(0.1, 17.0)
-    assert summary.status(17.0).startswith("1 intervention, 10.1 mph, a human drives")
+    assert status.line(17.0).startswith("1 intervention, 10.1 mph, a human drives")
 
 
 def test_the_live_line_tells_what_cannot_be_used() -> None:
     summary = DriveSummary()
+    status = LiveStatus(summary)
     lines = []
     for i in range(1, 161):  # two seconds of good ones, two in which every fourth is bad, four of bad ones only
         bad = i > 80 or (i > 40 and i % 4 == 0)
         summary.decision(BAD if bad else decided(), 2.0, now_s=i / 20)
-        lines.append(summary.status(i / 20))
+        lines.append(status.line(i / 20))
     assert lines[39] == "10.0 mph, steer +0.03, 20 Hz, 2.0 ms, 0.0 s ago"
     assert lines[78] == "10.0 mph, steer +0.03, 20 Hz, 5 bad, 0.0 s ago"
     assert lines[159] == "20 Hz, none of it usable, 0.0 s ago"
@@ -427,10 +431,11 @@ def test_the_live_line_tells_what_cannot_be_used() -> None:
 @pytest.mark.parametrize("driver", ["pilot", "expert"])
 def test_the_live_line_fits_a_terminal_of_80_columns(driver: Literal["pilot", "expert"]) -> None:
     summary = DriveSummary()
+    status = LiveStatus(summary)
     for i in range(251):
         world = replace(WORLD, time_s=i / 100, laps=i / 100, interventions=i // 30)
         summary.decision(decided(world=world, driver=driver), 13.3, now_s=i / 100)
-        line = summary.status(i / 100)
+        line = status.line(i / 100)
     who = {"pilot": "8 interventions, 10.0 mph, steer", "expert": "9 interventions, 10.0 mph, expert"}
     assert line == f"2.50 laps, {who[driver]} +0.03, 100 Hz, 13.3 ms, 0.0 s ago"
     assert len(f"* {line}") <= 80  # behind what turns to show that it goes on
@@ -446,9 +451,9 @@ def test_whatever_a_simulator_tells_there_is_a_summary(told: list[tuple[float, f
         if abs(speed_mph) < sys.float_info.max:  # a telemetry's numbers are finite
             summary.decision(decided(speed_mph, world if time_s > 1 else None), 2.0, now_s=time_s)
         assert summary.autonomy_percent is None or 0.0 <= summary.autonomy_percent <= 100.0
-    assert summary.lines()
+    assert summary_lines(summary)
     assert summary.as_metadata()
-    summary.status(0.0)
+    LiveStatus(summary).line(0.0)
 
 
 def test_hours_of_driving_take_no_more_memory_than_a_minute() -> None:
@@ -465,11 +470,12 @@ def test_hours_of_driving_take_no_more_memory_than_a_minute() -> None:
         return sys.getsizeof(thing) + sum(size(part, seen) for part in held)
 
     summary = DriveSummary()
+    status = LiveStatus(summary)
     sizes = []
     for i in range(60_000):
         summary.decision(decided(), 1.0 + i % 50, now_s=i / 50)
         if i % 5 == 0:
-            summary.status(i / 50)
+            status.line(i / 50)
         if i in (3_000, 59_999):
-            sizes.append(size(summary, set()))
+            sizes.append(size(status, set()))
     assert sizes[1] < sizes[0] * 1.1

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from dataset import decode
 from drive.config import DriveConfig
 from drive.control.driver import Decision, Driver
-from drive.control.speed_controller import fastest_mph
-from drive.control.telemetry_picture import MOST_PIXELS
+from drive.control.speed_controller import max_curve_speed_mph
+from drive.control.telemetry_picture import MAX_PIXELS
 from drive.errors import DriveError
 from driving import road_jpeg
 from model import Pilot
@@ -118,7 +118,7 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
 @pytest.mark.parametrize(
     ("jpeg", "problem"),
     [
-        (encoded(2049, 1024), f"image has more than {MOST_PIXELS:,} pixels (2,098,176)"),
+        (encoded(2049, 1024), f"image has more than {MAX_PIXELS:,} pixels (2,098,176)"),
         (base64.b64encode(road_jpeg(0)[:-900]).decode(), "image is a JPEG that is cut off or damaged ("),
         (base64.b64encode(b"\x89PNG" + bytes(99)).decode(), "image is a PNG, not a JPEG"),
         (base64.b64encode(bytes(99)).decode(), "image is not a JPEG (99 bytes)"),
@@ -438,7 +438,7 @@ def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) ->
 @pytest.mark.parametrize("steering", [0.05, 0.2, -0.4, 0.7, -1.0])
 def test_in_curves_the_car_is_thrown_outwards_no_more_than_the_expert_allows(steering: float) -> None:
     """By the simulator's own car, held at the speed and the steering until it has settled."""
-    speed_mph = min(fastest_mph(steering), 100.0)
+    speed_mph = min(max_curve_speed_mph(steering), 100.0)
     car = CarState(0.0, 0.0, 0.0)
     for _ in range(100):
         car = step(replace(car, speed_mps=speed_mph * 0.44704), steering, 0.0)
@@ -452,7 +452,7 @@ def test_the_set_speed_is_lowered_in_curves_if_asked_for(half_right: Pilot) -> N
     unhindered, slowed = drive(Driver(half_right, fast), data), drive(Driver(half_right, slow), data)
     straight = drive(Driver(pilot_that_says(0.0), slow), data)
     assert (unhindered.set_speed_mph, straight.set_speed_mph) == (25.0, 25.0)
-    assert slowed.set_speed_mph == pytest.approx(fastest_mph(0.5))
+    assert slowed.set_speed_mph == pytest.approx(max_curve_speed_mph(0.5))
     assert slowed.set_speed_mph < 15.0
     assert slowed.throttle < 0 < unhindered.throttle == straight.throttle
 

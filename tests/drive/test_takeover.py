@@ -23,7 +23,7 @@ def driven(takeover: Takeover, offsets: list[float], steering: float = 0.1) -> l
     seen = []
     for number, offset in enumerate(offsets):
         time_s = number * STEP_S
-        said = takeover.after(time_s, replace(MIDDLE, time_s=time_s, offset=offset), steering)
+        said = takeover.update(time_s, replace(MIDDLE, time_s=time_s, offset=offset), steering)
         seen.append((takeover.expert_drives, said))
     return seen
 
@@ -47,7 +47,7 @@ def test_a_network_that_cannot_steer_stays_on_the_road_at_the_experts_hands() ->
             )
             command = (0.0, throttle)
             if takeover is not None:
-                takeover.after(course.time_s, world, 0.0)
+                takeover.update(course.time_s, world, 0.0)
                 drivers.add(takeover.expert_drives)
                 if takeover.expert_drives:
                     command = (steering, throttle)
@@ -115,8 +115,8 @@ def test_each_change_is_said_once() -> None:
 def test_a_car_that_was_put_back_has_not_driven_to_the_middle() -> None:
     """From 0.8 to the left of it to its right, in one step: no sideways speed that anything follows from."""
     takeover = Takeover()
-    takeover.after(0.0, replace(MIDDLE, offset=0.8), 0.0)
-    takeover.after(STEP_S, replace(MIDDLE, time_s=STEP_S, offset=-0.1, interventions=1), 0.0)
+    takeover.update(0.0, replace(MIDDLE, offset=0.8), 0.0)
+    takeover.update(STEP_S, replace(MIDDLE, time_s=STEP_S, offset=-0.1, interventions=1), 0.0)
     assert not takeover.expert_drives
 
 
@@ -127,18 +127,18 @@ def test_without_a_world_the_network_drives_and_that_is_said_once() -> None:
         " (`bc-sim --tell-world` does); in Udacity's, a human takes over by holding a key"
     ]
     times_s = (0.0, 0.9, 1.0, 1.1, 3.0)
-    assert [takeover.after(time_s, None, 0.0) for time_s in times_s] == [[], [], missing, [], []]
-    takeover.after(3.3, replace(MIDDLE, offset=0.95), 0.0)
+    assert [takeover.update(time_s, None, 0.0) for time_s in times_s] == [[], [], missing, [], []]
+    takeover.update(3.3, replace(MIDDLE, offset=0.95), 0.0)
     assert takeover.expert_drives
-    assert takeover.after(3.4, None, 0.0) == ["the pilot drives again"]
+    assert takeover.update(3.4, None, 0.0) == ["the pilot drives again"]
     assert not takeover.expert_drives
 
 
 def test_a_first_telemetry_without_an_expert_is_not_judged_by() -> None:
     takeover = Takeover()
-    said = takeover.after(0.0, World(time_s=0.0), 0.0)
+    said = takeover.update(0.0, World(time_s=0.0), 0.0)
     for k in range(1, 50):
-        said += takeover.after(k / 10, replace(MIDDLE, time_s=k / 10, offset=0.95), 0.0)
+        said += takeover.update(k / 10, replace(MIDDLE, time_s=k / 10, offset=0.95), 0.0)
     assert [text.partition(":")[0] for text in said] == ["the expert takes over"]
 
 
@@ -146,15 +146,15 @@ def test_a_simulator_without_poses_laps_or_a_clock_of_its_own_has_an_expert_all_
     takeover = Takeover()
     told = World(offset=0.0, expert_steering=0.3, expert_throttle=0.5)
     # half of the half width a second to the left: at 0.7 s from 0.9
-    taken = [takeover.after(k / 10, replace(told, offset=k / 20), 0.0) for k in range(13)]
+    taken = [takeover.update(k / 10, replace(told, offset=k / 20), 0.0) for k in range(13)]
     assert [k for k, said in enumerate(taken) if said] == [12]
     assert takeover.expert_drives
 
 
 def test_what_an_expert_needs_and_is_not_told_is_named() -> None:
     takeover = Takeover()
-    takeover.after(0.0, World(time_s=1.0, offset=0.95), 0.0)
-    (said,) = takeover.after(1.0, World(time_s=2.0, offset=0.95), 0.0)
+    takeover.update(0.0, World(time_s=1.0, offset=0.95), 0.0)
+    (said,) = takeover.update(1.0, World(time_s=2.0, offset=0.95), 0.0)
     assert "does not tell expert_steering, expert_throttle (" in said
 
 
@@ -162,11 +162,11 @@ def test_laps_and_cars_that_were_put_back_are_events() -> None:
     events = CourseEvents()
     back = "off the road, or stuck: the simulator put the car back"
     told = [(0.5, 0), (0.99, 0), (1.01, 0), (0.98, 0), (1.02, 1), (1.5, 1), (2.0, 3), (math.pi, 3)]
-    said = [events.after(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in told]
+    said = [events.update(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in told]
     assert said == [[], [], ["lap 1"], [], [back], [], [back, "lap 2"], ["lap 3"]]
 
 
 def test_what_was_before_a_connection_is_no_event() -> None:
-    assert CourseEvents().after(replace(MIDDLE, laps=7.2, interventions=3)) == []
+    assert CourseEvents().update(replace(MIDDLE, laps=7.2, interventions=3)) == []
     backwards = CourseEvents()
-    assert [backwards.after(replace(MIDDLE, laps=laps)) for laps in (-0.1, 0.1, -0.1, 0.2)] == [[]] * 4
+    assert [backwards.update(replace(MIDDLE, laps=laps)) for laps in (-0.1, 0.1, -0.1, 0.2)] == [[]] * 4

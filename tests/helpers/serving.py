@@ -166,7 +166,7 @@ def fields(number: int, **changed: Any) -> dict[str, Any]:
 
 
 class ModernClient:
-    """python-socketio's own client."""
+    """python-socketio's own client, over a websocket; `answers` holds each event and its data as they come."""
 
     def __init__(self, port: int) -> None:
         self.answers: list[tuple[str, Any]] = []
@@ -177,11 +177,17 @@ class ModernClient:
         self.client.connect(f"http://127.0.0.1:{port}", transports=["websocket"], wait_timeout=PATIENCE_S)
 
     def tell(self, data: object) -> tuple[str, Any]:
+        """Send one telemetry and wait for its answer."""
         with self._came:
             expected = len(self.answers) + 1
             self.client.emit("telemetry", data)
             assert self._came.wait_for(lambda: len(self.answers) >= expected, PATIENCE_S), "not answered"
             return self.answers[-1]
+
+    def wait_for(self, answers: int) -> None:
+        """Wait until so many have come, asked for or not."""
+        with self._came:
+            assert self._came.wait_for(lambda: len(self.answers) >= answers, PATIENCE_S), "not answered"
 
     def close(self) -> None:
         self.client.disconnect()

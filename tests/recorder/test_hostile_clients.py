@@ -20,7 +20,7 @@ import pytest
 import websocket
 
 from drive.config import DriveConfig
-from drive.server import DriveServer
+from drive.drive_server import DriveServer
 from driving import PATIENCE_S, untrained_run
 from logs import read_messages
 from model import load_pilot

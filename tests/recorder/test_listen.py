@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-import socketio
 import websocket
 from mcap.reader import make_reader
 from websocket import ABNF
@@ -29,6 +28,7 @@ from logs import START_NS, read_messages
 from recorder import Imported, RecordingError
 from recorder.errors import ListenError
 from recorder.sources.live_telemetry import listen_for_telemetry
+from serving import ModernClient
 from simulator.protocol.client import (
     ServerCommand,
     SimulatorClient,
@@ -96,34 +96,6 @@ class ListenProcess(Process):
         return int(self.wait_for(r"^waiting for a simulator on 127\.0\.0\.1:(\d+)$")[1])
 
 
-class ModernClient:
-    """python-socketio's own client."""
-
-    def __init__(self, port: int) -> None:
-        self.answers: list[Any] = []
-        self._came = threading.Condition()
-        self._client = socketio.Client(reconnection=False)
-        self._client.on("manual", lambda data: self._note(("manual", data)))
-        self._client.on("steer", lambda data: self._note(("steer", data)))
-        self._client.connect(f"http://127.0.0.1:{port}", transports=["websocket"], wait_timeout=PATIENCE_S)
-
-    def tell(self, data: object) -> Any:
-        """Send one telemetry and wait for its answer."""
-        with self._came:
-            expected = len(self.answers) + 1
-            self._client.emit("telemetry", data)
-            assert self._came.wait_for(lambda: len(self.answers) >= expected, PATIENCE_S), "not answered"
-            return self.answers[-1]
-
-    def close(self) -> None:
-        self._client.disconnect()
-
-    def _note(self, answer: object) -> None:
-        with self._came:
-            self.answers.append(answer)
-            self._came.notify_all()
-
-
 def fields(telemetry: SimulatorTelemetry, **changed: Any) -> dict[str, Any]:
     """A telemetry as JSON, for clients that are not ours; ... leaves a field out."""
     told = {
@@ -171,7 +143,7 @@ class Listened:
     old: list[ServerCommand] = field(default_factory=list)
     modern: list[Any] = field(default_factory=list)
     bad: dict[str, Any] = field(default_factory=dict)
-    comma: list[ServerCommand] = field(default_factory=list)
+    comma: list[Any] = field(default_factory=list)
     manual: list[ServerCommand] = field(default_factory=list)
     exit_code: int = -1
     stdout: str = ""

@@ -1,4 +1,4 @@
-"""The clock of a drive: the simulator's own where it tells one, else this computer's."""
+"""The clock of a drive: the simulator's own where it sends one, else this computer's."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from recorder.server.world import World
 class DriveClock:
     """Seconds since the first telemetry; they never go back.
 
-    Between two telemetries that both tell the simulated time, that is what passes, unless it jumps; between any
+    Between two telemetries that both hold the simulated time, that time passes, unless it jumps; between any
     others, the time of this computer. So a drive in lock-step depends on nobody's speed, and one telemetry with
-    another clock, or with none, does not move the drive's clock by hours. A simulated clock that stands while this
-    computer's runs on is not used.
+    another clock, or with none, does not move the drive's clock by hours. A simulated clock that stands still
+    while this computer's runs on is not used.
     """
 
     def __init__(self) -> None:
@@ -21,19 +21,20 @@ class DriveClock:
         self._world_s: float | None = None
         self._standing = StandingClock()
         self.safety_s = 0.0
-        """Of each step, what that clock says that says more: none puts off a brake, or its release."""
+        """Seconds of which each step is the longer one of both clocks: neither delays a brake, or its release."""
         self.missed_s = 0.0
-        """What was taken for no time, and was found at the last telemetry to be that of a clock that stands."""
+        """Seconds to be added at the last telemetry: a clock that proved to stand still had counted them as
+        none."""
         self.is_simulated = False
-        """Whether what passed before the last telemetry is by the simulator's own clock."""
+        """True if the time before the last telemetry is the simulator's."""
 
     @property
     def stands(self) -> bool:
-        """Whether the simulator's clock was found not to run."""
+        """True once the simulator's clock has proved to stand still."""
         return self._standing.stands
 
-    def at(self, now_s: float, world: World | None) -> float:
-        """The time of a telemetry that came at `now_s` of a monotonic clock."""
+    def advance(self, now_s: float, world: World | None) -> float:
+        """The drive's time of a telemetry that came at `now_s` of a monotonic clock."""
         world_s = None if world is None else world.time_s
         passed_s = least_s = 0.0 if self._now_s is None else now_s - self._now_s
         self.is_simulated = False

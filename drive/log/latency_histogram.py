@@ -1,4 +1,4 @@
-"""Percentiles of times, over hours of driving, in fixed memory."""
+"""A histogram of latencies: percentiles over hours of driving, in fixed memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RATIO: Final = math.log(1 + 2 * RESOLUTION)
 _BINS: Final = math.ceil(math.log(LARGEST_MS / SMALLEST_MS) / _RATIO) + 1
 
 
-class Latency:
+class LatencyHistogram:
     """A histogram of times in ms, its bins each 2 % wider than the one before: 930 of them, from 1 us to 100 s.
 
     Times below or above count as the first or the last; `max_ms` is exact.

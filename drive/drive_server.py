@@ -1,4 +1,4 @@
-"""Driving with a trained network: every telemetry is answered, and every answer is logged."""
+"""The server of a drive: every telemetry is answered by the network's command, and every answer is logged."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from common.errors import counted
 from common.interrupts import StopEvent, force_quit_announced
 from dataset.preprocess import DESCRIPTION
 from drive.config import DriveConfig
-from drive.session import DriveSession
+from drive.drive_session import DriveSession
 from model import Pilot
 from recorder import LogWriter
 from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
 
-QUIET_S: Final = 3.0
-"""Whoever has connected and tells nothing for so long is in its menu, or no simulator."""
-MOST_SIMULATORS: Final = 8
-"""At once; each has a log of its own. One more is told to drive by itself."""
+NO_TELEMETRY_S: Final = 3.0
+"""A client that has connected and sends no telemetry for so long is in its menu, or no simulator."""
+MAX_SIMULATORS: Final = 8
+"""The most at once; each has a log of its own. One more gets `manual`: it drives by itself."""
 WAITING: Final = "connected, waiting for telemetry"
 MENU: Final = "connected, but no telemetry comes: choose Autonomous Mode in the simulator"
-MOST_COMINGS: Final = 3
-"""Of a simulator that comes and goes, each time with lines that say so; then one says that no more will."""
+MAX_CONNECTION_NOTICES: Final = 3
+"""The connections of a simulator that comes and goes which get notices of their own; then a last one follows."""
 BRAKING_S: Final = 5.0
 """From 30 mph the car stands in under 3 s; a simulator that does not go on is not waited for any longer."""
 
@@ -52,52 +52,54 @@ class DriveServer:
         port: int = 4567,
         mode: ServerMode = "eventlet",
         is_built_in: bool = False,
-        say: Callable[[str], None] = lambda text: None,
-        show: Callable[[str], None] = lambda text: None,
+        notify: Callable[[str], None] = lambda text: None,
+        show_status: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Opens the log and starts to listen; port 0 takes a free one.
 
-        `say` is told what happens, `show` ten times a second how the drive goes.
-        `is_built_in`: it is the built-in simulator. Its silence is no fault, for it loses no telemetry; it does
-        not come back.
+        `notify` gets a line for each thing that happens, `show_status` ten times a second the status of the drive.
+        `is_built_in`: the simulator is the built-in one. Its silence is no fault, for it loses no telemetry; it
+        does not come back.
         Raises UserError if `log` exists and may not be overwritten, ListenError if the port is taken.
         """
         self._pilot = pilot
         self.config = config
         self._log = log
         self._is_built_in = is_built_in
-        self.say = say
-        self._show = show
-        self._said: set[str] = set()
+        self.notify = notify
+        self._show_status = show_status
+        self._notified: set[str] = set()
         self._connections = 0
-        self._of: dict[str, DriveSession] = {}
-        self._quiet: dict[str, float] = {}  # those that have told nothing yet -> when they connected
+        self._driven: dict[str, DriveSession] = {}
+        self._silent_since_s: dict[str, float] = {}  # no telemetry yet -> when it connected
         self._stopping_since_s: float | None = None
-        self._braked: set[DriveSession] = set()  # when it was stopping
+        self._stopping: set[DriveSession] = set()  # those that are braked at the end
         self.sessions: list[DriveSession] = []
         with ExitStack() as stack:
             self._stack = stack
             self._open_session(log, overwrite)
             first: Steer | Literal["nothing"] = "nothing" if is_built_in else Steer(0.0, 0.0)
-            self._server = TelemetryServer(self, host=host, port=port, mode=mode, notify=say, first_command=first)
+            self._server = TelemetryServer(
+                self, host=host, port=port, mode=mode, notify=notify, first_command=first
+            )
             self._stack = stack.pop_all()
         self.port = self._server.port
 
     @property
     def session(self) -> DriveSession:
-        """The first simulator's: the one of the log that was asked for."""
+        """The first simulator's session, whose log is the one that was asked for."""
         return self.sessions[0]
 
     @property
-    def why_nothing(self) -> str:
-        """What to say of a drive without a single telemetry."""
+    def no_drive_reason(self) -> str:
+        """The notice about a drive without a single telemetry."""
         if self._connections:
             return "a simulator connected, but told no telemetry; choose Autonomous Mode there"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
 
     def run(self, until: Callable[[], bool] = lambda: False, stopped: StopEvent | None = None) -> None:
-        """Serve until `until()` is true, `stopped` is set, or a log cannot be written any more, and every car is
-        braked to a stand. The latter is not waited for when `stopped` is set again.
+        """Serve until `until()` is true, `stopped` is set, or a log cannot be written any more; then brake every
+        car to a stand, unless `stopped` is set again.
 
         Raises UserError if a log could not be written.
         """
@@ -108,68 +110,68 @@ class DriveServer:
                 return False
             if self._stopping_since_s is None:
                 self.stop()
-            self._say_how_it_stops(may_hurry=is_asked)
-            return self._is_at_rest() or (stopped is not None and stopped.again.is_set())
+            self._notify_stopping(may_hurry=is_asked)
+            return self._all_stopped() or (stopped is not None and stopped.again.is_set())
 
         self._server.run(is_over)
-        for session in self._braked:
-            if text := session.end():
-                self.say(text)
+        for session in self._stopping:
+            if text := session.end_notice():
+                self.notify(text)
         if self._failure is not None:
             raise self._failure
 
     def stop(self) -> None:
         """From now on every car is braked to a stand."""
         self._stopping_since_s = time.monotonic()
-        for session in self._of.values():
+        for session in self._driven.values():
             self._brake(session)
-        self._push(DriveSession.push_brake)
+        self._push(DriveSession.brake_steer)
 
     def connected(self, sid: str) -> None:
-        """Whose log it gets is seen when it tells telemetry: others connect too, and tell none."""
+        """Note a client; it gets a session when its first telemetry comes, which other programs never send."""
         self._connections += 1
-        self._quiet[sid] = time.monotonic()
-        if not self._of:
-            self._say_once(WAITING)
+        self._silent_since_s[sid] = time.monotonic()
+        if not self._driven:
+            self._notify_once(WAITING)
 
     def disconnected(self, sid: str, reason: str) -> None:
-        self._quiet.pop(sid, None)
-        session = self._of.pop(sid, None)
+        self._silent_since_s.pop(sid, None)
+        session = self._driven.pop(sid, None)
         if session is not None:
-            if session.is_connected and session in self._braked and not session.is_braked:
-                session.rolls = "its simulator has gone"
+            if session.is_connected and session in self._stopping and not session.is_at_rest:
+                session.rolling_reason = "its simulator has gone"
             session.disconnected(reason)
-            if not self._is_built_in and session.comings <= MOST_COMINGS:
+            if not self._is_built_in and session.connections <= MAX_CONNECTION_NOTICES:
                 frames = f"{session.writer.path} has {counted(session.log.frames, 'frame')} so far"
-                self.say(f"disconnected ({reason}): {frames}" + ("" if self._of else "; waiting"))
+                self.notify(f"disconnected ({reason}): {frames}" + ("" if self._driven else "; waiting"))
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
-        self._quiet.pop(sid, None)
-        session = self._of.get(sid)
-        if session is None and len(self._of) >= MOST_SIMULATORS:
-            self._say_once(f"more than {MOST_SIMULATORS} simulators at once: the others are not driven")
+        self._silent_since_s.pop(sid, None)
+        session = self._driven.get(sid)
+        if session is None and len(self._driven) >= MAX_SIMULATORS:
+            self._notify_once(f"more than {MAX_SIMULATORS} simulators at once: the others are not driven")
             return Answer(None, lambda total_ms: None)
         try:
             session = session or self._session_for(sid)
-        except UserError as error:  # whoever is driven already is driven on
-            self._say_once(f"a second simulator is not driven: {error}")
+        except UserError as error:  # the others are driven on
+            self._notify_once(f"a second simulator is not driven: {error}")
             return Answer(None, lambda total_ms: None)
         return session.telemetry(data, received_s)
 
     def tick(self) -> None:
         now_s = time.monotonic()
-        self._push(DriveSession.push if self._stopping_since_s is None else DriveSession.push_brake)
+        self._push(DriveSession.watchdog_steer if self._stopping_since_s is None else DriveSession.brake_steer)
         shown = next((session for session in self.sessions if session.is_connected), self.session)
         if text := shown.status(now_s):
-            self._show(text)
-        for sid, since_s in list(self._quiet.items()):
-            if now_s - since_s >= QUIET_S:
-                del self._quiet[sid]
-                self._say_once(MENU)
+            self._show_status(text)
+        for sid, since_s in list(self._silent_since_s.items()):
+            if now_s - since_s >= NO_TELEMETRY_S:
+                del self._silent_since_s[sid]
+                self._notify_once(MENU)
 
     def final_command(self, sid: str) -> Steer | None:
-        session = self._of.get(sid)
-        return None if session is None else session.rest()
+        session = self._driven.get(sid)
+        return None if session is None else session.final_command()
 
     def __enter__(self) -> Self:
         return self
@@ -183,76 +185,76 @@ class DriveServer:
     def _failure(self) -> UserError | None:
         return next((session.log.failure for session in self.sessions if session.log.failure is not None), None)
 
-    def _is_at_rest(self) -> bool:
+    def _all_stopped(self) -> bool:
         is_late = time.monotonic() - (self._stopping_since_s or 0.0) >= BRAKING_S
-        return is_late or all(session.is_braked for session in self._of.values())
+        return is_late or all(session.is_at_rest for session in self._driven.values())
 
     def _brake(self, session: DriveSession) -> None:
         session.stop()
-        if not self._is_built_in:  # its car ends with it
-            self._braked.add(session)
+        if not self._is_built_in:  # its car ends with its process
+            self._stopping.add(session)
 
-    def _say_once(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
-            self.say(text)
+    def _notify_once(self, text: str) -> None:
+        if text not in self._notified:
+            self._notified.add(text)
+            self.notify(text)
 
-    def _say_how_it_stops(self, *, may_hurry: bool) -> None:
-        """Only what was sent. `may_hurry`: Ctrl-C was pressed, and a second one ends sooner."""
-        for text in sorted({session.stopping for session in self._braked if session.stopping}):
+    def _notify_stopping(self, *, may_hurry: bool) -> None:
+        """Give the notices of the brakes that were sent. `may_hurry`: a second Ctrl-C ends the drive at once."""
+        for text in sorted({session.stop_notice for session in self._stopping if session.stop_notice}):
             if not may_hurry:
-                self._say_once(text)
-            elif (text := f"{text}; Ctrl-C again ends at once") not in self._said:
-                self._say_once(text)
+                self._notify_once(text)
+            elif (text := f"{text}; Ctrl-C again ends at once") not in self._notified:
+                self._notify_once(text)
                 force_quit_announced()
 
-    def _push(self, what: Callable[[DriveSession], Steer | None]) -> None:
-        """To whoever tells nothing; the built-in simulator's silence is no fault."""
+    def _push(self, command_of: Callable[[DriveSession], Steer | None]) -> None:
+        """Send the commands that are due to simulators without telemetry; the built-in one needs none."""
         if self._is_built_in:
             return
-        for sid, session in list(self._of.items()):  # whoever cannot be sent anything disconnects meanwhile
-            steer = what(session)
+        for sid, session in list(self._driven.items()):  # a failed push disconnects a client meanwhile
+            steer = command_of(session)
             if steer is not None:
                 self._server.push(sid, steer)
 
     def _session_for(self, sid: str) -> DriveSession:
-        """For one that tells for the first time since it connected."""
+        """The session for a client that sends its first telemetry since it connected."""
         free = [session for session in self.sessions if not session.is_connected]
         session = free[0] if free else self._open_session(self._free_name(), overwrite=False)
-        self._of[sid] = session
+        self._driven[sid] = session
         session.connected()
-        if session.comings <= MOST_COMINGS:
-            self._said -= {WAITING, MENU}
+        if session.connections <= MAX_CONNECTION_NOTICES:
+            self._notified -= {WAITING, MENU}
         if self._stopping_since_s is not None:
             self._brake(session)
         if not session.is_empty:
-            if session.comings <= MOST_COMINGS:
-                self.say(f"connected again: {session.writer.path} goes on")
-            elif session.comings == MOST_COMINGS + 1:
-                self.say("it comes and goes: no more is said of that, the log has it as events")
+            if session.connections <= MAX_CONNECTION_NOTICES:
+                self.notify(f"connected again: {session.writer.path} goes on")
+            elif session.connections == MAX_CONNECTION_NOTICES + 1:
+                self.notify("it comes and goes: no more is said of that, the log has it as events")
         elif session is not self.session:
-            self.say(
+            self.notify(
                 f"a second simulator has connected: it is driven too, and logged to {session.writer.path};"
                 " close one of them if that is not meant"
             )
         return session
 
     def _free_name(self) -> Path:
-        """Beside the log: run-2.mcap for run.mcap."""
+        """A name beside the log that is free: run-2.mcap for run.mcap."""
         names = (self._log.with_stem(f"{self._log.stem}-{number}") for number in itertools.count(2))
         taken = {session.writer.path for session in self.sessions}
         return next(name for name in names if name not in taken and not os.path.lexists(name))
 
     def _open_session(self, path: Path, overwrite: bool) -> DriveSession:
-        """Flushed twice a second, so that a killed drive loses no more than that."""
+        """A session with a log that is flushed twice a second, so that a killed drive loses no more than that."""
         writer = LogWriter(path, drive_metadata(self._pilot, self.config), overwrite=overwrite, live=True)
-        session = self._stack.enter_context(DriveSession(self._pilot, self.config, writer, self.say))
+        session = self._stack.enter_context(DriveSession(self._pilot, self.config, writer, self.notify))
         self.sessions.append(session)
         return session
 
 
 def drive_metadata(pilot: Pilot, config: DriveConfig) -> dict[str, str]:
-    """What a drive's log says of itself."""
+    """The metadata of a drive's log: the run, the configuration and the preprocessing."""
     return {
         "source": "drive",
         "driver": "pilot",

@@ -1,0 +1,147 @@
+"""The built-in simulator as a process of its own, which connects to the drive's server and is driven."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from common.interrupts import StopEvent, stop_signals
+from drive.config import DriveConfig
+from drive.drive_server import DriveServer
+from drive.errors import DriveError
+from drive.log.drive_summary import DriveSummary
+from model import Pilot
+from recorder.server.telemetry_server import ServerMode
+from simulator.roads.track import load_track
+
+SIMULATOR_METADATA: Final = "bc.simulator"
+"""The metadata record of a log that holds the simulator's own report of the drive."""
+
+END_S: Final = 10.0
+"""The time that a terminated simulator has to end."""
+
+
+@dataclass(frozen=True)
+class BuiltInSimulator:
+    """The built-in simulator on a track (lake, mountain, random:SEED), for so many laps."""
+
+    track: str
+    laps: float = 1.0
+    real_time: bool = False
+    """No faster than the clock; otherwise simulated time waits for each answer, and hurries."""
+
+    def __post_init__(self) -> None:
+        """Raises DriveError for a track or laps that cannot be driven."""
+        check_laps(self.laps)
+        try:
+            load_track(self.track)
+        except ValueError as error:
+            raise DriveError(f"--simulator {self.track}: {error}") from None
+
+    @property
+    def name(self) -> str:
+        """The part of the names of logs and runs that stands for it."""
+        return self.track.replace(":", "-")
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """The flags of bc-drive that choose it."""
+        return "--simulator", self.track
+
+    @property
+    def description(self) -> str:
+        return self.track
+
+    def drive(self, pilot: Pilot, config: DriveConfig, log: Path, mode: ServerMode) -> DriveSummary:
+        """Drive it in lock-step, and log that; the summary of the log."""
+        return drive_in_lock_step(pilot, self, config, log, mode=mode)[1]
+
+
+def check_laps(laps: float) -> None:
+    """Raises DriveError for a number of laps that cannot be driven."""
+    if not 0 < laps < math.inf:
+        raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0")
+
+
+def drive_in_lock_step(
+    pilot: Pilot,
+    simulator: BuiltInSimulator,
+    config: DriveConfig,
+    log: Path,
+    *,
+    overwrite: bool = False,
+    mode: ServerMode = "eventlet",
+) -> tuple[dict[str, Any], DriveSummary]:
+    """Drive the built-in simulator, and log that: the simulator's own report, and the summary of the log.
+
+    Raises DriveError if the simulator fails, KeyboardInterrupt if it was stopped; the log is finished then too.
+    """
+    with (
+        stop_signals() as stopped,
+        DriveServer(pilot, config, log, overwrite=overwrite, port=0, mode=mode, is_built_in=True) as server,
+    ):
+        report = drive_built_in(server, simulator, stopped)
+        if not report:
+            raise KeyboardInterrupt
+        return report, server.session.summary
+
+
+def drive_built_in(
+    server: DriveServer, simulator: BuiltInSimulator, stopped: StopEvent, *, shows_progress: bool = True
+) -> dict[str, Any]:
+    """Start the built-in simulator, and serve until it has driven its laps or `stopped` is set.
+
+    Returns its own report, which is kept in the log too; empty if it was stopped. Raises DriveError if it fails.
+    Without `shows_progress`, it draws no bar on the terminal.
+    """
+    with _process(server, simulator, shows_progress=shows_progress) as process:
+        server.run(until=lambda: process.poll() is not None, stopped=stopped)
+        if process.poll() is None:
+            return {}
+        output, errors = process.communicate()
+        if process.returncode != 0:
+            why = (errors or b"").decode(errors="replace").strip().rpartition("\n")[2]
+            code = f"the simulator on {simulator.track} ended with exit code {process.returncode}"
+            raise DriveError(f"{code}: {why}" if why else code)
+        report: dict[str, Any] = json.loads(output)
+        if report["gave_up"] and not shows_progress:  # else the simulator has printed that itself
+            server.notify("the car did not get on for a minute: given up")
+        server.session.add_metadata(SIMULATOR_METADATA, {name: str(value) for name, value in report.items()})
+        return report
+
+
+@contextmanager
+def _process(
+    server: DriveServer, simulator: BuiltInSimulator, *, shows_progress: bool
+) -> Iterator[subprocess.Popen[bytes]]:
+    config = server.config
+    command = [
+        *(sys.executable, "-P", "-m", "simulator.cli", "--json", "--tell-world", "--port", str(server.port)),
+        *("--track", simulator.track, "--laps", str(simulator.laps)),
+        *("--expert-speed", str(config.set_speed_mph)),
+        *(["--leave-off-road"] if config.takeover else []),  # the expert brings the car back himself
+        *(["--real-time"] if simulator.real_time else []),
+    ]
+    # In a session of its own: Ctrl-C reaches only us, and the drive ends between two telemetries.
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=None if shows_progress else subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

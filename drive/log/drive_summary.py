@@ -1,0 +1,227 @@
+"""The summary of a drive: what is counted while it goes on, in the same memory for hours."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import TYPE_CHECKING, Final, Literal
+
+from drive.control.drive_clock import DriveClock
+from drive.log.latency_histogram import LatencyHistogram
+from recorder.log.row_quality import GAP_S
+from recorder.server.world import World
+from simulator.driving.course import INTERVENTION_COST_S
+from simulator.driving.vehicle import MPS_PER_MPH
+
+if TYPE_CHECKING:
+    from drive.control.driver import Decision  # loads PyTorch
+
+STAGES: Final = ("parse", "decode", "network", "total")
+
+
+class DriveSummary:
+    """Counts the same decisions as the log holds. Its clock is the simulator's where that sends its time.
+
+    Time counts while telemetry comes: pauses of more than a second (`recorder.log.row_quality.GAP_S`) by this
+    computer's clock are not driving.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        """Telemetries that could be used."""
+        self.bad: Counter[str] = Counter()
+        """Telemetries that could not, by kind."""
+        self.without_number = 0
+        """Frames for which the network gave no number: the car was braked."""
+        self.manual_stretches = 0
+        """The times that a human took the wheel."""
+        self.takeovers = 0
+        """The times that the expert took over."""
+        self.put_back = 0
+        """The times that the simulator put the car back on the road."""
+        self.dropped_pictures = 0
+        """This and the rows: as `DriveLog` counts them, set by its owner."""
+        self.dropped_rows = 0
+        self.elapsed_s = 0.0
+        self.simulated_s = 0.0
+        """Of `elapsed_s`, by the simulator's clock."""
+        self.driven_s = 0.0
+        """Of `elapsed_s`, with telemetry that was driven on."""
+        self.distance_m = 0.0
+        self.latency = {stage: LatencyHistogram() for stage in STAGES}
+        self._clock = DriveClock()
+        self._time_s = 0.0
+        self._with_speed_s = 0.0  # of `elapsed_s`, with telemetry that gives the speed
+        self._world: World | None = None
+        self._frames_with_laps = 0
+        self.has_expert = False
+        """True once the simulator has sent what an expert needs to take over."""
+        self._laps = 0.0  # of the frames that give them
+        self.telemetries = 0
+        """All that were answered: frames, malformed ones, and those of a human's driving."""
+        self.frames_with_interventions = 0
+        """Frames whose telemetry gives the simulator's count of them."""
+        self.speed_mph: float | None = None
+        """The last known one; so are those below."""
+        self.driver: Literal["pilot", "expert", "human"] = "pilot"
+        self.is_braked = False
+        self.steering = 0.0
+        self.total_ms = 0.0
+        """Of all telemetries."""
+        self.last_ms = 0.0
+        """Of the last telemetry; `last_s` is when it came, by a monotonic clock."""
+        self.last_s = 0.0
+
+    def decision(self, decision: Decision, total_ms: float, now_s: float | None = None) -> None:
+        """Count a telemetry that was answered after `total_ms`; `now_s` is by a monotonic clock."""
+        telemetry = decision.telemetry
+        passed_s = self._answered(total_ms, now_s, telemetry.world if telemetry is not None else None)
+        self.steering = decision.steering
+        self.is_braked = decision.driver == "brake"
+        if decision.speed_mph is not None:
+            if self.speed_mph is not None:
+                self._with_speed_s += passed_s
+                self.distance_m += abs(self.speed_mph) * MPS_PER_MPH * passed_s
+            self.speed_mph = decision.speed_mph
+        if telemetry is None:
+            self.bad[decision.kind] += 1
+            return
+        if not self.is_braked:
+            self.driven_s += passed_s
+        self.frames += 1
+        self.without_number += bool(decision.problem)
+        for stage, ms in zip(
+            STAGES, (decision.parse_ms, decision.decode_ms, decision.network_ms, total_ms), strict=True
+        ):
+            self.latency[stage].add(ms)
+        if decision.driver == "expert" and self.driver != "expert":
+            self.takeovers += 1
+        if decision.driver != "brake":
+            self.driver = decision.driver
+        if telemetry.world is not None:
+            self._course(telemetry.world)
+
+    def manual(self, total_ms: float, now_s: float | None = None) -> None:
+        """Count a telemetry while a human drives."""
+        self.driven_s += self._answered(total_ms, now_s, None)
+        self.is_braked = False
+        if self.driver != "human":
+            self.manual_stretches += 1
+        self.driver = "human"
+
+    @property
+    def malformed(self) -> int:
+        return self.bad.total()
+
+    @property
+    def is_all_lost(self) -> bool:
+        """True if no telemetry could be driven on, or the network gave no number for any."""
+        return self.frames == self.without_number
+
+    @property
+    def no_drive_reason(self) -> str:
+        """The reason where all is lost, and what to do."""
+        if self.without_number:
+            return "the network gave no number; drive with another run"
+        if not self.bad:
+            return "a human held the keys all the time; let go of them"
+        (kind, _), *_ = self.bad.most_common(1)
+        return f"no telemetry could be used ({kind}); mend that in the simulator"
+
+    @property
+    def laps(self) -> float | None:
+        """The laps with the part of the present one; None if any frame's telemetry did not give them."""
+        return self._laps if self.frames and self._frames_with_laps == self.frames else None
+
+    @property
+    def interventions(self) -> int:
+        return self.manual_stretches + self.takeovers + self.put_back
+
+    @property
+    def autonomy_percent(self) -> float | None:
+        """The autonomy over the time that was driven; None where none was. Bojarski et al. 2016, section 7.1: each
+        intervention counts as six seconds of a human's driving."""
+        if self.is_all_lost or not self.driven_s:
+            return None
+        lost_s = INTERVENTION_COST_S * self.interventions
+        return 100.0 * max(0.0, 1.0 - lost_s / self.driven_s)
+
+    @property
+    def mean_speed_mph(self) -> float | None:
+        """The mean while telemetry gives the speed, which it does not while a human drives; None if it never
+        did."""
+        return self.distance_m / self._with_speed_s / MPS_PER_MPH if self._with_speed_s else None
+
+    @property
+    def clock(self) -> Literal["simulator", "computer", "both"]:
+        """The clock, or clocks, of `elapsed_s`."""
+        if not self.simulated_s:
+            return "computer"
+        # a smaller difference is rounding
+        return "simulator" if self.elapsed_s - self.simulated_s < 1e-3 else "both"
+
+    def connected(self) -> None:
+        """From here on telemetry is another simulator's, or of another drive of the same one."""
+        self._world, self.driver, self.speed_mph = None, "pilot", None
+
+    def as_metadata(self) -> dict[str, str]:
+        """The metadata record `bc.drive`, see docs/log-format.md."""
+        counts = {
+            name: str(getattr(self, name))
+            for name in (
+                *("frames", "malformed", "without_number"),
+                *("interventions", "manual_stretches", "takeovers", "put_back"),
+                *("dropped_pictures", "dropped_rows"),
+            )
+        }
+        numbers: dict[str, float | None] = {
+            "elapsed_s": self.elapsed_s,
+            "driven_s": self.driven_s,
+            "distance_m": self.distance_m,
+            "mean_speed_mph": self.mean_speed_mph,
+            "autonomy_percent": self.autonomy_percent,
+            "laps": self.laps,
+        }
+        for stage, latency in self.latency.items():
+            numbers[f"{stage}_p50_ms"] = latency.percentile_ms(50)
+            numbers[f"{stage}_p99_ms"] = latency.percentile_ms(99)
+            numbers[f"{stage}_max_ms"] = latency.max_ms
+        measured = {name: f"{number:.3f}" for name, number in numbers.items() if number is not None}
+        return counts | {"clock": self.clock} | measured
+
+    def _answered(self, total_ms: float, now_s: float | None, world: World | None) -> float:
+        """Count an answered telemetry; the seconds that were driven since the one before."""
+        now_s = time.monotonic() if now_s is None else now_s
+        self.telemetries += 1
+        self.total_ms += total_ms
+        is_pause = now_s - self.last_s > GAP_S
+        self.last_ms, self.last_s = total_ms, now_s
+        time_s = self._clock.advance(now_s, world)
+        passed_s = time_s - self._time_s + self._clock.missed_s
+        self._time_s = time_s
+        if self._clock.is_simulated:
+            self.simulated_s += passed_s
+        elif is_pause:
+            return 0.0
+        self.elapsed_s += passed_s
+        return passed_s
+
+    def _course(self, world: World) -> None:
+        before = self._world
+        self._world = world
+        if before is None or (not self._clock.stands and _is_another_drive(before, world)):
+            before = world
+        self.has_expert |= world.offset is not None and world.expert is not None
+        if world.laps is not None:
+            self._frames_with_laps += 1
+            if before.laps is not None:
+                self._laps += world.laps - before.laps
+        if world.interventions is not None:
+            self.frames_with_interventions += 1
+            if before.interventions is not None:
+                self.put_back += max(0, world.interventions - before.interventions)
+
+
+def _is_another_drive(before: World, world: World) -> bool:
+    """True if the time goes back: another simulator, or the same one begun anew."""
+    return before.time_s is not None and world.time_s is not None and world.time_s < before.time_s

@@ -1,0 +1,81 @@
+"""The summary of a drive as lines for people."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from common.errors import counted
+from drive.log.drive_summary import DriveSummary
+
+MAX_KINDS: Final = 5
+"""The kinds of bad telemetry that are named."""
+_BRIEF_S: Final = 1.0
+"""A shorter time that was not driven goes without mention."""
+
+
+def summary_lines(summary: DriveSummary) -> list[str]:
+    """What is printed at the end of a drive."""
+    laps = "" if summary.laps is None else f"{summary.laps:.2f} laps, "
+    speed_mph = summary.mean_speed_mph
+    far = (
+        "distance and speed unknown"
+        if speed_mph is None
+        else f"{laps}{summary.distance_m:,.0f} m, {speed_mph:.1f} mph on average"
+    )
+    lines = [
+        f"{counted(summary.frames, 'frame')} in {summary.elapsed_s:,.1f} s{_clock(summary)}: {far}",
+        f"autonomy {_autonomy(summary)}, {_interventions(summary)}{_unknown_interventions(summary)}",
+    ]
+    if summary.frames:
+        stages = (f"{stage} {latency}" for stage, latency in summary.latency.items())
+        lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}")
+    if summary.bad:
+        what = counted(summary.malformed, "telemetry", "telemetries")
+        kinds = ", ".join(f"{kind} ({count:,})" for kind, count in summary.bad.most_common(MAX_KINDS))
+        others = len(summary.bad) - MAX_KINDS
+        more = f", and {counted(others, 'other kind')}" if others > 0 else ""
+        lines.append(f"{what} could not be used: {kinds}{more}")
+    if summary.without_number:
+        frames = counted(summary.without_number, "frame")
+        lines.append(f"the network gave no number for {frames}: the car was braked")
+    if summary.dropped_pictures or summary.dropped_rows:
+        lines.append(
+            f"the disk was too slow: {counted(summary.dropped_pictures, 'picture')} and"
+            f" {counted(summary.dropped_rows, 'row')} are not in the log"
+        )
+    return lines
+
+
+def _autonomy(summary: DriveSummary) -> str:
+    autonomy = summary.autonomy_percent
+    if autonomy is None:
+        return "unknown, for nothing was driven"
+    is_whole = summary.elapsed_s - summary.driven_s < _BRIEF_S
+    return f"{autonomy:.1f} %" + ("" if is_whole else f" of the {summary.driven_s:,.1f} s that were driven")
+
+
+def _interventions(summary: DriveSummary) -> str:
+    causes = (
+        (summary.manual_stretches, "by a human"),
+        (summary.takeovers, "by the expert"),
+        (summary.put_back, "by the simulator, which put the car back"),
+    )
+    listed = ", ".join(f"{number:,} {cause}" for number, cause in causes if number)
+    return counted(summary.interventions, "intervention") + (f": {listed}" if listed else "")
+
+
+def _unknown_interventions(summary: DriveSummary) -> str:
+    """A remark on frames whose telemetry did not hold the simulator's interventions."""
+    if not summary.frames:
+        return ""
+    frames = summary.frames - summary.frames_with_interventions
+    if frames == summary.frames:
+        return " (this simulator does not tell when the car leaves the road)"
+    return f" (for {counted(frames, 'frame')} nobody told when the car left the road)" if frames else ""
+
+
+def _clock(summary: DriveSummary) -> str:
+    """A remark on whose seconds those of the drive are, where they are not this computer's alone."""
+    if summary.clock == "both":
+        return f" ({summary.simulated_s:,.1f} s by the simulator's clock)"
+    return " by the simulator's clock" if summary.clock == "simulator" else ""
