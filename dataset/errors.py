@@ -1,4 +1,4 @@
-"""What can be wrong with an index."""
+"""The errors of this room."""
 
 from __future__ import annotations
 

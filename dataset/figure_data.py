@@ -1,4 +1,4 @@
-"""What the figures of an index show: frames, draws of the alterations, and counts of samples."""
+"""The data of an index's figures: frames, draws of the alterations, and counts of samples."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Distribution:
 
 
 def settings_of(samples: Samples) -> IndexConfig:
-    """What the index was built with."""
+    """The settings that the index was built with."""
     try:
         stored = samples.metadata["settings"].items()
         settings: dict[str, Any] = {

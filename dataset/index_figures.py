@@ -126,7 +126,7 @@ def draw_preprocessing(moments: list[Moment]) -> Figure:
 
 
 def draw_augmentation(moment: Moment, config: IndexConfig, seed: int) -> Figure:
-    """What the network sees of a picture and of its mirror image, plain and with each alteration of the index."""
+    """A picture and its mirror image as the network sees them, plain and with each alteration of the index."""
     crop = preprocess(moment.picture)
     titles = {"": "unaltered", "+".join(config.alterations): "combined"} | {
         name: name for name in config.alterations

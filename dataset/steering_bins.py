@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def bin_of(steering: NDArray[np.float64], bins: int) -> NDArray[np.int64]:
-    """Which of `bins` equal bins over -1..1 each steering falls into: 0 (left) .. bins - 1 (right).
+    """The one of `bins` equal bins over -1..1 that each steering falls into: 0 (left) .. bins - 1 (right).
 
     An edge belongs to the bin farther from zero, on both sides: a mirrored distribution has mirrored counts.
     """

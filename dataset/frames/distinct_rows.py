@@ -1,4 +1,4 @@
-"""Rows of columns that are alike: the pictures of several samples, the frames of several cameras."""
+"""Numbering of rows that are alike: samples of one picture, frames of one moment."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def number_distinct(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[
 
 
 def _changes(columns: Any) -> NDArray[np.bool_]:
-    """Where a row differs from the one before it; the first does."""
+    """A mask of the rows that differ from the one before them; the first does."""
     change = np.ones(len(columns[0]), np.bool_)
     change[1:] = False
     for column in columns:

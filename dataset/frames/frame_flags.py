@@ -1,4 +1,4 @@
-"""What is odd about the frames of a session, as names in the column `flags` of its frames table."""
+"""Flags of unusual frames: names in the column `flags` of a session's frames table."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FrameFlag = RowFlag | PictureFlag
 FRAME_FLAGS: Final[tuple[FrameFlag, ...]] = (*ROW_FLAGS, *get_args(PictureFlag))
 
 UNUSABLE: Final[tuple[FrameFlag, ...]] = ("out_of_range", "broken_picture")
-"""What keeps a frame out of the samples, `out_of_range` only where it is the steering; the rest is only told."""
+"""Flags that keep a frame out of the samples, `out_of_range` only where it is the steering."""
 
 Position = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Stretches = tuple[tuple[Position, Position], ...]
@@ -30,7 +30,7 @@ Stretches = tuple[tuple[Position, Position], ...]
 
 @dataclass(frozen=True)
 class ImageFindings:
-    """What looking at the pictures of a log has found, as positions among a camera's pictures (`Log.pictures`)."""
+    """What decoding all pictures of a log has found, as positions among a camera's pictures (`Log.pictures`)."""
 
     pictures: int  # that were looked at
     broken: Mapping[Camera, Stretches]
@@ -70,7 +70,7 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], looked: ImageFi
 
 
 def is_unusable(frames: pa.Table) -> NDArray[np.bool_]:
-    """Which rows of a frames table cannot be used: steering outside -1..1, or a picture that does not decode."""
+    """A mask of the frames that cannot be used: steering outside -1..1, or a picture that does not decode."""
     unusable: NDArray[np.bool_] = frames["bin"].to_numpy() < 0
     return unusable | lists_with(frames["flags"], "broken_picture")
 
@@ -111,12 +111,12 @@ def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.List
 
 
 def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
-    """Which frames somebody has tagged `exclude`."""
+    """A mask of the frames that are tagged `exclude`."""
     return lists_with(frames["tags"], EXCLUDE)
 
 
 def lists_with(lists: pa.ChunkedArray, name: str) -> NDArray[np.bool_]:
-    """Which lists of strings hold `name`."""
+    """A mask of the lists of strings that hold `name`."""
     combined = lists.combine_chunks()
     mask = np.zeros(len(combined), np.bool_)
     at = pc.list_parent_indices(combined).filter(pc.equal(pc.list_flatten(combined), name))

@@ -59,7 +59,7 @@ def session_name(log: Path) -> str:
 
 
 def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:
-    """What a frames file depends on: it is up to date as long as this has not changed."""
+    """Everything that a frames file depends on: it is up to date as long as this has not changed."""
     fingerprint = log.fingerprint
     return {
         "format": FRAMES_FORMAT,
@@ -72,7 +72,7 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[T
 
 
 def relative_log_path(log: Path, index: Path) -> str:
-    """Where a log is, seen from the index: both can be moved together."""
+    """The path of a log from the index: both can be moved together."""
     return Path(os.path.relpath(log.resolve(), index.resolve())).as_posix()
 
 

@@ -1,4 +1,4 @@
-"""`index/looks/SESSION.json`: what looking at a log's pictures has found, kept so that it is done once.
+"""`index/looks/SESSION.json`: the findings of a check of all pictures of a log, kept so that it is done once.
 
 Decoding every picture of a session takes tens of times as long as indexing it.
 """
@@ -105,7 +105,7 @@ def write_image_check(index: Path, session: str, fingerprint: str, found: ImageF
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
-    """What was found in the log with this fingerprint; None if it was not checked, or the file is damaged."""
+    """The findings in the log with this fingerprint; None if it was not checked, or the file is damaged."""
     path = _path(index, session)
     try:
         if path.is_symlink() or path.stat().st_size > _MOST_BYTES:

@@ -1,4 +1,4 @@
-"""Which messages of a log belong to which of its vehicle states."""
+"""Pairing of a log's messages with its vehicle states."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class _StaleStateError(Exception):
 
 @dataclass(frozen=True)
 class Indexed:
-    """What an index holds."""
+    """An index that was built: its sessions, and what there is to say of them."""
 
     path: Path
     sessions: list[str]
@@ -182,7 +182,7 @@ def _build(
 
 
 def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: State) -> Entry | None:
-    """What is remembered of a session whose frames are up to date, if its log need not be opened for that.
+    """The entry of a session whose frames are up to date, if its log need not be opened to know that.
 
     One that was left out is always tried again: whether a file may be read, its size and time do not tell.
     """
@@ -247,7 +247,7 @@ def _are_equal(new: Path, old: Path) -> bool:
 def _up_to_date(
     index: Path, held: Mapping[str, Entry], places: Mapping[str, object], config: IndexConfig, state: State
 ) -> tuple[Balance, dict[str, SessionCounts]] | None:
-    """What samples.parquet says of itself, if it would be made the same of these frames, and no other is there."""
+    """Balance and counts from samples.parquet, if building it anew would give the same file."""
     before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}
     if {name: entry.frames for name, entry in held.items()} != before or stale_frames_files(set(held), index):
         return None

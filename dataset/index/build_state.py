@@ -25,7 +25,7 @@ Sources = tuple[str, Stat, Stat, Stat]
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is remembered of a log."""
+    """A log as it was when the index was built."""
 
     sources: Sources  # what its frames are made of, before it was read: what changes from then on is noticed
     fingerprint: str = ""  # empty if it was left out
@@ -47,7 +47,7 @@ class State(msgspec.Struct, frozen=True):
 
 
 def sources_of(session: str, log: Path, index: Path) -> Sources:
-    """What a session's frames are made of: the log, its tags, and what was seen in its pictures."""
+    """The files that a session's frames are made of: the log, its tags, and the check of its pictures."""
     looked = index / IMAGE_CHECKS_FOLDER / f"{session}.json"
     return os.path.realpath(log), stat_of(log), stat_of(tags_path(log)), stat_of(looked)
 
@@ -61,7 +61,7 @@ def stat_of(path: Path) -> Stat:
 
 
 def read_state(index: Path) -> State:
-    """What is remembered; nothing if that is missing, damaged, or of an older version."""
+    """The state of the last build; an empty one if it is missing, damaged, or of an older version."""
     try:
         return msgspec.json.decode((index / STATE_NAME).read_bytes(), type=State)
     except (OSError, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""What bc-index prints: the sessions, and the steering's distribution before and after balancing."""
+"""The tables that bc-index prints: the sessions, and the steering's distribution before and after balancing."""
 
 from __future__ import annotations
 

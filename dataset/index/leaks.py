@@ -1,4 +1,4 @@
-"""Whether validation is honest: what is held out for it must not be, or nearly be, what training sees.
+"""The check for leaks: what is held out for validation must not be, or nearly be, what training sees.
 
 Reads the parquet files as anybody could, and computes anew what was promised: of what wrote them, only the rows
 and times of the frames are believed. (That two sessions share a picture is refused when an index is built.)
@@ -24,7 +24,7 @@ from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_leaks(index: Path | str) -> list[str]:
-    """What is wrong with the split of `index`; an empty list if nothing is.
+    """Everything that is wrong with the split of `index`, a line each; an empty list if nothing is.
 
     No row of a log may be on both sides (its cameras, mirror images and copies with it); no training sample may
     lie within the gap around a validation sample of its session; nothing that is altered, a copy, or tagged

@@ -1,4 +1,4 @@
-"""Where the frames of an index are odd: the stretches of each flag, by session."""
+"""The report on unusual frames of an index: the stretches of each flag, by session."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class FlaggedRows:
 
 
 def find_flagged_rows(index: Path | str) -> list[FlaggedRows]:
-    """What is odd about the frames of `index`, by session and row; reads its frames files alone.
+    """The flagged stretches of `index`, by session and row; reads its frames files alone.
 
     Raises DatasetError if there is no index, or if it is damaged.
     """

@@ -1,4 +1,4 @@
-"""Which sessions there are: logs by name, those that an index does not hold, and recordings without an end."""
+"""Finding sessions: logs by name, those that an index does not hold, and recordings without an end."""
 
 from __future__ import annotations
 

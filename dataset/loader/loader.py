@@ -95,7 +95,7 @@ class Loader(Closeable):
         return len(self.rows.session)
 
     def order(self, epoch: int) -> NDArray[np.int64]:
-        """Which sample comes when, in an epoch: every one once."""
+        """The order of the samples in an epoch: every one once."""
         return np.random.default_rng((self.seed, epoch)).permutation(len(self))
 
     def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:

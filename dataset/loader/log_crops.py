@@ -56,7 +56,7 @@ class LogCrops(Closeable):
 
     @property
     def notice(self) -> str:
-        """What to tell a person of a log that was never finished; empty for a finished one."""
+        """A line about a log that was never finished; empty for a finished one."""
         return self._log.notice
 
     def _read(self, pictures: Pictures) -> None:

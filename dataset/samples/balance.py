@@ -1,4 +1,4 @@
-"""Steering bins, and how many samples each may have.
+"""Balancing: how many samples each steering bin may have.
 
 Most driving is straight on: without balancing, a network that always predicts 0 is nearly right.
 """
@@ -16,7 +16,7 @@ PerBin = Literal["mean", "median"] | int
 
 @dataclass(frozen=True)
 class Balanced:
-    """Which candidates to use. `chosen` are positions in what was balanced; a copy repeats an original."""
+    """The candidates to use. `chosen` are positions in what was balanced; a copy repeats an original."""
 
     chosen: NDArray[np.int64]
     is_copy: NDArray[np.bool_]

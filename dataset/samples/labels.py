@@ -1,4 +1,4 @@
-"""What a network is to learn of each frame: the steering as recorded, or smoothed, or that of a little later.
+"""Labels: the steering that a network is to learn of each frame, as recorded, smoothed, or of a little later.
 
 People with keyboards steer in steps, and after the road has turned: the picture comes before the steering that it
 calls for.

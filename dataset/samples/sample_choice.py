@@ -1,4 +1,4 @@
-"""Which frames become samples: mirrored, balanced, and what their copies get."""
+"""The choice of samples: frames and their mirror images, balanced, and what their copies get."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ChosenSamples:
 def choose_samples(
     label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
 ) -> tuple[ChosenSamples, Balance]:
-    """Which frames become samples, how often, and what the copies get.
+    """Choose the frames that become samples, how often, and what the copies get.
 
     A candidate is a frame, or its mirror image: number frame + flip * frames.
     """

@@ -1,4 +1,4 @@
-"""`index/samples.parquet`: its name, and the version and the columns on which its writer and its readers agree."""
+"""`index/samples.parquet`: its name, version, columns and metadata, on which its writer and its readers agree."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class Samples:
         return self._table(columns, split=_known(split))
 
     def driving_view(self, split: Split) -> pa.Table:
-        """What the car itself sees: the centre camera, unmirrored and unaltered, each picture once.
+        """Samples as the car itself sees them: the centre camera, unmirrored and unaltered, each picture once.
 
         Without pictures of the centre camera, those of the others. `label` is as recorded, whatever was learnt:
         a network is always measured against what was driven.

@@ -137,7 +137,7 @@ def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) 
 def _of_camera(
     steering: NDArray[np.float64], camera: NDArray[np.int8], config: IndexConfig
 ) -> NDArray[np.float64]:
-    """What the pictures of each camera call for: -1..1, never -0.0."""
+    """The steering that the pictures of each camera call for: -1..1, never -0.0."""
     signs = np.array([CORRECTION_SIGNS.get(name, 0.0) for name in CAMERAS])
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
