@@ -34,6 +34,14 @@ _NO_MEMORY: Final = "not enough memory to begin; close other programs, or raise 
 _MIN_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
 
 
+def __getattr__(name: str) -> str:
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from common.versions import version_of
+
+    return version_of()
+
+
 def refuse_hidden(room: str) -> None:
     """Raise ImportError if something else is imported by the name of a room that `room` needs."""
     for name in NEEDS[room]:
@@ -103,7 +111,7 @@ def _who_hides(room: str) -> str | None:
     found = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
     ours = (Path(__file__).parent / room).resolve()
     if not found or any(ours in (place := Path(name).resolve(), place.parent) for name in found):
-        return None
+        return None if _is_intact(ours) else _overwritten(room)
     if owners := _owners(room):
         return _of_another(room, owners)
     return (
@@ -112,9 +120,30 @@ def _who_hides(room: str) -> str | None:
     )
 
 
+def _is_intact(room: Path) -> bool:
+    """False if another package that was installed into the same folder has replaced the room's __init__.py, or has
+    taken it away when it was uninstalled. Ours name this module."""
+    try:
+        return __name__ in (room / "__init__.py").read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return not room.is_dir()  # in a zip file
+    except OSError:
+        return True
+
+
+def _overwritten(room: str) -> str:
+    if owners := _owners(room):
+        who = ", ".join(owners)
+        return (
+            f"another installed package ({who}) has written its `{room}` over this toolkit's:"
+            f" `pip uninstall {who}` and install the toolkit again, or install it into an environment of its own"
+        )
+    return f"this toolkit's `{room}` was overwritten by another package of that name: install the toolkit again"
+
+
 def _owned_by_two() -> str | None:
     """A line about a package that has written its own files into a room of ours."""
-    return next((_of_another(room, owners) for room in NEEDS if (owners := _owners(room))), None)
+    return next((_overwritten(room) for room in NEEDS if _owners(room)), None)
 
 
 def _of_another(room: str, owners: list[str]) -> str:

@@ -1,4 +1,4 @@
-"""The floor under the six rooms: errors that a person can act on, commands, progress, whole files.
+"""The floor under the six rooms of behavioural_cloning_toolkit: errors, commands, progress, whole files.
 
 It imports nothing of ours, and every room may import it.
 """

@@ -20,12 +20,15 @@ import tyro
 
 from common.errors import Skipped, UsageError, UserError
 from common.interrupts import GracefulStop, handle_signals
-from common.output import MessageHandler, clear_live_displays, print_message
+from common.output import MessageHandler, clear_live_displays, print_message, print_result
 from common.streams import drain, end_process, nonblocking_streams, stdout_error
+from common.versions import version_of
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
 Config = TypeVar("Config")
+
+_VERSION_FLAG: Final = "--version prints the version."
 
 _NO_MEMORY: Final = re.compile(  # PyTorch, OpenCV, C++, Python's threads
     r"can't allocate memory|out of memory|Insufficient memory|bad_alloc|can't start new thread"
@@ -91,7 +94,8 @@ def run_command(
     with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
         with handle_signals(_interrupt), _logging_as_messages():
             try:
-                code = _run(prog, config, action, description or config.__doc__, default)
+                about = f"{(description or config.__doc__ or '').rstrip()}\n\n{_VERSION_FLAG}"
+                code = _run(prog, config, action, about, default)
                 drain(is_patient=not stop.is_requested)
             except KeyboardInterrupt:
                 code = INTERRUPTED
@@ -129,12 +133,15 @@ def _run(
     prog: str,
     config: type[Config],
     action: Callable[[Config], int],
-    about: str | None,
+    about: str,
     default: Callable[[], Config] | None,
 ) -> int:
     kind: type[UserError] = UserError
     try:
         given: dict[str, Any] = {} if default is None else {"default": default()}
+        if sys.argv[1:] == ["--version"]:
+            print_result(f"{prog} {version_of()}")
+            return DONE
         flags = (tyro.conf.FlagCreatePairsOff,)
         return action(tyro.cli(config, prog=prog, description=about, config=flags, **given))
     except UserError as error:

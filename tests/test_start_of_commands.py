@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -103,6 +105,54 @@ def test_a_package_that_owns_a_rooms_name_is_named(tmp_path: Path) -> None:
         "bc-log: `common` is also a name of another installed package (othertool), which hides this toolkit's:"
         " `pip uninstall othertool`, or install the toolkit into an environment of its own\n"
     )
+
+
+@pytest.mark.parametrize("is_uninstalled", [False, True])
+def test_a_package_that_has_written_over_a_room_is_named(is_uninstalled: bool, tmp_path: Path) -> None:
+    """As `dataset` of the package index does, where both are installed."""
+    shutil.copy(ROOT / "behavioural_cloning_toolkit.py", tmp_path)
+    (tmp_path / "dataset").mkdir()
+    (tmp_path / "dataset" / "config.py").touch()
+    if not is_uninstalled:
+        (tmp_path / "dataset" / "__init__.py").write_text("from dataset.database import Database\n")
+        record = tmp_path / "dataset-2.0.dist-info"
+        record.mkdir()
+        (record / "METADATA").write_text("Metadata-Version: 2.1\nName: dataset\nVersion: 2.0\n")
+        (record / "RECORD").write_text("dataset/__init__.py,,\ndataset-2.0.dist-info/METADATA,,\n")
+    found = {**environment(), "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        command("bc-index", "--help"), cwd="/", env=found, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    if is_uninstalled:
+        why = "this toolkit's `dataset` was overwritten by another package of that name: install the toolkit again"
+    else:
+        why = (
+            "another installed package (dataset) has written its `dataset` over this toolkit's: `pip uninstall"
+            " dataset` and install the toolkit again, or install it into an environment of its own"
+        )
+    assert done.stderr == f"bc-index: {why}\n"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_prints_its_version(name: str) -> None:
+    import behavioural_cloning_toolkit
+
+    done = run(name, "--version")
+    assert (done.returncode, done.stdout) == (0, f"{name} {behavioural_cloning_toolkit.__version__}\n")
+
+
+def test_the_version_is_that_of_the_project_file() -> None:
+    import behavioural_cloning_toolkit
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert behavioural_cloning_toolkit.__version__ in (project["version"], "unknown")  # not installed
+
+
+def test_every_room_is_typed() -> None:
+    package_data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    assert package_data["package-data"]["*"] == ["py.typed"]
+    assert all((ROOT / room / "py.typed").is_file() for room in MAY_IMPORT)
 
 
 def test_commands_do_not_mind_what_lies_in_the_working_folder(tmp_path: Path) -> None:

@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.progress import progress_bar
+from common.stretches import consecutive
 from dataset.errors import write_errors
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
 from recorder.log.message_index import UNCOMPRESSED
 from recorder.log.row_quality import STANDING_MPH
 from recorder.log.topics import camera_topic
-from recorder.pictures.image_check import Look
+from recorder.pictures.image_check import ImageCheck
 
 IMAGE_CHECKS_FOLDER: Final = "looks"
 _MOST_BYTES: Final = 1 << 26
@@ -42,30 +43,30 @@ def check_images(log: Log, on_decoded: Callable[[int], object] = lambda count: N
     """
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        look = Look(pool, on_decoded)
+        check = ImageCheck(pool, on_decoded)
         for camera, row, time_ns, offset, length, chunk in _in_order_of_the_file(log):
-            look.take(topics[camera], row, time_ns, log.read(offset, length, chunk))
-        look.finish()
+            check.add(topics[camera], row, time_ns, log.read(offset, length, chunk))
+        check.finish()
     standing: set[tuple[int, int]] = set()
-    if any(seen.has_repeated for seen in look.seen.values()):
+    if any(pictures.has_repeated for pictures in check.pictures.values()):
         standing = {
             (message.sequence, message.log_time_ns)
             for message, state in log.vehicle_states()
             if state.speed_mph < STANDING_MPH
         }
     broken: dict[str, list[int]] = {}
-    for topic, position in look.broken:
+    for topic, position in check.broken:
         broken.setdefault(topic, []).append(position)
-    frozen = {topic: tuple(seen.frozen(standing)) for topic, seen in look.seen.items()}
+    frozen = {topic: tuple(pictures.frozen(standing)) for topic, pictures in check.pictures.items()}
     return ImageFindings(
-        look.decoded,
-        {camera: _as_stretches(broken[topic]) for camera, topic in topics.items() if topic in broken},
+        check.decoded,
+        {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
     )
 
 
 def check_all_images(logs: Mapping[str, Path], index: Path, *, leave_out_unreadable: bool = False) -> list[str]:
-    """Look at the pictures of the logs (by session) that `index` has no look of; the sessions looked at now.
+    """Check the pictures of the logs (by session) whose findings `index` does not have; the sessions checked now.
 
     Each one that is done stays done, also if the work is then stopped. Raises LogError for a damaged log
     (`leave_out_unreadable`: it is left out, as it will be when the index is built).
@@ -77,15 +78,15 @@ def check_all_images(logs: Mapping[str, Path], index: Path, *, leave_out_unreada
             if read_image_check(index, session, log.fingerprint) is None:
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
-    looked_at = []
+    checked = []
     with progress_bar() as progress:
         task = progress.add_task("looking at pictures", total=sum(pictures.values()), note="")
         for session in pictures:
             with contextlib.suppress(*unreadable), Log(logs[session]) as log:
-                looked = check_images(log, partial(progress.advance, task))
-                write_image_check(index, session, log.fingerprint, looked)
-                looked_at.append(session)
-    return looked_at
+                found = check_images(log, partial(progress.advance, task))
+                write_image_check(index, session, log.fingerprint, found)
+                checked.append(session)
+    return checked
 
 
 class _Stored(msgspec.Struct):
@@ -136,13 +137,6 @@ def _in_order_of_the_file(log: Log) -> Iterator[tuple[Camera, int, int, int, int
     for at in order.tolist():
         number, row, time_ns, offset, length, chunk = (column[at].item() for column in columns)
         yield CAMERAS[number], row, time_ns, offset, length, chunk
-
-
-def _as_stretches(positions: list[int]) -> Stretches:
-    """Ascending positions as stretches of neighbours."""
-    found = np.array(positions, np.int64)
-    cuts = np.flatnonzero(np.diff(found) != 1) + 1
-    return tuple((int(part[0]), int(part[-1])) for part in np.split(found, cuts))
 
 
 def _are_ascending(stretches: Stretches) -> bool:

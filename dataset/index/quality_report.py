@@ -16,10 +16,10 @@ from rich.table import Table
 
 from common.errors import counted
 from common.output import print_table
+from common.stretches import stretches
 from dataset.errors import DatasetError
 from dataset.frames.distinct_rows import number_distinct
 from dataset.index.build_state import FRAMES_FOLDER
-from recorder.log.row_quality import stretches
 
 _COLUMNS = ("session", "row", "log_time_ns", "flags")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
+from common.stretches import consecutive, stretches
 from recorder.bc_pb2 import VehicleState
 from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
-from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags, stretches
+from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags
 from recorder.log.scan import Structure
 from recorder.log.topics import CAMERA_TOPICS, COMPRESSED_IMAGE, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
-from recorder.pictures.image_check import Look, Seen
+from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
@@ -53,7 +53,7 @@ class Contents:
         self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
         self._bad_telemetry: Counter[str] = Counter()
         self._findings = findings
-        self._look = Look(pool)
+        self._image_check = ImageCheck(pool)
         self._states = StatesWritten()
         self._last_row: dict[str, int] = {}
         self._sizes = PictureSizes()
@@ -62,7 +62,7 @@ class Contents:
     @property
     def pictures(self) -> int:
         """How many were decoded."""
-        return self._look.decoded
+        return self._image_check.decoded
 
     def take(self, records: bytes, message: StoredMessage) -> None:
         topic = self._topics.get(message.channel)
@@ -96,7 +96,7 @@ class Contents:
             return
         picture = records[at : at + length]
         self._sizes.add(topic, message.sequence, width_and_height(picture))
-        self._look.take(topic, message.sequence, message.log_time_ns, picture)
+        self._image_check.add(topic, message.sequence, message.log_time_ns, picture)
 
     def _take_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
         try:
@@ -110,9 +110,9 @@ class Contents:
 
     def judge(self) -> None:
         """What can only be said when everything was seen."""
-        self._look.finish()
-        for topic, at in self._look.broken:
-            where = f"{topic} row {self._look.seen[topic].rows[at]}"
+        self._image_check.finish()
+        for topic, at in self._image_check.broken:
+            where = f"{topic} row {self._image_check.pictures[topic].rows[at]}"
             self._findings.append(Finding("pictures that do not decode", where))
         for reason, count in self._bad_telemetry.most_common():
             self._findings.append(Finding("kinds of telemetry that could not be used", f"{reason} ({count:,})"))
@@ -122,7 +122,7 @@ class Contents:
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
-            self._judge_pictures(topic, self._look.seen.get(topic, Seen()), speed_mph)
+            self._judge_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
         flags = row_flags(states)
         for flag, kind in _ROW_FINDINGS.items():
             for begin, end in stretches(flags[flag]):
@@ -134,30 +134,23 @@ class Contents:
         known = CAMERA_TOPICS.intersection(self._topics.values())
         expected = {camera_topic("center")} if has_rows else set()
         others = topics.PICTURE_TOPICS - CAMERA_TOPICS
-        return (known | expected | self._look.seen.keys()) - others
+        return (known | expected | self._image_check.pictures.keys()) - others
 
-    def _judge_pictures(self, topic: str, seen: Seen, speed_mph: dict[tuple[int, int], float]) -> None:
-        held = set(zip(seen.rows, seen.times_ns, strict=True))
+    def _judge_pictures(
+        self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
+    ) -> None:
+        held = set(zip(pictures.rows, pictures.times_ns, strict=True))
         for kind, keys in (
             ("stretches of rows without a picture", speed_mph.keys() - held),
             ("stretches of pictures without a row", held - speed_mph.keys() if speed_mph else set()),
         ):
-            for first, last in _together(sorted({row for row, _ in keys})):
+            for first, last in consecutive(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {_rows(first, last)}"))
         standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
-        for first, last in seen.frozen(standing):
-            where = _rows(seen.rows[first], seen.rows[last])
+        for first, last in pictures.frozen(standing):
+            where = _rows(pictures.rows[first], pictures.rows[last])
             self._findings.append(Finding("stretches of frozen pictures", f"{topic} {where}"))
 
 
 def _rows(first: int, last: int) -> str:
     return f"row {first}" if first == last else f"rows {first} to {last}"
-
-
-def _together(rows: list[int]) -> Iterator[tuple[int, int]]:
-    """First and last of the runs of neighbouring numbers in a sorted list."""
-    begin = 0
-    for i in range(1, len(rows) + 1):
-        if i == len(rows) or rows[i] > rows[i - 1] + 1:
-            yield rows[begin], rows[i - 1]
-            begin = i

@@ -14,6 +14,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from common.stretches import stretches
 from recorder.bc_pb2 import VehicleState
 
 GAP_S: Final = 1.0
@@ -129,14 +130,3 @@ def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]
     limit_s = np.where(states.steering[first] == 0, STUCK_AT_ZERO_S, STUCK_S)
     held_ns = states.time_ns[last] - states.time_ns[first]
     return np.repeat(~standing[first] & (held_ns >= limit_s * 1e9), last - first + 1)
-
-
-def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last position of every run of True."""
-    return [(first, last) for first, last in _runs(np.diff(mask) != 0, len(mask)) if mask[first]]
-
-
-def _runs(changes: NDArray[np.bool_], length: int) -> list[tuple[int, int]]:
-    """First and last position of the runs between changes, which are given for every neighbouring pair."""
-    starts = np.concatenate([[0], np.flatnonzero(changes) + 1]) if length else np.zeros(0, np.int64)
-    return list(zip(starts.tolist(), [*(starts[1:] - 1).tolist(), length - 1][: len(starts)], strict=True))

@@ -1,4 +1,4 @@
-"""Looking at pictures: do they decode, and does a camera show the very same one again and again?"""
+"""Checking pictures: those that do not decode, and cameras that show the very same one again and again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from recorder.log.row_quality import stretches
+from common.stretches import stretches
 from recorder.pictures.picture_size import can_be_decoded
 
 FROZEN_PICTURES: Final = 3
@@ -28,8 +28,8 @@ _DECODER_BYTES: Final = (224 + 64 * (os.cpu_count() or 1)) << 20  # of addresses
 _Place = tuple[str, int]  # topic, and position among its pictures
 
 
-class Seen:
-    """The pictures of one topic in their order, without the pictures themselves: 17 bytes each."""
+class TopicPictures:
+    """The pictures of one topic that were checked, in their order, without their bytes: 17 bytes each."""
 
     def __init__(self) -> None:
         self.rows = array("q")
@@ -62,11 +62,11 @@ class Seen:
         return [(first - 1, last) for first, last in stretches(is_held) if last - first + 2 >= FROZEN_PICTURES]
 
 
-class Look:
-    """Looks at pictures of several topics as they are taken in, in the order of their log."""
+class ImageCheck:
+    """Decodes pictures of several topics as they are added, in the order of their log, and notes repeated ones."""
 
     def __init__(self, pool: Executor | None, on_decoded: Callable[[int], object] = lambda count: None) -> None:
-        """Decodes on `pool`, and tells `on_decoded` how many more it has; without a pool nothing is decoded."""
+        """Pictures are decoded on `pool`, `on_decoded` is given how many more are done; without a pool none is."""
         if pool is not None:
             _load_decoder()
         self._pool = pool
@@ -75,18 +75,19 @@ class Look:
         self._job_bytes = 0
         self._waiting: deque[tuple[list[_Place], int, Future[list[bool]]]] = deque()
         self._waiting_bytes = 0
-        self.seen: dict[str, Seen] = {}
+        self.pictures: dict[str, TopicPictures] = {}
+        """By topic."""
         self.decoded = 0
         self.broken: list[_Place] = []
         """The pictures that do not decode, in the order in which they were taken; whole after `finish`."""
 
-    def take(self, topic: str, row: int, time_ns: int, picture: bytes) -> None:
+    def add(self, topic: str, row: int, time_ns: int, picture: bytes) -> None:
         """Waits while too many bytes are still to be decoded. `time_ns` must be below 2**63."""
-        seen = self.seen.setdefault(topic, Seen())
-        seen.add(row, time_ns, picture)
+        pictures = self.pictures.setdefault(topic, TopicPictures())
+        pictures.add(row, time_ns, picture)
         if self._pool is None:
             return
-        self._job.append(((topic, len(seen) - 1), picture))
+        self._job.append(((topic, len(pictures) - 1), picture))
         self._job_bytes += len(picture) + _OVERHEAD_BYTES
         if len(self._job) == _PICTURES_A_JOB or self._job_bytes >= _JOB_BYTES:
             self._submit(self._pool)
@@ -125,7 +126,7 @@ def _load_decoder() -> None:
 
 
 def decodes(picture: bytes) -> bool:
-    """Whether it is a JPEG or PNG, not too large, that OpenCV decodes to its end. Wrong bytes within the coded
+    """Return True for a JPEG or PNG, not too large, that OpenCV decodes to its end. Wrong bytes within the coded
     picture that end where they should decode to a wrong picture, which nothing can tell from a right one."""
     if not can_be_decoded(picture):
         return False

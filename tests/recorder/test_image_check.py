@@ -23,7 +23,7 @@ from logs import START_NS, STEP_NS
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.check import check
-from recorder.pictures.image_check import Look
+from recorder.pictures.image_check import ImageCheck
 from udacity import jpeg
 
 WHOLE = [jpeg(100 + number, number + 1) for number in range(20)]
@@ -72,13 +72,13 @@ def fingerprint(path: Path) -> str:
 def test_every_picture_that_does_not_decode_is_named_in_order_and_every_one_is_counted() -> None:
     told: list[int] = []
     with ThreadPoolExecutor(2) as pool:
-        look = Look(pool, told.append)
+        image_check = ImageCheck(pool, told.append)
         for row in range(150):
-            look.take("/a", row, row, CUT_OFF if row in (0, 77) else WHOLE[row % 20])
-            look.take("/b", row, row, b"" if row == 31 else WHOLE[(row + 1) % 20])
-        look.finish()
-    assert look.broken == [("/a", 0), ("/b", 31), ("/a", 77)]
-    assert look.decoded == sum(told) == 300
+            image_check.add("/a", row, row, CUT_OFF if row in (0, 77) else WHOLE[row % 20])
+            image_check.add("/b", row, row, b"" if row == 31 else WHOLE[(row + 1) % 20])
+        image_check.finish()
+    assert image_check.broken == [("/a", 0), ("/b", 31), ("/a", 77)]
+    assert image_check.decoded == sum(told) == 300
 
 
 @pytest.mark.parametrize(
@@ -99,11 +99,11 @@ def test_every_picture_that_does_not_decode_is_named_in_order_and_every_one_is_c
 def test_three_equal_pictures_in_a_row_from_a_moving_car_are_frozen(
     pictures: str, moves: str, expected: list[tuple[int, int]]
 ) -> None:
-    look = Look(None)
+    image_check = ImageCheck(None)
     for i, name in enumerate(pictures):
-        look.take("/a", 100 + i, 5 * i, name.encode())
+        image_check.add("/a", 100 + i, 5 * i, name.encode())
     standing = {(100 + i, 5 * i) for i, moving in enumerate(moves) if moving == "0"}
-    assert [found for seen in look.seen.values() for found in seen.frozen(standing)] == expected
+    assert [found for pictures in image_check.pictures.values() for found in pictures.frozen(standing)] == expected
 
 
 class _Job(Future[Any]):
@@ -125,13 +125,13 @@ class _WhenAsked(Executor):
 @pytest.mark.parametrize(("pictures", "size"), [(100, 1 << 20), (20_000, 1 << 13)])
 def test_pictures_that_wait_to_be_decoded_take_bounded_memory(pictures: int, size: int) -> None:
     tracemalloc.start()
-    look = Look(_WhenAsked())
+    image_check = ImageCheck(_WhenAsked())
     for row in range(pictures):
-        look.take("/a", row, row, row.to_bytes(4, "big") * (size // 4))  # 100 MB, 160 MB in all
-    look.finish()
+        image_check.add("/a", row, row, row.to_bytes(4, "big") * (size // 4))  # 100 MB, 160 MB in all
+    image_check.finish()
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert len(look.broken) == pictures
+    assert len(image_check.broken) == pictures
     assert peak < 24 << 20
 
 

@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.stretches import stretches
 from logs import START_NS
 from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.recover import recover
-from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, stretches, summary
+from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, summary
 
 SECOND_NS = 1_000_000_000
 
