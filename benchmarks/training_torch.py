@@ -27,7 +27,7 @@ from model.config import TrainConfig
 from model.device import choose_machine
 from model.network.original import PARAMETERS, SteeringNetwork
 from model.runs.training_progress import Epoch, Step
-from model.training.step import learn, make_optimizer
+from model.training.step import make_optimizer, training_step
 from model.training.trainer import train
 
 
@@ -79,7 +79,7 @@ def step_alone(folder: Path, config: TrainConfig) -> None:
 
     def epoch() -> None:
         for some, theirs in batches:
-            learn(network, optimizer, some, theirs, dtype=machine.dtype, micro_batch=machine.micro_batch)
+            training_step(network, optimizer, some, theirs, dtype=machine.dtype, micro_batch=machine.micro_batch)
 
     take_turns(epoch)
 

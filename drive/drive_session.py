@@ -30,7 +30,7 @@ SILENT_S: Final = 0.2
 STABLE_S: Final = 10.0
 """A connection that lasts so long is stable."""
 
-_REST: Final = Steer(0.0, 0.0)
+_NEUTRAL: Final = Steer(0.0, 0.0)
 
 
 class DriveSession:
@@ -55,7 +55,7 @@ class DriveSession:
         self._config = config
         self._driver = Driver(pilot, config)
         self._metadata: dict[str, dict[str, str]] = {}
-        self._last_steer = _REST
+        self._last_steer = _NEUTRAL
         self._last_telemetry_s = time.monotonic()
         self._was_pushed = False
         self._is_stopping = self._was_braking = False
@@ -72,7 +72,7 @@ class DriveSession:
 
     def connected(self) -> None:
         self._driver = Driver(self._pilot, self._config)
-        self._last_steer, self._last_telemetry_s, self._was_pushed = _REST, time.monotonic(), False
+        self._last_steer, self._last_telemetry_s, self._was_pushed = _NEUTRAL, time.monotonic(), False
         self.is_connected, self._is_stopping = True, False
         self.connections += 1
         self._connected_s = time.monotonic()
@@ -134,7 +134,7 @@ class DriveSession:
 
     def final_command(self) -> Steer:
         """The last command, which the simulator's car keeps for ever."""
-        return replace(_REST, decimal_separator=self._last_steer.decimal_separator)
+        return replace(_NEUTRAL, decimal_separator=self._last_steer.decimal_separator)
 
     def status(self, now_s: float) -> str:
         """The status line of the drive."""

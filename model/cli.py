@@ -94,7 +94,7 @@ def train(config: Train) -> int:
             print_message(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}`")
         raise
     except FirstRankError:
-        return FAILED  # the first one says why
+        return FAILED  # the first one prints why
     code = max([code, *map(warn_skipped, trained.skipped)])
     if not is_first:
         return code
@@ -115,7 +115,7 @@ def train(config: Train) -> int:
 
 
 def _going_on(run: Path) -> str:
-    """Where a run that was stopped is gone on with."""
+    """The end of the line that is printed first: where a resumed run goes on."""
     from model.runs.checkpoint import read_position
     from model.runs.run_folder import has_nothing_saved
 
@@ -131,9 +131,9 @@ def _resume(run: Path, index: Path) -> str:
     from model.runs.run_inputs import index_of
 
     command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
-    told = index_of(run)
-    is_told = told is not None and told.resolve() == index.resolve()
-    return f"{command} --resume {run_argument(run)}{'' if is_told else f' --index {shlex.quote(str(index))}'}"
+    stored = index_of(run)
+    is_stored = stored is not None and stored.resolve() == index.resolve()
+    return f"{command} --resume {run_argument(run)}{'' if is_stored else f' --index {shlex.quote(str(index))}'}"
 
 
 class Printer:
@@ -207,7 +207,7 @@ def _run_of(config: Train) -> Path:
 
 
 def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
-    """The index to train on, built if need be; what it does not hold is told, which is the exit code."""
+    """The index to train on, built if need be, and the exit code of what had to be printed about it."""
     from dataset import sessions_not_indexed
     from dataset.samples.samples_format import SAMPLES_NAME
 
@@ -220,11 +220,11 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
         assert name is not None  # noqa: S101
         codes = [DONE]
 
-        def said(notice: str) -> None:
+        def on_notice(notice: str) -> None:
             if is_first:
                 codes.append(warn(notice))
 
-        return index_of_run(find_any_run(name, config.runs), config.index, config.sessions, said), max(codes)
+        return index_of_run(find_any_run(name, config.runs), config.index, config.sessions, on_notice), max(codes)
     if not is_there:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
@@ -238,7 +238,7 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
 
 
 def _build_index(config: Train) -> int:
-    """As `bc-index` does: what cannot be read is left out, and said; the exit code that says so."""
+    """Build the index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
     from dataset import build_index, find_logs
     from dataset.index.index_report import print_log_notices
 
@@ -247,12 +247,12 @@ def _build_index(config: Train) -> int:
 
 
 def _defaults() -> Train:
-    """What holds where no flag is given: settings and places of the run that is named with --resume or --like."""
+    """The defaults of the flags: the settings and places of the run that is named with --resume or --like."""
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     given.add_argument("--resume")
     given.add_argument("--like")
     given.add_argument("--runs", type=Path, default=Train.runs)
-    with contextlib.suppress(argparse.ArgumentError):  # tyro says what is wrong
+    with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
         flags, _ = given.parse_known_args()
         if name := flags.resume if flags.resume is not None else flags.like:
             from model.runs.provenance import training_of

@@ -1,4 +1,4 @@
-"""What a training computes on: the device, its arithmetic, and how much goes through the network at once."""
+"""The device that a training computes on, its arithmetic, and how much goes through the network at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be wrong with a run."""
+"""Errors of runs."""
 
 from __future__ import annotations
 

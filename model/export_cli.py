@@ -39,6 +39,6 @@ def export(config: Export) -> int:
 
 
 def main() -> None:
-    """What `bc-train` hands on when its first argument is `export`."""
+    """Run `bc-train export`: `sys.argv` begins with the first argument, `export`."""
     del sys.argv[1]
     run_command("bc-train export", Export, export)

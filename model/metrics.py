@@ -1,4 +1,4 @@
-"""How far predictions are off, beside predictors that know nothing.
+"""Errors of predicted steering, beside those of predictors that know nothing.
 
 Half to four fifths of recorded labels are near zero, so that a small mean error alone says nothing: every
 measure stands beside those of always predicting zero, and the mean.
@@ -47,7 +47,7 @@ class BinErrors:
 
 @dataclass(frozen=True)
 class Measures:
-    """How far a network is off on some frames."""
+    """The errors of a network on some frames."""
 
     frames: int
     network: Errors

@@ -70,7 +70,7 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
 
 
 def description(run: Path) -> dict[str, str]:
-    """What the file says of itself: what goes in, what comes out, and which run it is."""
+    """The metadata of the file: its input, its output, and the run it is of."""
     top, bottom = DESCRIPTION["crop_top"], DESCRIPTION["crop_bottom"]
     return {
         "preprocessing": (

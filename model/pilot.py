@@ -35,7 +35,7 @@ class Pilot:
         self.run = run
         self.weights_sha256 = weights_sha256
         self.arithmetic = str(dtype).removeprefix("torch.")
-        """What it calculates in: "float32" or "bfloat16"."""
+        """The arithmetic it calculates in: "float32" or "bfloat16"."""
         slice_max_pools(network.features)
         self._network = network.eval().to(dtype=dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
         if dtype == torch.bfloat16:
@@ -45,7 +45,7 @@ class Pilot:
         network.features.register_forward_pre_hook(lambda _, inputs: inputs[0].to(dtype))
 
     def crop(self, picture: Image) -> Image:
-        """What the network sees of a camera picture (height, width, 3) BGR: (128, 128, 3) BGR."""
+        """The crop that the network sees of a camera picture (height, width, 3) BGR: (128, 128, 3) BGR."""
         return preprocess(picture)
 
     @torch.inference_mode()

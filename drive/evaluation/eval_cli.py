@@ -151,10 +151,10 @@ def _print_notices(found: Evaluation, *, is_training: bool) -> int:
     for remark in found.remarks:
         print_message(remark)
     run, count = run_name(found.run), found.measures.frames
-    if found.learnt is None:
+    if found.trained_on is None:
         code = warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
-    elif found.learnt:
-        line = f"{run} has learnt from {found.learnt:,} of these {counted(count, 'frame')}"
+    elif found.trained_on:
+        line = f"{run} has learnt from {found.trained_on:,} of these {counted(count, 'frame')}"
         if is_training:
             print_message(f"bc-eval: {line}")
         else:

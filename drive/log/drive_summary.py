@@ -40,13 +40,13 @@ class DriveSummary:
         self.put_back = 0
         """The times that the simulator put the car back on the road."""
         self.dropped_pictures = 0
-        """This and the rows: as `DriveLog` counts them, set by its owner."""
+        """Pictures that are not in the log, as `DriveLog` counts them; its owner sets this and the next."""
         self.dropped_rows = 0
         self.elapsed_s = 0.0
         self.simulated_s = 0.0
-        """Of `elapsed_s`, by the simulator's clock."""
+        """The part of `elapsed_s` that is by the simulator's clock."""
         self.driven_s = 0.0
-        """Of `elapsed_s`, with telemetry that was driven on."""
+        """The part of `elapsed_s` with telemetry that was driven on."""
         self.distance_m = 0.0
         self.latency = {stage: LatencyHistogram() for stage in STAGES}
         self._clock = DriveClock()
@@ -61,16 +61,16 @@ class DriveSummary:
         """All that were answered: frames, malformed ones, and those of a human's driving."""
         self.frames_with_interventions = 0
         """Frames whose telemetry gives the simulator's count of them."""
-        self.speed_mph: float | None = None
-        """The last known one; so are those below."""
+        self.speed_mph: float | None = None  # this and the next three: the last known values
         self.driver: Literal["pilot", "expert", "human"] = "pilot"
         self.is_braked = False
         self.steering = 0.0
         self.total_ms = 0.0
-        """Of all telemetries."""
+        """The sum of all telemetries' times to their answers."""
         self.last_ms = 0.0
-        """Of the last telemetry; `last_s` is when it came, by a monotonic clock."""
+        """The last telemetry's."""
         self.last_s = 0.0
+        """The time of a monotonic clock at which it was answered."""
 
     def decision(self, decision: Decision, total_ms: float, now_s: float | None = None) -> None:
         """Count a telemetry that was answered after `total_ms`; `now_s` is by a monotonic clock."""

@@ -1,1 +1,1 @@
-"""How far a network is off on recorded frames, and where it is off the most."""
+"""Predictions of trained networks for recorded frames, and their errors."""

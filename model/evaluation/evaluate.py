@@ -1,4 +1,4 @@
-"""How far a trained network is off, on frames of an index or of whole sessions.
+"""Evaluation of a trained network on frames of an index or of whole sessions.
 
 bc-eval RUN
 """
@@ -39,13 +39,13 @@ _FROM_INDEX: Final = pa.schema(
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a run's network says of some frames, and how far that is off."""
+    """Predictions of a run's network for some frames, and their errors."""
 
     run: Path
     frames: pa.Table  # session, row, camera, log_time_ns; recorded and predicted: steering, -1..1
     logs: dict[str, Path]  # of the sessions
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
-    learnt: int | None  # how many of the frames the run has learnt from; None where its config does not say
+    trained_on: int | None  # number of the frames that the run was trained on; None where its config does not say
     skipped: Skipped  # pictures that do not decode
     notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
@@ -72,16 +72,16 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
-        found = _told(self.measures)
+        found = _as_dict(self.measures)
         for name in ("zero", "mean"):
             found[name]["balanced_rmse_deg"] = self.balanced_rmse_deg[name]
         return {
             "run": run_name(self.run),
-            "learnt": self.learnt,
+            "learnt": self.trained_on,
             "skipped": dict(self.skipped.counts),
             **found,
             "sessions": {
-                session: {"log": str(self.logs[session]), **_told(measures)}
+                session: {"log": str(self.logs[session]), **_as_dict(measures)}
                 for session, measures in self.sessions.items()
             },
         }
@@ -145,7 +145,7 @@ def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
 
 
 def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
-    """Which frames these are. Raises DatasetError for what no index holds."""
+    """The columns of `_FROM_INDEX`. Raises DatasetError for what no index holds."""
     try:
         frames = seen.select(_FROM_INDEX.names).cast(_FROM_INDEX)
         is_damaged = any(column.null_count for column in frames.columns)
@@ -160,7 +160,7 @@ def _measure(frames: pa.Table) -> Measures:
     return measure(frames["predicted"].to_numpy(), frames["recorded"].to_numpy())
 
 
-def _told(measures: Measures) -> dict[str, Any]:
+def _as_dict(measures: Measures) -> dict[str, Any]:
     return {
         "frames": measures.frames,
         "network": without_nan(asdict(measures.network)),

@@ -1,4 +1,4 @@
-"""What networks say of a recorded log, how far that is off, and where it is off the most."""
+"""Predictions of networks for a recorded log, their errors, and the moments of the largest errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WORST_MOMENTS: Final = 10  # moments of each run that become events
 
 @dataclass(frozen=True)
 class LogPredictions:
-    """What networks say of the pictures of a log, in its order. Steering is -1 (left) .. 1 (right)."""
+    """Predictions of networks for the pictures of a log, in its order. Steering is -1 (left) .. 1 (right)."""
 
     session: str
     row: NDArray[np.int64]  # of each picture
@@ -50,7 +50,7 @@ class LogPredictions:
         return worst_frames(pa.table(frames), count)
 
     def summary(self, run: str) -> str:
-        """How far a run is off, in a line."""
+        """The errors of a run, in a line."""
         known = np.isfinite(self.recorded)
         if not known.any():
             return f"{run}: {counted(len(self.row), 'frame')}, nothing recorded with them to compare with"
@@ -61,11 +61,11 @@ class LogPredictions:
         )
 
     def worst_moments(self, run: str) -> list[tuple[int, str]]:
-        """Log time in ns, and in words: the worst moments of a run, the earliest first."""
-        return sorted((worst.log_time_ns, _told(run, worst)) for worst in self.worst(run))
+        """Log time in ns and description of the worst moments of a run, the earliest first."""
+        return sorted((worst.log_time_ns, _description(run, worst)) for worst in self.worst(run))
 
 
-def _told(run: str, worst: WorstFrame) -> str:
+def _description(run: str, worst: WorstFrame) -> str:
     side = "right" if worst.error_deg > 0 else "left"
     return (
         f"{run}: {abs(worst.error_deg):.1f} degrees too far to the {side}: {worst.predicted_deg:z.1f} predicted,"

@@ -1,1 +1,1 @@
-"""Run folders: what a training leaves behind, where it came from, and what others can make of it."""
+"""Run folders: weights, checkpoints and history of a training, and where it came from."""

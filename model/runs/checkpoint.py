@@ -1,4 +1,4 @@
-"""Where a training stands: `last/checkpoint.safetensors`, from which it goes on as if it had never stopped.
+"""Checkpoints: `last/checkpoint.safetensors`, from which a training goes on as if it had never stopped.
 
 One file with its own checksum (checksums.py), so that weights, moments of Adam and position are always of the same
 moment. No random state is in it: order, dropout and alterations are functions of (seed, epoch, batch), drawn anew
@@ -10,11 +10,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+import msgspec
 import torch
+from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
@@ -30,28 +31,27 @@ _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights
 _MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what torch.optim.Adam keeps of each parameter
 
 
-@dataclass(frozen=True)
-class Position:
-    """How far a training has come, and the sums of the epoch that it is in."""
+Count = Annotated[int, Meta(ge=0, lt=2**53)]
+Sum = Annotated[float, Meta(ge=0)]
 
-    epoch: int = 1  # that is being trained; epochs before it are finished
-    batch: int = 0  # batches of it that are learnt
-    squared_error: float = 0.0  # over its samples so far
-    samples: int = 0
-    seconds: float = 0.0
-    told_squared_error: float = 0.0  # those of the two that steps.jsonl tells of already
-    told_samples: int = 0
-    best_epoch: int = 0  # 0: none yet
-    best_deg: float = math.inf  # balanced RMSE of that epoch; infinite where nothing is held out
 
-    def __post_init__(self) -> None:
-        """Raises ValueError for a value that no training has."""
-        numbers = (self.epoch - 1, self.batch, self.samples, self.told_samples, self.best_epoch)
-        if not all(isinstance(number, int) and 0 <= number < 2**53 for number in numbers):
-            raise ValueError("a position that is none")
-        sums = (self.squared_error, self.told_squared_error, self.seconds, self.best_deg)
-        if not all(isinstance(value, float) and value >= 0 for value in sums):
-            raise ValueError("a sum that is none")
+class Position(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    rename={"reported_squared_error": "told_squared_error", "reported_samples": "told_samples"},
+):
+    """The place that a training has come to, and the sums of the epoch that it is in."""
+
+    epoch: Annotated[int, Meta(ge=1, lt=2**53)] = 1  # that is being trained; epochs before it are finished
+    batch: Count = 0  # batches of it that are learnt
+    squared_error: Sum = 0.0  # over its samples so far
+    samples: Count = 0
+    seconds: Sum = 0.0
+    reported_squared_error: Sum = 0.0  # the part of these two that is in steps.jsonl
+    reported_samples: Count = 0
+    best_epoch: Count = 0  # 0: none yet
+    best_deg: Sum = math.inf  # balanced RMSE of that epoch; infinite where nothing is held out
 
 
 def checkpoint_path(run: Path) -> Path:
@@ -64,13 +64,12 @@ def save_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam, 
     for name, parameter in network.named_parameters():
         moments = optimizer.state.get(parameter, {})  # empty before the first step
         tensors |= {f"{moment}.{name}": tensor for moment, tensor in moments.items()}
-    stored = {"format": FORMAT, "position": json.dumps(asdict(position))}
+    stored = {"format": FORMAT, "position": json.dumps(msgspec.to_builtins(position))}
     save_checksummed(checkpoint_path(run), tensors, stored)
 
 
 def read_position(run: Path) -> Position:
-    """Where the run's checkpoint stands, as it says itself. Raises RunError if there is none, or if that cannot be
-    read."""
+    """The position in the run's checkpoint. Raises RunError if there is none, or if it cannot be read."""
     path = _required(run)
     try:
         with safe_open(path, framework="pt") as file:
@@ -93,13 +92,13 @@ def _position(stored: Mapping[str, str], path: Path) -> Position:
             raise RunError(
                 f"{path}: of format {stored.get('format')}, this toolkit reads {FORMAT}; update the toolkit"
             )
-        return Position(**json.loads(stored["position"]))
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        return msgspec.convert(json.loads(stored["position"]), Position)
+    except (KeyError, ValueError, RecursionError) as error:
         raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
 
 
 def load_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam) -> Position:
-    """Put the network and its optimizer where the run's checkpoint left them, on their device; the position.
+    """Load the run's checkpoint into the network and its optimizer, on their device, and return its position.
 
     Raises RunError if the checkpoint is damaged, of another version, or of another network.
     """

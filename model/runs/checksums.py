@@ -48,7 +48,7 @@ def save_checksummed(path: Path, tensors: Mapping[str, Tensor], metadata: Mappin
 def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The tensors of a file of `run`, and its metadata, once its checksum is found to hold.
 
-    A file without one, of an earlier version, is read all the same, and that is said once. Raises RunError for a
+    A file without one, of an earlier version, is read all the same, with a warning, once. Raises RunError for a
     damaged file; `otherwise` is what to do then.
     """
     try:
@@ -60,7 +60,7 @@ def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, T
         raise RunError(f"{path}: cannot be read ({error}); {otherwise}") from None
     checksum = metadata.pop(CHECKSUM, None)
     if checksum is None:
-        _say_unsealed(run)
+        _warn_without_checksum(run)
     elif not _holds(checksum, header, values):
         raise RunError(f"{path}: damaged: it is not what was written (its SHA-256 is another); {otherwise}")
     return tensors, metadata
@@ -89,7 +89,7 @@ def _halves(data: bytes) -> tuple[bytes, memoryview]:
 
 
 @functools.cache
-def _say_unsealed(run: Path) -> None:
+def _warn_without_checksum(run: Path) -> None:
     # by `logging`: it is heard wherever a network is loaded, also where no command is
     logging.getLogger(__name__).warning(
         "%s",

@@ -1,11 +1,13 @@
-"""Where a run comes from: its settings, the exact bytes that it saw, and the versions that trained it."""
+"""Provenance: the settings of a run, the exact data it saw, and the versions that trained it."""
 
 from __future__ import annotations
 
 import platform
+from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import torch
 
 from common.stored_settings import settings_from
@@ -15,10 +17,25 @@ from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
 from model.network.original import PARAMETERS
+from model.runs.run_folder import load_config, run_name, weights_checksum
+from model.runs.run_inputs import relative_place
+
+
+class StoredLog(msgspec.Struct):
+    """A log of the index that a run was trained on, as its config.json has it."""
+
+    fingerprint: str
+
+
+class StoredData(msgspec.Struct):
+    """The index that a run was trained on, as its config.json has it."""
+
+    settings: dict[str, Any]
+    logs: dict[str, StoredLog]
 
 
 def provenance(samples: Samples, config: TrainConfig, machine: Machine, ranks: int) -> dict[str, Any]:
-    """What a run's config.json says of its training."""
+    """The part of a run's config.json that is about its training."""
     return {
         "network": "bojarski2016-modified",
         "parameters": PARAMETERS,
@@ -29,8 +46,21 @@ def provenance(samples: Samples, config: TrainConfig, machine: Machine, ranks: i
     }
 
 
+def init_provenance(init: Path, run: Path) -> dict[str, Any]:
+    """The weights that `run` starts from, and all data that these were trained on before."""
+    before = load_config(init)
+    earlier = before.get("init")
+    data = earlier.get("data") if isinstance(earlier, dict) else None
+    return {
+        "run": run_name(init),
+        "place": relative_place(run, init),
+        "weights_sha256": weights_checksum(init),
+        "data": [before.get("data"), *(data if isinstance(data, list) else [])],
+    }
+
+
 def versions() -> dict[str, str]:
-    """What the training is made with."""
+    """Versions of Python and of the packages that training depends on."""
     return {
         "python": platform.python_version(),
         **{name: version_of(name) for name in (TOOLKIT, "torch", "numpy", "pyarrow")},
@@ -39,7 +69,7 @@ def versions() -> dict[str, str]:
 
 
 def machine_settings(machine: Machine, ranks: int) -> dict[str, Any]:
-    """What the last bits of the weights depend on besides `TrainConfig`."""
+    """Settings of the machine that the last bits of the weights depend on, besides `TrainConfig`."""
     return {
         "device": machine.device.type,
         "arithmetic": machine.arithmetic,
@@ -59,7 +89,7 @@ def training_of(stored: dict[str, Any], where: str) -> TrainConfig:
 
 
 def data_fingerprint_of(stored: dict[str, Any], where: str) -> str:
-    """What identifies the samples that a run was trained on. Raises RunError if its config does not say."""
+    """The fingerprint of the samples that a run was trained on. Raises RunError if its config does not say."""
     try:
         return str(stored["data"]["fingerprint"])
     except (KeyError, TypeError):

@@ -7,21 +7,23 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from model.errors import RunError
-from model.runs.provenance import data_fingerprint_of
+from model.runs.provenance import StoredData, data_fingerprint_of
 from model.runs.run_folder import CONFIG, load_config, run_name
 from model.runs.run_inputs import logs_of
 
 
 def index_of_run(
-    run: Path, index: Path, sessions: Path, said: Callable[[str], object] = lambda notice: None
+    run: Path, index: Path, sessions: Path, on_notice: Callable[[str], object] = lambda notice: None
 ) -> Path:
     """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
     from the run's settings and the logs of its sessions, in `sessions` or where they were.
 
-    `said` gets the notices of building it. Raises RunError if these logs, or their tags, have changed since;
+    `on_notice` gets the notices of building it. Raises RunError if these logs, or their tags, have changed since;
     DatasetError if one is gone, LogError if one cannot be read: without it, the samples would be others.
     """
     stored = load_config(run)
@@ -39,7 +41,7 @@ def index_of_run(
         for name in fingerprints
     ]
     for notice in build_index(find_logs(logs, sessions), own, settings).notices:
-        said(notice)
+        on_notice(notice)
     with contextlib.closing(Samples(own)) as samples:
         changed = [name for name, (_, now) in samples.sources.items() if now != fingerprints[name]]
         if changed:
@@ -53,9 +55,9 @@ def index_of_run(
 
 
 def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
-    """What the index was made with that `run` was trained on, and the fingerprints of its logs by session.
+    """The settings of the index that `run` was trained on, and the fingerprints of its logs by session.
 
-    Raises RunError if the run does not tell.
+    Raises RunError if its config does not say.
     """
     return _data_of(load_config(run), str(run / CONFIG))
 
@@ -71,9 +73,10 @@ def _fingerprint(index: Path) -> str:
 
 def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str, str]]:
     try:
-        fingerprints = {str(name): str(log["fingerprint"]) for name, log in stored["data"]["logs"].items()}
-        if any(Path(name).name != name for name in fingerprints):
+        data = msgspec.convert(stored.get("data"), StoredData)
+        if any(Path(name).name != name for name in data.logs):
             raise ValueError("a session's name is a path")
-        return settings_from(IndexConfig, stored["data"]["settings"]), fingerprints
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        fingerprints = {name: log.fingerprint for name, log in data.logs.items()}
+        return settings_from(IndexConfig, data.settings), fingerprints
+    except ValueError as error:
         raise RunError(f"{where}: its index settings cannot be used ({error})") from None

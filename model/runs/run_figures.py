@@ -92,7 +92,7 @@ def draw_curves(history: History) -> Figure:
         curve(errors, value, label, color=color, marker=marker)
     best = history.best
     if best is None or not best.measures.bins:
-        _say(errors, "no frames were held out")
+        _write_note(errors, "no frames were held out")
     else:
         _draw_constants(loss, errors, best)
         for axes, height in ((loss, best.validation_loss), (errors, best.measures.balanced_rmse_deg)):
@@ -123,7 +123,7 @@ def draw_steering(predicted: Floats, recorded: Floats) -> Figure:
     """Predicted against recorded steering (N,) of the frames held out, errors by bin, and a stretch of frames."""
     if not len(recorded):
         figure = new_figure(1)
-        _say(figure.subplots(), "no frames were held out")
+        _write_note(figure.subplots(), "no frames were held out")
         return figure
     measures = measure(predicted, recorded)
     figure = new_figure(5.4)
@@ -138,7 +138,7 @@ def draw_steering(predicted: Floats, recorded: Floats) -> Figure:
 
 
 def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
-    """What predictors that know nothing reach on the same frames: the same in every epoch."""
+    """Draw the errors of predictors that know nothing on the same frames: the same in every epoch."""
     mean, zero = epoch.measures.mean, epoch.measures.zero
     for constant, label, style in ((mean, "always the mean", "--"), (zero, "always zero", ":")):
         if (squared := (constant.rmse_deg / MAX_STEERING_DEG) ** 2) > 0:  # the axis is logarithmic
@@ -149,8 +149,8 @@ def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
     errors.plot([], [], color=GREY, linestyle="--", linewidth=1, label="always the mean")
 
 
-def _say(axes: Axes, text: str) -> None:
-    """What stands where there is nothing to draw."""
+def _write_note(axes: Axes, text: str) -> None:
+    """Write a text where there is nothing to draw."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
@@ -171,12 +171,12 @@ def _draw_scatter(axes: Axes, predicted: Floats, recorded: Floats, measures: Mea
     axes.plot((-_FARTHEST, _FARTHEST), (-_FARTHEST, _FARTHEST), color=GREY, linewidth=0.8)
     shown = np.clip(predicted, -_FARTHEST, _FARTHEST)
     axes.scatter(recorded, shown, s=6, color=BLUE, alpha=alpha, linewidth=0, clip_on=False)
-    told = f"{counted(len(recorded), 'frame')} held out: RMSE {measures.network.rmse_deg:.2f}°"
+    title = f"{counted(len(recorded), 'frame')} held out: RMSE {measures.network.rmse_deg:.2f}°"
     if math.isfinite(measures.network.correlation):
-        told += f", correlation {measures.network.correlation:.2f}"
+        title += f", correlation {measures.network.correlation:.2f}"
     if beyond := int((np.abs(predicted) > _FARTHEST).sum()):
-        told += f"\n({beyond:,} beyond ±{_FARTHEST} drawn at the edge)"
-    axes.set_title(told, loc="left", fontsize=8)
+        title += f"\n({beyond:,} beyond ±{_FARTHEST} drawn at the edge)"
+    axes.set_title(title, loc="left", fontsize=8)
     axes.set(xlim=(-1.03, 1.03), ylim=(-_FARTHEST, _FARTHEST), xticks=_TICKS, yticks=_TICKS)
     axes.set_xlabel("recorded steering (1: 25° to the right)")
     axes.set_ylabel("predicted steering")

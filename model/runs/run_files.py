@@ -49,7 +49,7 @@ def keep_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
 
 
 def without_nan(value: Any) -> Any:
-    """What JSON can hold: numbers that do not exist (NaN, infinite) become None."""
+    """The value as JSON can hold it: numbers that do not exist (NaN, infinite) become None."""
     if isinstance(value, dict):
         return {key: without_nan(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

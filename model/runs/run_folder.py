@@ -32,7 +32,7 @@ from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_files import named, replaced_file
 
 FORMAT: Final = 2
-DRIVABLE: Final = (1, 2)  # format 1 says less of its training
+DRIVABLE: Final = (1, 2)  # format 1 has less about its training
 MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
@@ -50,7 +50,7 @@ def create_run(folder: Path, config: dict[str, Any]) -> None:
 
 
 def refuse_existing_run(folder: Path) -> None:
-    """Raise RunError if the name of a run that is to be made is taken; it says how to go on."""
+    """Raise RunError if the name of a run that is to be made is taken; its message says how to go on."""
     if (folder / CONFIG).is_file():
         raise RunError(
             f"{folder}: exists already; give another --name, or go on with it:"
@@ -110,7 +110,7 @@ def find_run(name: str | None, runs: Path | str) -> Path:
 
 
 def has_nothing_saved(run: Path) -> bool:
-    """Whether nothing of a run's training was ever saved: it was killed before its first checkpoint."""
+    """Whether a run was killed before its first checkpoint, so that nothing of its training was ever saved."""
     return not checkpoint_path(run).exists() and not (run / WEIGHTS).exists()
 
 
@@ -174,6 +174,6 @@ def load_network(folder: Path) -> SteeringNetwork:
 
 
 def weights_checksum(folder: Path) -> str:
-    """SHA-256 of the run's weights: a drive's log says with it which network drove."""
+    """SHA-256 of the run's weights, by which a drive's log names the network that drove."""
     with weights_path(folder).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

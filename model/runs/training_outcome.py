@@ -1,4 +1,4 @@
-"""What a training has come to, in words: whether it was worth anything, and why which epoch is kept."""
+"""The outcome of a training, in words: whether it beats a constant, and why which epoch is kept."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def verdict(epochs: Sequence[Epoch], kept: int) -> list[str]:
 def _beside_the_mean(best: Epoch) -> str:
     measures = best.measures
     pairs = {"RMSE": (measures.network.rmse_deg, measures.mean.rmse_deg)}
-    if math.isfinite(measures.mean_balanced_rmse_deg):  # not told by earlier versions
+    if math.isfinite(measures.mean_balanced_rmse_deg):  # earlier versions did not store it
         pairs["balanced RMSE"] = (measures.balanced_rmse_deg, measures.mean_balanced_rmse_deg)
-    told = {name: f"{network:.2f} against {mean:.2f} degrees" for name, (network, mean) in pairs.items()}
+    texts = {name: f"{network:.2f} against {mean:.2f} degrees" for name, (network, mean) in pairs.items()}
     is_better = {name: network < mean for name, (network, mean) in pairs.items()}
     if len(set(is_better.values())) == 1:
-        numbers = ", ".join(f"{name} {numbers}" for name, numbers in told.items())
+        numbers = ", ".join(f"{name} {numbers}" for name, numbers in texts.items())
         return f"{_word(is_better['RMSE'])} than always predicting the mean: {numbers}"
-    parts = [f"{_word(is_better[name])} in {name} ({numbers})" for name, numbers in told.items()]
+    parts = [f"{_word(is_better[name])} in {name} ({numbers})" for name, numbers in texts.items()]
     return (
         f"beside always predicting the mean: {', '.join(parts)}; the balanced one counts every steering bin alike"
     )

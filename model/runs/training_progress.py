@@ -1,4 +1,4 @@
-"""What training tells of itself, to listeners while it goes on and to the run's files for good."""
+"""The progress of a training, as its listeners get it, and as it is kept in the run's files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEPS_FILE: Final = "steps.jsonl"
 
 @dataclass(frozen=True)
 class Step:
-    """How training stands within an epoch."""
+    """Progress within an epoch."""
 
     epoch: int  # from 1
     batch: int  # from 1, of `batches`
@@ -30,7 +30,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Epoch:
-    """How one epoch went. What does not exist is NaN."""
+    """The losses and errors of an epoch. What does not exist is NaN."""
 
     epoch: int  # from 1
     training_loss: float  # mean squared error of steering, -1..1, over the epoch's samples while they were learnt
@@ -58,7 +58,7 @@ class Epoch:
 
 
 class Listener(Protocol):
-    """Who wants to be told how training goes."""
+    """Receives the progress of a training."""
 
     def step(self, step: Step) -> object: ...
     def epoch(self, epoch: Epoch) -> object: ...

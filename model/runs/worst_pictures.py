@@ -25,7 +25,7 @@ MOST_WORST_BYTES: Final = 32 << 20
 """Of that file: some 500 epochs. Of longer trainings, the last ones are kept; no reader takes twice as much."""
 WORST_COUNT: Final = 6
 WORST_COLUMNS: Final = ("session", "row", "log_time_ns")
-"""What must be known of the frames held out."""
+"""Columns that must be known of the frames held out."""
 
 _QUALITY: Final = 90  # of the JPEGs, some 7 KB each
 

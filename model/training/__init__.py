@@ -1,1 +1,1 @@
-"""Training: the loop and its steps, checkpoints, several processes, and what is told of it while it goes on."""
+"""Training: the loop and its steps, resuming, several processes, and curves for TensorBoard."""

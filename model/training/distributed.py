@@ -40,15 +40,16 @@ class Group:
         return self.rank == 0
 
     def sum(self, *values: float) -> list[float]:
-        """Each value's sum over all ranks, who must all ask."""
+        """Sum each value over all ranks, which must all call this."""
         return self._reduce(values, ReduceOp.SUM)
 
     def any(self, *values: bool) -> list[bool]:
-        """Whether each value is true on any rank; all must ask."""
+        """Whether each value is true on any rank; all must call this."""
         return [number > 0 for number in self._reduce(tuple(map(float, values)), ReduceOp.MAX)]
 
-    def first(self, action: Callable[[], Result]) -> Result | None:
-        """What `action` gives on rank 0, while the others wait; None there. All must ask.
+    def on_first_rank(self, action: Callable[[], Result]) -> Result | None:
+        """Call `action` on rank 0, while the others wait, and return its result; None on the others. All must call
+        this.
 
         If it fails, all fail, so that none waits for ever: rank 0 with its error, the others with FirstRankError.
         """
@@ -67,8 +68,8 @@ class Group:
             raise FirstRankError("the first process cannot go on; it says why")
         return result
 
-    def share(self, network: nn.Module) -> nn.Module:
-        """The network, its gradients averaged over all ranks."""
+    def distributed(self, network: nn.Module) -> nn.Module:
+        """The network with its gradients averaged over all ranks."""
         return network if self.ranks == 1 else DistributedDataParallel(network)
 
     def _reduce(self, values: tuple[float, ...], operation: ReduceOp.RedOpType) -> list[float]:
@@ -80,12 +81,12 @@ class Group:
 
 
 def rank_of_process() -> int:
-    """Its number among those that torchrun has started; 0 without torchrun."""
+    """The number of this process among those that torchrun has started; 0 without torchrun."""
     return int(os.environ.get("RANK", "0"))
 
 
 def local_rank_of_process() -> int:
-    """Its number among those of this computer."""
+    """The number of this process among those of this computer."""
     return int(os.environ.get("LOCAL_RANK", "0"))
 
 

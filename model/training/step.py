@@ -16,7 +16,7 @@ def make_optimizer(network: nn.Module, rate: float) -> torch.optim.Adam:
     return torch.optim.Adam(network.parameters(), lr=rate, fused=is_on_gpu)
 
 
-def learn(
+def training_step(
     network: nn.Module,
     optimizer: torch.optim.Optimizer,
     pictures: Tensor,
@@ -27,8 +27,8 @@ def learn(
     batch: int | None = None,
     ranks: int = 1,
 ) -> Tensor:
-    """Learn from pictures (N, 3, 128, 128) uint8 and their steering (N,), on the network's device; the squared
-    error, summed over these samples, before the step.
+    """Train on pictures (N, 3, 128, 128) uint8 and their steering (N,), on the network's device, and return the
+    squared error, summed over these samples, before the step.
 
     The gradient is summed over parts of `micro_batch` samples. With several `ranks`, these samples are a part of
     `batch`, and the network is a DistributedDataParallel, which averages the ranks' gradients.
@@ -38,7 +38,7 @@ def learn(
     scale = ranks / (batch or len(steering))
     parts = list(zip(torch.split(pictures, micro_batch), torch.split(steering, micro_batch), strict=True))
     for number, (some_pictures, some_steering) in enumerate(parts, 1):
-        with _ranks_wait(network, is_last=number == len(parts)):
+        with _gradient_exchange(network, is_last=number == len(parts)):
             with torch.autocast(steering.device.type, dtype=dtype, enabled=dtype != torch.float32):
                 predicted = network(some_pictures)
             loss = functional.mse_loss(predicted.float(), some_steering, reduction="sum")
@@ -48,8 +48,8 @@ def learn(
     return squared_error
 
 
-def _ranks_wait(network: nn.Module, *, is_last: bool) -> contextlib.AbstractContextManager[None]:
-    """Ranks exchange their gradients once a batch, with its last part."""
+def _gradient_exchange(network: nn.Module, *, is_last: bool) -> contextlib.AbstractContextManager[None]:
+    """Let ranks exchange their gradients once a batch, with its last part."""
     if isinstance(network, DistributedDataParallel) and not is_last:
         context: contextlib.AbstractContextManager[None] = network.no_sync()
         return context

@@ -6,51 +6,46 @@ bc-train --epochs 10
 from __future__ import annotations
 
 import contextlib
-import shlex
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import torch
 
-from common import Skipped
-from common.errors import counted
+from common import Skipped, UserError
 from common.interrupts import stop_signals
-from common.locks import try_lock
+from common.versions import TOOLKIT
 from dataset import Samples
 from model.config import TrainConfig
 from model.device import choose_machine
-from model.errors import RunError
+from model.evaluation.predict import predict
 from model.progress_bar import open_bar
-from model.runs.checkpoint import LAST
-from model.runs.provenance import data_fingerprint_of, provenance, training_of
-from model.runs.run_arguments import run_argument
+from model.runs.provenance import init_provenance, provenance
 from model.runs.run_folder import (
-    CONFIG,
     WEIGHTS,
     create_run,
     has_nothing_saved,
     load_config,
+    load_network,
     refuse_existing_run,
     removed_unless_saved,
-    run_name,
-    weights_checksum,
     write_config,
 )
 from model.runs.run_inputs import init_of, relative_place
+from model.runs.run_lock import locked_for_training
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
 from model.training.loop import TrainingLoop
-
-MAY_CHANGE: Final = ("epochs", "patience", "device", "threads", "picture_memory_mb")
-"""Settings that a resumed run may be given anew."""
+from model.training.resume import arithmetic_remarks, refuse_other_samples, resumed_config, resumed_settings
+from model.training.run_writer import RunWriter
+from model.training.validation import validation_notices
 
 
 @dataclass(frozen=True)
 class Trained:
-    """What came of a training."""
+    """The result of a training."""
 
     run: Path
     epochs: list[Epoch]  # those of this call; only on the first of several ranks
@@ -86,7 +81,7 @@ def train(
     index, run, init = Path(index), Path(run), None if init is None else Path(init)
     stored = load_config(run) if resume else {}
     if resume:
-        config = _resumed(run, stored, config)
+        config = resumed_settings(run, stored, config)
     else:
         refuse_existing_run(run)
     config = config or TrainConfig()
@@ -101,155 +96,67 @@ def train(
             stack.callback(listener.close)
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
         stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
-        loops: list[TrainingLoop] = []
-        said = {"index": relative_place(run, index), **provenance(samples, config, machine, group.ranks)}
+        writer = RunWriter(run)
+        origin = {"index": relative_place(run, index), **provenance(samples, config, machine, group.ranks)}
         if resume:
-            _refuse_other_samples(run, stored, samples)
-            group.first(lambda: stack.enter_context(_alone(run)))
+            refuse_other_samples(run, stored, samples)
+            group.on_first_rank(lambda: stack.enter_context(locked_for_training(run)))
             [begins] = group.any(has_nothing_saved(run))
             init = init_of(run, run.parent) if begins else None
         else:
             begins = True
-            said |= _started_from(init, run)
-            group.first(lambda: stack.enter_context(_created(run, said, lambda: any(x.has_learnt for x in loops))))
-        loop = TrainingLoop(samples, run, config, machine, group, listeners, bar)
-        loops.append(loop)
-        loop.notices += _of_validation(samples, len(loop.validation), init)
+            if init is not None:
+                origin["init"] = init_provenance(init, run)
+            group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin)))
+        loop = TrainingLoop(samples, writer, config, machine, group, listeners, bar)
+        notices = validation_notices(samples, len(loop.validation), init)
+        remarks: list[str] = []
         if begins:
             if init is not None:
                 loop.start_from(init)
             if resume:
-                group.first(loop.keep_history)
-                group.first(lambda: write_config(run, {**stored, **said}))
+                loop.cut_history()
+                group.on_first_rank(lambda: write_config(run, {**stored, **origin}))
             loop.begin()
         else:
-            loop.go_back()
+            loop.resume()
             if not loop.is_over:
-                loop.remarks += _differences(run, stored, said["machine"])
-                group.first(lambda: write_config(run, _gone_on(stored, said)))
+                remarks += arithmetic_remarks(run, stored, origin["machine"])
+                group.on_first_rank(lambda: write_config(run, resumed_config(stored, origin)))
         with stop_signals() as stopped:
             loop.train(stopped)
         if group.is_first and figures:
-            loop.draw()
+            _draw_figures(loop, notices, remarks)
         return Trained(
             run,
             loop.history,
             loop.skipped,
-            loop.notices,
-            loop.remarks,
+            notices,
+            remarks,
             loop.position.best_epoch,
             loop.is_stopped_early,
         )
 
 
-def _resumed(run: Path, stored: dict[str, Any], config: TrainConfig | None) -> TrainConfig:
-    """The settings that a stopped run goes on with."""
-    before = training_of(stored, str(run / CONFIG))
-    if config is None:
-        return before
-    wanted = config.as_dict()
-    for name, value in before.as_dict().items():
-        if name not in MAY_CHANGE and wanted[name] != value:
-            flag = f"--{name.replace('_', '-')}"
-            raise RunError(
-                f"{run}: was begun with {flag} {value} and can only go on so; for {flag} {wanted[name]} train"
-                f" another run from its weights: --init {run_argument(run)}"
-            )
-    return config
-
-
-def _refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -> None:
-    if data_fingerprint_of(stored, str(run / CONFIG)) != samples.fingerprint:
-        has_weights = (run / WEIGHTS).exists()
-        of_its_weights = (
-            f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""
-        )
-        raise RunError(
-            f"{samples.path}: not the samples that {run} was trained on; `bc-train --resume {run_argument(run)}"
-            f" --index {shlex.quote(f'{samples.path.parent}-{run.name}')}` builds those again{of_its_weights}"
-        )
-
-
-def _differences(run: Path, stored: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """What a resumed run is not gone on with as it was begun."""
-    before = stored.get("machine")
-    before = before if isinstance(before, dict) else {}
-    changed = [f"{name} {before.get(name)} to {now[name]}" for name in now if before.get(name) != now[name]]
-    return (
-        [f"{run}: goes on with other arithmetic ({', '.join(changed)}): other weights come of it"]
-        if changed
-        else []
-    )
-
-
-def _gone_on(stored: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
-    """The config of a resumed run: what it was begun with, and what it went on with."""
-    before = stored.get("resumed")
-    now = {name: said[name] for name in ("machine", "versions")}
-    return {
-        **stored,
-        **{name: said[name] for name in ("index", "training")},
-        "resumed": [*(before if isinstance(before, list) else []), now],
-    }
-
-
-def _of_validation(samples: Samples, held_out: int, init: Path | None) -> list[str]:
-    """What is to be said of the frames held out, of which there are so many."""
-    settings = samples.metadata["settings"]
-    if not held_out:
-        if settings.get("validation_share") or settings.get("validation"):
-            return [
-                f"{samples.path}: no frame is held out, so nothing tells how good the network is; give bc-index a"
-                " smaller --block-s, or whole sessions with --validation SESSION"
-            ]
-        return []
-    if init is None:
-        return []
-    from model.runs.trained_on import by_session, count_trained_on  # needs more packages than training does
-
-    count = count_trained_on(by_session(samples.driving_view("validation")), samples, load_config(init))
-    if count == 0:
-        return []
-    known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
-    held = counted(held_out, "frame")
-    return [f"{samples.path}: {held} held out, but {init} {known}: their errors say too little"]
-
-
-def _started_from(init: Path | None, run: Path) -> dict[str, Any]:
-    """Which weights a run starts from, and all that these have learnt from before."""
-    if init is None:
-        return {}
-    before = load_config(init)
-    earlier = before.get("init")
-    data = earlier.get("data") if isinstance(earlier, dict) else None
-    learnt = [before.get("data"), *(data if isinstance(data, list) else [])]
-    return {
-        "init": {
-            "run": run_name(init),
-            "place": relative_place(run, init),
-            "weights_sha256": weights_checksum(init),
-            "data": learnt,
-        }
-    }
-
-
 @contextlib.contextmanager
-def _created(run: Path, config: dict[str, Any], has_learnt: Callable[[], bool]) -> Iterator[None]:
-    create_run(run, config)
-    with removed_unless_saved(run, has_learnt), _alone(run):
+def _new_run(writer: RunWriter, config: dict[str, Any]) -> Iterator[None]:
+    create_run(writer.run, config)
+    with removed_unless_saved(writer.run, lambda: writer.has_saved), locked_for_training(writer.run):
         yield
 
 
-@contextlib.contextmanager
-def _alone(run: Path) -> Iterator[None]:
-    """Let one process at a time train this run."""
-    folder = run / LAST
-    folder.mkdir(exist_ok=True)
-    with (folder / ".lock").open("ab") as stream:
-        for _ in range(50):  # whoever only looks whether it is locked holds it for a moment
-            if try_lock(stream):
-                break
-            time.sleep(0.02)
-        else:
-            raise RunError(f"{run}: is being trained by another process; wait for it, or give another --name")
-        yield
+def _draw_figures(loop: TrainingLoop, notices: list[str], remarks: list[str]) -> None:
+    """Draw the run's figures, or say why not."""
+    run = loop.run
+    if not (run / WEIGHTS).exists():
+        return
+    if find_spec("matplotlib") is None:
+        remarks.append(f'{run}: no pictures of how it went; `pip install "{TOOLKIT}[figures]"` brings them')
+        return
+    try:
+        from model.runs.run_figures import write_run_figures
+
+        predictions = loop.best_predictions or predict(load_network(run), loop.validation.loader)
+        write_run_figures(run, *predictions)
+    except (UserError, OSError) as error:
+        notices.append(str(error))

@@ -136,11 +136,13 @@ def test_a_training_that_is_stopped_says_how_to_finish_it(aggregated: Aggregated
         # one that has learnt nothing yet leaves nothing
         wait_until(lambda: checkpoint_path(trained).exists() and read_position(trained).epoch > 1)
         assert process.end() == 130
-    told = process.wait_for(r"^bc-drive: finish (\S+) with `bc-train (.+)`; then go on with `bc-drive (.+)` and ")
-    assert told[1] == "runs/first-random-5-1"
-    assert told[3] == "runs/first-random-5-1 --simulator random:5 --aggregate 1"
-    epoch = read_position(aggregated.folder / told[1]).epoch
-    resumed = run("bc-train", *told[2].split(), "--epochs", epoch, cwd=aggregated.folder)
+    stopped = process.wait_for(
+        r"^bc-drive: finish (\S+) with `bc-train (.+)`; then go on with `bc-drive (.+)` and "
+    )
+    assert stopped[1] == "runs/first-random-5-1"
+    assert stopped[3] == "runs/first-random-5-1 --simulator random:5 --aggregate 1"
+    epoch = read_position(aggregated.folder / stopped[1]).epoch
+    resumed = run("bc-train", *stopped[2].split(), "--epochs", epoch, cwd=aggregated.folder)
     assert resumed.returncode == 0, resumed.stderr
 
 
@@ -219,7 +221,7 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
 
 
 @pytest.mark.parametrize(
-    ("flags", "told"),
+    ("flags", "expected"),
     [
         (("--aggregate", "1", "--real-time"), "--simulator TRACK"),
         (("--aggregate", "1", "--laps", "0"), "--laps 0: how far"),
@@ -229,10 +231,12 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
         (("--aggregate", "1", "--simulator", "lake", "--epochs", "0"), "epochs"),
     ],
 )
-def test_what_cannot_be_aggregated_is_one_line(aggregated: Aggregated, flags: tuple[str, ...], told: str) -> None:
+def test_what_cannot_be_aggregated_is_one_line(
+    aggregated: Aggregated, flags: tuple[str, ...], expected: str
+) -> None:
     done = run("bc-drive", "first", *flags, cwd=aggregated.folder)
     assert done.returncode in (1, 2)
-    assert told in one_line_of(done)
+    assert expected in one_line_of(done)
 
 
 def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggregated) -> None:
@@ -246,7 +250,7 @@ def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggre
     drive = ("bc-drive", "two", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
     done = run(*drive, "--aggregate", 2, "--epochs", 1, cwd=folder)
     assert done.returncode == 3, done.stderr
-    (told,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
-    assert told.startswith("sessions/hurt.mcap: ")
+    (warning,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
+    assert warning.startswith("sessions/hurt.mcap: ")
     learnt = json.loads((folder / "runs" / "two-random-3-2" / "config.json").read_text())
     assert set(learnt["data"]["logs"]) == {"lake", "two-random-3-0", "two-random-3-1"}

@@ -194,7 +194,7 @@ def test_what_is_no_recording_is_called_what_it_is(tmp_path: Path, capsys: pytes
     csv = tmp_path / "driving_log.csv"
     csv.touch()
     (tmp_path / "other").mkdir()
-    for given, told in (
+    for given, expected in (
         (tmp_path / "nope", "nope: no such folder"),
         (csv, "driving_log.csv: a file; give the folder that holds"),
         (tmp_path, "driving_log.csv is empty and there is no center_*.jpg"),
@@ -202,7 +202,7 @@ def test_what_is_no_recording_is_called_what_it_is(tmp_path: Path, capsys: pytes
     ):
         assert call(sim_main, "--replay", given, "--port", 1, "--wait", 0) == 1
         assert f"bc-sim: --replay {given.parent}" in (said := capsys.readouterr().err)
-        assert told in said
+        assert expected in said
 
 
 def test_no_server_is_said_and_given_up_on() -> None:

@@ -111,7 +111,7 @@ class Drive:
     """What happened in one server's life, and the log that it left."""
 
     run: Path
-    told: list[bytes]
+    pictures: list[bytes]
     client: SimulatorClient
     commands: list[SteerCommand]
     modern: list[dict[str, Any]] = field(default_factory=list)
@@ -141,14 +141,14 @@ class Drive:
 def drive_manually(port: int) -> list[ServerCommand]:
     """Tells "manual", a telemetry, "manual", ... and keeps the answers."""
     answers: list[ServerCommand] = []
-    told: Iterator[SimulatorMessage] = iter(
+    telemetries: Iterator[SimulatorMessage] = iter(
         what for i in range(MANUAL) for what in ("manual", SimulatorTelemetry(0.0, 0.0, 5.0, road_jpeg(i)))
     )
 
     def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         if answer is not None:
             answers.append(answer)
-        return next(told, None if len(answers) == 2 * MANUAL else "nothing")
+        return next(telemetries, None if len(answers) == 2 * MANUAL else "nothing")
 
     SimulatorClient(port=port).run(next_telemetry)
     return answers
@@ -167,8 +167,8 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         port = server.wait_until_it_listens()
 
         client = SimulatorClient(port=port, wait_s=PATIENCE_S)
-        told = [road_jpeg(i) for i in range(REPLAYED)]
-        done = Drive(pilot_run, told, client, replay(client, told))
+        pictures = [road_jpeg(i) for i in range(REPLAYED)]
+        done = Drive(pilot_run, pictures, client, replay(client, pictures))
 
         modern = ModernClient(port)
         done.modern = [modern.tell(fields(i))[1] for i in range(MODERN)]
@@ -240,7 +240,7 @@ def test_the_log_holds_a_frame_a_crop_a_command_and_a_state_for_each_telemetry(d
 
 
 def test_the_logged_pictures_are_those_that_were_told_byte_for_byte(drive: Drive) -> None:
-    assert images(drive.log, "/camera/center")[:REPLAYED] == drive.told
+    assert images(drive.log, "/camera/center")[:REPLAYED] == drive.pictures
 
 
 def test_the_logged_prediction_is_that_of_the_logged_frame_and_of_the_logged_crop(drive: Drive) -> None:
@@ -268,8 +268,8 @@ def test_the_logged_state_is_what_the_simulator_told(drive: Drive) -> None:
     logged = [VehicleState.FromString(data) for _, _, data in messages(drive.log, "/vehicle")[:REPLAYED]]
     assert {state.speed_mph for state in logged} == {9.0}
     # The first two telemetries leave before any answer; from then on each tells the command last got.
-    told = [(0.0, 0.0)] * 2 + [(command.steering, command.throttle) for command in drive.commands]
-    for state, (steering, throttle) in zip(logged, told[:REPLAYED], strict=True):
+    commands = [(0.0, 0.0)] * 2 + [(command.steering, command.throttle) for command in drive.commands]
+    for state, (steering, throttle) in zip(logged, commands[:REPLAYED], strict=True):
         assert state.steering == pytest.approx(min(max(steering, -1.0), 1.0), abs=1e-4 / 25)
         assert state.throttle == pytest.approx(max(throttle, 0.0), abs=1e-4)
 
@@ -297,7 +297,7 @@ def test_old_and_modern_clients_are_served_at_once(drive: Drive) -> None:
 
 
 def test_a_second_simulator_has_a_log_of_its_own_and_that_is_said(drive: Drive) -> None:
-    assert images(drive.second_log, "/camera/center") == drive.told[:TOGETHER]
+    assert images(drive.second_log, "/camera/center") == drive.pictures[:TOGETHER]
     assert [sequence for sequence, _, _ in messages(drive.second_log, "/vehicle")] == list(range(TOGETHER))
     (said,) = [line for line in drive.stderr.splitlines() if "second simulator" in line]
     assert str(drive.second_log) in said
@@ -468,23 +468,23 @@ def pictures_so_far(part: Path) -> list[bytes]:
 
 def test_a_killed_drive_leaves_a_part_that_can_be_read(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    told = [road_jpeg(i) for i in range(20)]
+    jpegs = [road_jpeg(i) for i in range(20)]
     with DriveProcess(pilot_run, log) as server:
         port = server.wait_until_it_listens()
         client = OldClient(port)
         client.tell(fields(0))
-        for i in range(1, len(told)):
+        for i in range(1, len(jpegs)):
             client.tell(fields(i))
         (part,) = tmp_path.glob("run.mcap.*.part")
-        wait_until(lambda: len(pictures_so_far(part)) == len(told))
+        wait_until(lambda: len(pictures_so_far(part)) == len(jpegs))
         assert server.end(signal.SIGKILL) == -signal.SIGKILL
         client.close()
     assert not log.exists()
-    assert pictures_so_far(part) == told
+    assert pictures_so_far(part) == jpegs
     recovered = recover(part, recovered_name(part))
     assert recovered.path == log
     with Log(log) as whole:
-        assert [whole.picture(row) for row in range(len(told))] == told
+        assert [whole.picture(row) for row in range(len(jpegs))] == jpegs
 
 
 def test_an_existing_log_is_refused_before_anything_starts(tmp_path: Path) -> None:
@@ -507,7 +507,7 @@ def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("flags", "told"),
+    ("flags", "expected"),
     [
         (("--laps", "2"), "--laps: only with --simulator TRACK or --aggregate N"),
         (("--real-time",), "--real-time: only with the built-in simulator"),
@@ -525,10 +525,10 @@ def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) 
     ],
 )
 def test_flags_that_would_be_passed_over_or_make_no_sense_are_bad_usage(
-    flags: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+    flags: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(drive_main, *flags) == 2
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_no_run_is_one_line(tmp_path: Path) -> None:
@@ -594,8 +594,8 @@ def test_a_drive_on_nothing_but_bad_telemetry_says_so_and_fails(pilot_run: Path,
     assert "nothing was driven: no telemetry could be used (image is a PNG, not a JPEG)" in process.stderr[-1]
     assert "bc-play" not in process.stdout
     assert "autonomy unknown" in process.stdout
-    told = "22 telemetries could not be used: image is a PNG, not a JPEG (20), image begins with data:"
-    assert told in process.stdout
+    expected = "22 telemetries could not be used: image is a PNG, not a JPEG (20), image begins with data:"
+    assert expected in process.stdout
     checked = run("bc-log", "check", log)
     assert checked.returncode == 3
     assert "image is a PNG, not a JPEG (20)" in checked.stdout
@@ -795,12 +795,12 @@ def test_threads_serve_as_eventlet_does(drive: Drive, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with DriveProcess(drive.run, log, "--server", "threading") as process:
         port = process.wait_until_it_listens()
-        assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.told) == drive.commands
+        assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.pictures) == drive.commands
         modern = ModernClient(port)
         assert [modern.tell(fields(i))[1] for i in range(MODERN)] == drive.modern
         modern.close()
         assert process.end() == 0
-    assert images(log, "/camera/center")[:REPLAYED] == drive.told
+    assert images(log, "/camera/center")[:REPLAYED] == drive.pictures
 
 
 def test_a_drive_is_shown_in_a_file_while_it_goes_on(pilot_run: Path, tmp_path: Path) -> None:
@@ -819,10 +819,10 @@ def test_what_the_disk_could_not_take_is_counted_and_said(
 ) -> None:
     monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", 0)
     (port,) = free_ports(1)
-    told = [road_jpeg(i) for i in range(5)]
+    jpegs = [road_jpeg(i) for i in range(5)]
 
     def drive_and_stop() -> None:
-        replay(SimulatorClient(port=port, wait_s=PATIENCE_S), told)
+        replay(SimulatorClient(port=port, wait_s=PATIENCE_S), jpegs)
         signal.raise_signal(signal.SIGINT)
 
     simulator = threading.Thread(target=drive_and_stop)
@@ -835,7 +835,7 @@ def test_what_the_disk_could_not_take_is_counted_and_said(
         simulator.join(PATIENCE_S)
     assert code == 3
     assert "10 pictures" in capsys.readouterr().err
-    assert len(messages(tmp_path / "run.mcap", "/pilot/command")) == len(told)  # commands come before pictures
+    assert len(messages(tmp_path / "run.mcap", "/pilot/command")) == len(jpegs)  # commands come before pictures
     assert not messages(tmp_path / "run.mcap", "/camera/center")
 
 

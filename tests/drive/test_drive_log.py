@@ -56,13 +56,13 @@ WORLD = World(
 
 def decided(number: int, world: World | None = None, **changed: Any) -> Decision:
     """What a driver might have decided; every number another picture, crop, and command."""
-    told = Telemetry(number / 1000, 0.25, 9.0 + number / 100, road_jpeg(number), world=world)
+    telemetry = Telemetry(number / 1000, 0.25, 9.0 + number / 100, road_jpeg(number), world=world)
     crop = np.random.default_rng(number).integers(0, 256, (128, 128, 3), np.uint8)
     decision = Decision(
         steering=-number / 500,
         throttle=0.5,
         driver="pilot",
-        telemetry=told,
+        telemetry=telemetry,
         crop=crop,
         predicted_steering=-number / 400,
         parse_ms=0.125,
@@ -104,17 +104,17 @@ def test_a_row_holds_what_was_told_seen_and_answered(tmp_path: Path) -> None:
     assert all(found == stamps["/vehicle"] for found in stamps.values())
     assert [row for row, _ in stamps["/vehicle"]] == list(range(30))
     for row, decision in enumerate(decisions):
-        told = decision.telemetry
-        assert told is not None
+        telemetry = decision.telemetry
+        assert telemetry is not None
         assert decision.crop is not None
-        assert messages["/camera/center"][row][1].data == told.jpeg
+        assert messages["/camera/center"][row][1].data == telemetry.jpeg
         crop = cv2.imdecode(np.frombuffer(messages["/pilot/input"][row][1].data, np.uint8), cv2.IMREAD_COLOR)
         assert crop is not None
         assert np.array_equal(crop, decision.crop)
         state = messages["/vehicle"][row][1]
         assert (state.steering, state.throttle, state.brake, state.speed_mph) == (
-            *(told.steering, told.throttle),
-            *(0.0, told.speed_mph),
+            *(telemetry.steering, telemetry.throttle),
+            *(0.0, telemetry.speed_mph),
         )
         command = messages["/pilot/command"][row][1]
         assert {field.name: value for field, value in command.ListFields() if value} == {
@@ -169,8 +169,8 @@ def test_a_healthy_drive_passes_bc_log_check_and_is_one_drive(tmp_path: Path) ->
                 log.manual(0.1)
     checked = check(path)
     assert (checked.findings, checked.pictures) == ([], 80)
-    told = run("bc-log", "info", path)
-    assert "1 drive; no odd rows" in told.stdout
+    info = run("bc-log", "info", path)
+    assert "1 drive; no odd rows" in info.stdout
 
 
 def test_bc_log_check_tells_what_could_not_be_used(tmp_path: Path) -> None:
@@ -180,11 +180,11 @@ def test_bc_log_check_tells_what_could_not_be_used(tmp_path: Path) -> None:
         for i in range(1_500):
             log.decision(replace(BAD, problem=f"image is cut off ({i} bytes)", kind="image is cut off"), 0.1)
         log.decision(BAD, 0.1)
-    told = run("bc-log", "check", path)
-    assert told.returncode == 3
+    checked = run("bc-log", "check", path)
+    assert checked.returncode == 3
     assert (
         "kinds of telemetry that could not be used: 2 (image is cut off (1,500), not an object but a list (1))"
-        in told.stdout
+        in checked.stdout
     )
 
 
@@ -276,11 +276,11 @@ moments = st.one_of(
 
 
 @given(st.lists(st.tuples(st.integers(0, 3 * 10**7), moments), max_size=30))  # in under a second, no clock stands
-def test_no_time_is_the_same_or_back_and_simulated_time_is_kept(told: list[tuple[int, Any]]) -> None:
+def test_no_time_is_the_same_or_back_and_simulated_time_is_kept(received: list[tuple[int, Any]]) -> None:
     clock = LogClock()
     received_ns, last_ns = 0, 0
     last_row: tuple[int, float | None] | None = None
-    for passed_ns, what in told:
+    for passed_ns, what in received:
         received_ns += passed_ns
         time_ns = clock.event(received_ns) if what == "event" else clock.row(received_ns, what)
         assert time_ns > last_ns
@@ -294,7 +294,7 @@ def test_no_time_is_the_same_or_back_and_simulated_time_is_kept(told: list[tuple
                 ):
                     # to the nanosecond, but for rows and events of the very same moment
                     late_ns = time_ns - before_ns - (round(what * 1e9) - round(before * 1e9))
-                    assert abs(late_ns) <= len(told)
+                    assert abs(late_ns) <= len(received)
                 elif what is not None or before is not None:
                     assert time_ns - before_ns > 1e9  # another clock: a break, as between two drives
             last_row = time_ns, what
@@ -419,9 +419,9 @@ def test_rows_are_lost_only_when_far_more_wait(tmp_path: Path, monkeypatch: pyte
         goes_on.set()
         log.close()
     assert [message.sequence for message, _ in read_messages(path)["/vehicle"]] == list(range(10))
-    told = events_of(path)
-    assert told[:10] == [f"event {number}" for number in range(10)]
-    assert ["rows are left out" in told[10], "80 rows and events are missing" in told[11]] == [True, True]
+    events = events_of(path)
+    assert events[:10] == [f"event {number}" for number in range(10)]
+    assert ["rows are left out" in events[10], "80 rows and events are missing" in events[11]] == [True, True]
 
 
 def test_a_full_disk_is_told_and_the_driving_goes_on(tmp_path: Path) -> None:

@@ -28,12 +28,12 @@ BAD = Decision(steering=0.0, throttle=0.0, problem="not an object but a list", k
 
 
 def decided(speed_mph: float = 10.0, world: World | None = None, **changed: Any) -> Decision:
-    told = Telemetry(0.0, 0.5, speed_mph, b"jpeg", world=world)
+    telemetry = Telemetry(0.0, 0.5, speed_mph, b"jpeg", world=world)
     decision = Decision(
         steering=0.03,
         throttle=0.5,
         driver="pilot",
-        telemetry=told,
+        telemetry=telemetry,
         speed_mph=speed_mph,
         parse_ms=0.1,
         decode_ms=0.2,
@@ -284,9 +284,9 @@ def test_autonomy_is_never_below_zero() -> None:
 def test_autonomy_and_speed_are_unknown_where_nothing_was_driven() -> None:
     """As told by metadata too: neither is a number there."""
     no_number = decided(problem="the network gave no number", driver="brake")
-    for told in ([], [BAD] * 30, [no_number] * 30, [decided()], [None] * 30):
+    for decisions in ([], [BAD] * 30, [no_number] * 30, [decided()], [None] * 30):
         summary = DriveSummary()
-        for i, decision in enumerate(told):
+        for i, decision in enumerate(decisions):
             if decision is None:
                 summary.manual(0.1, i / 10)
             else:
@@ -294,7 +294,7 @@ def test_autonomy_and_speed_are_unknown_where_nothing_was_driven() -> None:
         assert summary.autonomy_percent is None
         assert "autonomy_percent" not in summary.as_metadata()
         assert summary_lines(summary)[1].startswith("autonomy unknown, for nothing was driven")
-        assert (summary.mean_speed_mph is None) == (told != [no_number] * 30)
+        assert (summary.mean_speed_mph is None) == (decisions != [no_number] * 30)
 
 
 def test_the_time_in_which_nothing_could_be_used_is_no_driving() -> None:
@@ -444,9 +444,9 @@ def test_the_live_line_fits_a_terminal_of_80_columns(driver: Literal["pilot", "e
 @given(
     st.lists(st.tuples(st.floats(allow_nan=False), st.floats(0, 1e9), st.floats(0, 1e9), st.integers(0, 10**9)))
 )
-def test_whatever_a_simulator_tells_there_is_a_summary(told: list[tuple[float, float, float, int]]) -> None:
+def test_whatever_a_simulator_tells_there_is_a_summary(received: list[tuple[float, float, float, int]]) -> None:
     summary = DriveSummary()
-    for speed_mph, time_s, laps, interventions in told:
+    for speed_mph, time_s, laps, interventions in received:
         world = replace(WORLD, time_s=time_s, laps=laps, interventions=interventions)
         if abs(speed_mph) < sys.float_info.max:  # a telemetry's numbers are finite
             summary.decision(decided(speed_mph, world if time_s > 1 else None), 2.0, now_s=time_s)

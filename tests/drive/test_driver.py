@@ -60,7 +60,7 @@ def no_number() -> Pilot:
     return pilot_that_says(math.nan)
 
 
-def told(number: int = 0, speed_mph: float = 9.0, world: World | None = None, **changed: Any) -> dict[str, Any]:
+def message(number: int = 0, speed_mph: float = 9.0, world: World | None = None, **changed: Any) -> dict[str, Any]:
     """A telemetry as the simulator tells it."""
     image = base64.b64encode(road_jpeg(number)).decode()
     fields: dict[str, Any] = {"steering_angle": "0.0000", "throttle": "0.1000", "speed": f"{speed_mph:.4f}"}
@@ -83,7 +83,7 @@ def drive(driver: Driver, data: object, now_s: float = 0.0) -> Decision:
 
 
 def test_the_answer_is_the_networks_and_what_led_to_it_is_told() -> None:
-    pilot, data = untrained_pilot(), told(7, speed_mph=4.0)
+    pilot, data = untrained_pilot(), message(7, speed_mph=4.0)
     decision = drive(Driver(pilot, DriveConfig()), data)
     crop = pilot.crop(decode(road_jpeg(7)))
     assert decision.crop is not None
@@ -98,7 +98,7 @@ def test_the_answer_is_the_networks_and_what_led_to_it_is_told() -> None:
 
 @pytest.mark.parametrize(("said", "sent"), [(7.0, 1.0), (-1.5, -1.0), (math.inf, 0.0)])
 def test_steering_is_clamped_and_the_prediction_is_not(said: float, sent: float) -> None:
-    decision = drive(Driver(pilot_that_says(said), DriveConfig()), told())
+    decision = drive(Driver(pilot_that_says(said), DriveConfig()), message())
     assert (decision.predicted_steering, decision.steering) == (said, sent)
 
 
@@ -109,7 +109,7 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
     driver = Driver(half_right, DriveConfig())
     events: list[str] = []
     for _ in range(3):
-        decision = drive(driver, told(image=encoded(width, height)))
+        decision = drive(driver, message(image=encoded(width, height)))
         assert (decision.steering, decision.problem) == (0.5, "")
         events += decision.events
     assert events == [f"pictures of {width}x{height} pixels, not 320x160: driven on all the same"]
@@ -126,7 +126,7 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
     ],
 )
 def test_a_picture_that_is_too_large_or_none_is_not_driven_on(half_right: Pilot, jpeg: str, problem: str) -> None:
-    decision = drive(Driver(half_right, DriveConfig()), told(image=jpeg))
+    decision = drive(Driver(half_right, DriveConfig()), message(image=jpeg))
     assert problem in decision.problem
     assert (decision.steering, decision.throttle, decision.telemetry, decision.crop) == (0.0, 0.0, None, None)
     assert decision.speed_mph == 9.0  # what can be read is used
@@ -137,19 +137,27 @@ def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> N
     comma: dict[str, Any] = {"steering_angle": "-1,0000", "throttle": "0,1000", "speed": "9,0000"}
     assert [
         drive(driver, data).decimal_separator
-        for data in (NONSENSE, told(), told(**comma), NONSENSE, told(**comma, image="AAAA"), told(), NONSENSE)
+        for data in (
+            NONSENSE,
+            message(),
+            message(**comma),
+            NONSENSE,
+            message(**comma, image="AAAA"),
+            message(),
+            NONSENSE,
+        )
     ] == [".", ".", ",", ",", ",", ".", "."]
 
 
 def test_a_separator_once_told_is_kept_and_a_whole_throttle_changes_nothing(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
     answers = [
-        drive(driver, told(steering_angle="-1,5", throttle="01"[k % 2] if k % 3 else "0,5", speed=speed))
+        drive(driver, message(steering_angle="-1,5", throttle="01"[k % 2] if k % 3 else "0,5", speed=speed))
         for k, speed in enumerate(["9,25", "9", "9,125", "9,1", "9"])
     ]
     assert [answer.speed_mph for answer in answers] == [9.25, 9.0, 9.125, 9.1, 9.0]
     assert {answer.decimal_separator for answer in answers} == {","}
-    assert drive(driver, told(steering_angle="1", throttle="0", speed="9")).decimal_separator == ","
+    assert drive(driver, message(steering_angle="1", throttle="0", speed="9")).decimal_separator == ","
 
 
 # Nonsense
@@ -157,7 +165,7 @@ def test_a_separator_once_told_is_kept_and_a_whole_throttle_changes_nothing(half
 
 def test_nonsense_keeps_the_steering_and_lets_go_of_the_throttle(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
-    drive(driver, told(), 0.0)
+    drive(driver, message(), 0.0)
     for now_s in (0.1, 0.5, 1.0):
         decision = drive(driver, NONSENSE, now_s)
         assert (decision.steering, decision.throttle, decision.telemetry) == (0.5, 0.0, None)
@@ -166,11 +174,11 @@ def test_nonsense_keeps_the_steering_and_lets_go_of_the_throttle(half_right: Pil
 
 def test_a_simulators_clock_that_stands_puts_off_no_brake_and_no_release(half_right: Pilot) -> None:
     """Also one that stands from the first nonsense on; the second is this computer's then."""
-    nonsense = told(image="@@", speed_mph=20.0, world=World(0.0))
+    nonsense = message(image="@@", speed_mph=20.0, world=World(0.0))
     for good in (0, 20):
         driver = Driver(half_right, DriveConfig())
         for k in range(good):
-            drive(driver, told(speed_mph=20.0, world=replace(MIDDLE, time_s=0.0)), k / 20)
+            drive(driver, message(speed_mph=20.0, world=replace(MIDDLE, time_s=0.0)), k / 20)
         throttles = [drive(driver, nonsense, (good + k) / 20).throttle for k in range(100)]
         assert throttles[:19] == [0.0] * 19
         assert throttles[21] == -1.0
@@ -181,7 +189,9 @@ def test_a_simulators_clock_that_stands_puts_off_no_brake_and_no_release(half_ri
 @pytest.mark.parametrize("step_s", [0.0, -0.1])
 def test_a_clock_that_does_not_advance_is_not_used_and_that_is_said_once(half_right: Pilot, step_s: float) -> None:
     driver = Driver(half_right, DriveConfig(max_steering_per_s=0.1))
-    decisions = [drive(driver, told(world=replace(MIDDLE, time_s=9 + k * step_s)), 5 + k / 20) for k in range(60)]
+    decisions = [
+        drive(driver, message(world=replace(MIDDLE, time_s=9 + k * step_s)), 5 + k / 20) for k in range(60)
+    ]
     said = [(k, event) for k, decision in enumerate(decisions) for event in decision.events]
     text = "time_s does not advance: this computer's clock counts instead"
     assert [event for _, event in said] == [f"the simulator's world is not used whole: {text}"]
@@ -196,17 +206,17 @@ def test_a_pause_and_telemetries_of_the_same_moment_are_no_clock_that_stands(hal
         [0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 602.0, 602.4, 603],
     )
     for time_s, now in zip(times_s, now_s, strict=True):
-        assert drive(driver, told(world=replace(MIDDLE, time_s=time_s)), now).events == ()
+        assert drive(driver, message(world=replace(MIDDLE, time_s=time_s)), now).events == ()
 
 
 def test_good_telemetry_in_between_is_driven_and_begins_the_second_again(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
-    answers = [drive(driver, NONSENSE if k % 2 else told(), 0.6 * k) for k in range(20)]
+    answers = [drive(driver, NONSENSE if k % 2 else message(), 0.6 * k) for k in range(20)]
     assert [answer.throttle > 0 for answer in answers] == [True, False] * 10
     assert all(answer.throttle == 0.0 for answer in answers[1::2])
 
 
-@pytest.mark.parametrize("data", [NONSENSE, None, told(image="AAAA", speed_mph=30.0)])
+@pytest.mark.parametrize("data", [NONSENSE, None, message(image="AAAA", speed_mph=30.0)])
 @pytest.mark.parametrize("speed_mph", [0.5, 5.0, 10.0, 30.0])
 def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
     half_right: Pilot, speed_mph: float, data: object
@@ -214,7 +224,7 @@ def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
     """By the built-in simulator's car, which brakes and reverses as the real one's: it acts on every answer until
     the next."""
     driver = Driver(half_right, DriveConfig())
-    drive(driver, told(speed_mph=speed_mph), 0.0)
+    drive(driver, message(speed_mph=speed_mph), 0.0)
     car = CarState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
     throttles: list[float] = []
     events: list[str] = []
@@ -249,7 +259,7 @@ def test_a_car_of_which_nothing_but_the_speed_can_be_read_is_braked_to_a_stand(
     car = CarState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
     throttles: list[float] = []
     for k in range(150):
-        data = told(speed_mph=abs(car.speed_mph), image=image)
+        data = message(speed_mph=abs(car.speed_mph), image=image)
         if image is ...:
             del data["image"]
         decision = drive(driver, data, k * 2 * STEP_S)
@@ -289,15 +299,15 @@ def test_a_brake_of_unknown_speed_heeds_the_speed_as_soon_as_it_is_told(
     driver = Driver(half_right, DriveConfig())
     for k in range(12):
         drive(driver, NONSENSE, k / 10)
-    assert drive(driver, told(speed_mph=speed_mph, image="%%%"), 1.2).throttle == throttle
-    assert drive(driver, told(speed_mph=0.0, image="%%%"), 1.3).throttle == 0.0
-    assert drive(driver, told(speed_mph=5.0, image="%%%"), 1.4).throttle == 0.0  # backwards, perhaps
+    assert drive(driver, message(speed_mph=speed_mph, image="%%%"), 1.2).throttle == throttle
+    assert drive(driver, message(speed_mph=0.0, image="%%%"), 1.3).throttle == 0.0
+    assert drive(driver, message(speed_mph=5.0, image="%%%"), 1.4).throttle == 0.0  # backwards, perhaps
 
 
-@pytest.mark.parametrize("data", [told(speed_mph=9.0), told(speed_mph=9.0, image="%%%"), NONSENSE])
+@pytest.mark.parametrize("data", [message(speed_mph=9.0), message(speed_mph=9.0, image="%%%"), NONSENSE])
 def test_at_the_end_the_car_is_braked_and_the_throttle_is_not_the_pilots(half_right: Pilot, data: object) -> None:
     driver = Driver(half_right, DriveConfig())
-    drive(driver, told(), 0.0)
+    drive(driver, message(), 0.0)
     driver.stop()
     decision = drive(driver, data, 0.1)
     assert (decision.steering, decision.throttle, decision.driver) == (0.5, -1.0, "brake")
@@ -306,17 +316,17 @@ def test_at_the_end_the_car_is_braked_and_the_throttle_is_not_the_pilots(half_ri
 
 def test_a_braked_car_is_driven_again_as_soon_as_there_is_something_to_drive_on(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
-    drive(driver, told(), 0.0)
+    drive(driver, message(), 0.0)
     for k in range(30):
         drive(driver, NONSENSE, k / 10)
-    decision = drive(driver, told(speed_mph=0.0), 3.1)
+    decision = drive(driver, message(speed_mph=0.0), 3.1)
     assert (decision.steering, decision.events) == (0.5, ("the brakes are released",))
     assert decision.throttle > 0
 
 
 def test_a_network_that_gives_no_number_brakes_at_once_and_that_is_said_once(no_number: Pilot) -> None:
     driver = Driver(no_number, DriveConfig())
-    answers = [drive(driver, told(speed_mph=max(0.0, 10 - k)), k / 10) for k in range(15)]
+    answers = [drive(driver, message(speed_mph=max(0.0, 10 - k)), k / 10) for k in range(15)]
     assert {(answer.steering, answer.problem) for answer in answers} == {(0.0, "the network gave no number")}
     assert answers[0].throttle == -1.0
     assert answers[-1].throttle == 0.0
@@ -331,15 +341,19 @@ def test_a_network_that_gives_no_number_brakes_at_once_and_that_is_said_once(no_
 def test_a_standing_car_is_never_told_to_reverse(no_number: Pilot, half_right: Pilot) -> None:
     """The real simulator's speed has no sign: a car that rolls backwards tells 5 mph too."""
     driver = Driver(no_number, DriveConfig())
-    throttles = [drive(driver, told(speed_mph=speed), k / 10).throttle for k, speed in enumerate([0.0, 5.0, 5.0])]
+    throttles = [
+        drive(driver, message(speed_mph=speed), k / 10).throttle for k, speed in enumerate([0.0, 5.0, 5.0])
+    ]
     assert throttles == [0.0, 0.0, 0.0]
     driver = Driver(no_number, DriveConfig())  # stopped sooner than was thought, on a hill
-    throttles = [drive(driver, told(speed_mph=speed), k / 10).throttle for k, speed in enumerate([10.0, 0.5, 5.0])]
+    throttles = [
+        drive(driver, message(speed_mph=speed), k / 10).throttle for k, speed in enumerate([10.0, 0.5, 5.0])
+    ]
     assert throttles == [-1.0, 0.0, 0.0]
     driver = Driver(half_right, DriveConfig(set_speed_mph=1.0))
     for k in range(20):  # far too fast for long: all that the controller remembers says "brake"
-        drive(driver, told(speed_mph=30.0), k / 10)
-    assert drive(driver, told(speed_mph=0.5), 2.0).throttle == 0.0
+        drive(driver, message(speed_mph=30.0), k / 10)
+    assert drive(driver, message(speed_mph=0.5), 2.0).throttle == 0.0
 
 
 json_like = st.recursive(
@@ -394,7 +408,7 @@ def test_whatever_is_told_is_answered_by_numbers_within_their_bounds(
 
 def sent(pilot: Pilot, config: DriveConfig, rate_hz: float, seconds: float) -> list[float]:
     driver = Driver(pilot, config)
-    return [drive(driver, told(), 100 + k / rate_hz).steering for k in range(round(seconds * rate_hz) + 1)]
+    return [drive(driver, message(), 100 + k / rate_hz).steering for k in range(round(seconds * rate_hz) + 1)]
 
 
 def test_by_default_nothing_is_smoothed(half_right: Pilot) -> None:
@@ -421,7 +435,7 @@ def test_while_nothing_usable_comes_no_change_of_steering_is_saved_up(half_right
     driver = Driver(half_right, DriveConfig(max_steering_per_s=0.1))
     for k in range(telemetries):
         drive(driver, NONSENSE, k / 10)
-    assert drive(driver, told(), telemetries / 10).steering == pytest.approx(0.01)
+    assert drive(driver, message(), telemetries / 10).steering == pytest.approx(0.01)
 
 
 def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) -> None:
@@ -429,7 +443,7 @@ def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) ->
     driver = Driver(half_right, DriveConfig(max_steering_per_s=1.0))
     times_s = [5.0, 5.1, 5.1, 5.2, 1.0, 1.1]
     steering = [
-        drive(driver, told(world=replace(MIDDLE, time_s=time_s)), 1000.0 * k).steering
+        drive(driver, message(world=replace(MIDDLE, time_s=time_s)), 1000.0 * k).steering
         for k, time_s in enumerate(times_s)
     ]
     assert steering == pytest.approx([0.0, 0.1, 0.1, 0.2, 0.2, 0.3])
@@ -448,7 +462,7 @@ def test_in_curves_the_car_is_thrown_outwards_no_more_than_the_expert_allows(ste
 def test_the_set_speed_is_lowered_in_curves_if_asked_for(half_right: Pilot) -> None:
     fast = DriveConfig(set_speed_mph=25.0)
     slow = replace(fast, slow_in_curves=True)
-    data = told(speed_mph=15.0)
+    data = message(speed_mph=15.0)
     unhindered, slowed = drive(Driver(half_right, fast), data), drive(Driver(half_right, slow), data)
     straight = drive(Driver(pilot_that_says(0.0), slow), data)
     assert (unhindered.set_speed_mph, straight.set_speed_mph) == (25.0, 25.0)
@@ -460,7 +474,7 @@ def test_the_set_speed_is_lowered_in_curves_if_asked_for(half_right: Pilot) -> N
 def test_what_a_curve_takes_off_is_not_missing_on_the_straight_behind_it() -> None:
     config = DriveConfig(set_speed_mph=25.0, slow_in_curves=True)
     network = say(SteeringNetwork(), 0.5)
-    driver, data = Driver(Pilot(network), config), told(speed_mph=20.0)
+    driver, data = Driver(Pilot(network), config), message(speed_mph=20.0)
     for k in range(20):
         drive(driver, data, k / 10)
     say(network, 0.0)
@@ -491,7 +505,8 @@ def test_while_the_expert_drives_its_commands_are_sent_and_the_networks_steering
 ) -> None:
     driver = Driver(half_right, DriveConfig(takeover=True, max_steering_per_s=1.0))
     decisions = [
-        drive(driver, told(world=replace(MIDDLE, time_s=k / 25, offset=0.95 if k == 1 else 0.0))) for k in range(3)
+        drive(driver, message(world=replace(MIDDLE, time_s=k / 25, offset=0.95 if k == 1 else 0.0)))
+        for k in range(3)
     ]
     assert [decision.driver for decision in decisions] == ["pilot", "expert", "expert"]
     assert [(decision.steering, decision.throttle) for decision in decisions[1:]] == [(-0.3, 0.7)] * 2
@@ -505,7 +520,7 @@ def test_while_the_expert_drives_its_commands_are_sent_and_the_networks_steering
 def test_the_pilot_goes_on_from_where_the_expert_has_steered() -> None:
     driver = Driver(pilot_that_says(-0.25), DriveConfig(takeover=True, max_steering_per_s=0.1))
     decisions = [
-        drive(driver, told(world=replace(MIDDLE, time_s=k / 10, offset=0.0 if k else 0.95))) for k in range(13)
+        drive(driver, message(world=replace(MIDDLE, time_s=k / 10, offset=0.0 if k else 0.95))) for k in range(13)
     ]
     at = next(k for k, decision in enumerate(decisions) if decision.driver == "pilot")
     assert decisions[at - 1].steering == -0.3
@@ -520,7 +535,7 @@ def test_without_takeover_the_expert_never_drives_and_the_course_is_told_all_the
         replace(MIDDLE, offset=0.0, laps=0.9, interventions=1),
         replace(MIDDLE, offset=0.99, laps=1.1, interventions=1),
     ]
-    decisions = [drive(driver, told(world=world)) for world in worlds]
+    decisions = [drive(driver, message(world=world)) for world in worlds]
     assert {decision.driver for decision in decisions} == {"pilot"}
     assert [decision.events for decision in decisions] == [
         (),
@@ -531,7 +546,7 @@ def test_without_takeover_the_expert_never_drives_and_the_course_is_told_all_the
 
 def test_the_course_is_told_also_where_the_picture_is_none(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
-    drive(driver, told(world=MIDDLE))
-    decision = drive(driver, told(world=replace(MIDDLE, laps=1.0), image="AAAA"))
+    drive(driver, message(world=MIDDLE))
+    decision = drive(driver, message(world=replace(MIDDLE, laps=1.0), image="AAAA"))
     assert decision.problem
     assert decision.events == ("lap 1",)

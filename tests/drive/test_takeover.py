@@ -144,9 +144,9 @@ def test_a_first_telemetry_without_an_expert_is_not_judged_by() -> None:
 
 def test_a_simulator_without_poses_laps_or_a_clock_of_its_own_has_an_expert_all_the_same() -> None:
     takeover = Takeover()
-    told = World(offset=0.0, expert_steering=0.3, expert_throttle=0.5)
+    world = World(offset=0.0, expert_steering=0.3, expert_throttle=0.5)
     # half of the half width a second to the left: at 0.7 s from 0.9
-    taken = [takeover.update(k / 10, replace(told, offset=k / 20), 0.0) for k in range(13)]
+    taken = [takeover.update(k / 10, replace(world, offset=k / 20), 0.0) for k in range(13)]
     assert [k for k, said in enumerate(taken) if said] == [12]
     assert takeover.expert_drives
 
@@ -161,8 +161,8 @@ def test_what_an_expert_needs_and_is_not_told_is_named() -> None:
 def test_laps_and_cars_that_were_put_back_are_events() -> None:
     events = CourseEvents()
     back = "off the road, or stuck: the simulator put the car back"
-    told = [(0.5, 0), (0.99, 0), (1.01, 0), (0.98, 0), (1.02, 1), (1.5, 1), (2.0, 3), (math.pi, 3)]
-    said = [events.update(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in told]
+    worlds = [(0.5, 0), (0.99, 0), (1.01, 0), (0.98, 0), (1.02, 1), (1.5, 1), (2.0, 3), (math.pi, 3)]
+    said = [events.update(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in worlds]
     assert said == [[], [], ["lap 1"], [], [back], [], [back, "lap 2"], ["lap 3"]]
 
 

@@ -55,10 +55,10 @@ class Book:
             if data is None:
                 return Answer(None, self.answered)
             try:
-                told = parse_telemetry(data)
+                telemetry = parse_telemetry(data)
             except TelemetryError:
                 return Answer(UNUSED, self.answered)
-            return Answer(Steer(-told.steering, 0.5, told.decimal_separator), self.answered)
+            return Answer(Steer(-telemetry.steering, 0.5, telemetry.decimal_separator), self.answered)
 
     def answered(self, total_ms: float) -> None:
         with self._alone("answered"):
@@ -156,13 +156,13 @@ PICTURES = [road_jpeg(number) for number in range(8)]
 
 def fields(number: int, **changed: Any) -> dict[str, Any]:
     """Telemetry `number` as JSON; ... leaves a field out."""
-    told = {
+    values = {
         "steering_angle": f"{steering(number) * 25:.4f}",
         "throttle": "0.2500",
         "speed": "9.0000",
         "image": base64.b64encode(PICTURES[number % len(PICTURES)]).decode(),
     }
-    return {name: value for name, value in {**told, **changed}.items() if value is not ...}
+    return {name: value for name, value in {**values, **changed}.items() if value is not ...}
 
 
 class ModernClient:
@@ -245,8 +245,8 @@ class PollingClient:
         while not self.request().startswith("40"):
             pass
 
-    def request(self, told: str | None = None) -> str:
-        data = None if told is None else told.encode()
+    def request(self, message: str | None = None) -> str:
+        data = None if message is None else message.encode()
         url = f"http://127.0.0.1:{self.port}{self.path}"
         with urllib.request.urlopen(url, data, timeout=PATIENCE_S) as answer:
             text: str = answer.read().decode()

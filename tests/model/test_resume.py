@@ -93,11 +93,12 @@ import model.training.loop
 import model.training.trainer
 from test_resume import At, CONFIG
 
-model.loop.CHECKPOINT_S = float(sys.argv[5])
+model.training.loop.CHECKPOINT_S = float(sys.argv[5])
 kill = At(int(sys.argv[3]), int(sys.argv[4]), lambda: os.kill(os.getpid(), signal.SIGKILL))
 resume = Path(sys.argv[2]).exists()
 init = Path(sys.argv[6]) if sys.argv[6] else None
-model.training.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, [kill], init=init, resume=resume, figures=False)
+index, run = map(Path, sys.argv[1:3])
+model.training.trainer.train(index, run, CONFIG, [kill], init=init, resume=resume, figures=False)
 """
 
 
@@ -194,13 +195,13 @@ def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
 KILLED_EARLY = """
 import os, signal, sys
 from pathlib import Path
-import model.training.loop
+import model.training.run_writer
 import model.training.trainer
 from test_resume import CONFIG
 
-model.loop.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
+model.training.run_writer.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
 init = Path(sys.argv[3]) if sys.argv[3] else None
-model.training.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
+model.training.trainer.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
 """
 
 

@@ -11,7 +11,7 @@ from torch.nn import functional
 from model import TrainConfig
 from model.device import choose_machine, training_dtype
 from model.network.original import SteeringNetwork
-from model.training.step import learn, make_optimizer
+from model.training.step import make_optimizer, training_step
 
 CPU = torch.device("cpu")
 
@@ -23,7 +23,7 @@ def gradients(dtype: torch.dtype, micro_batch: int, **sharing: Any) -> tuple[flo
     pictures = torch.randint(0, 256, (7, 3, 128, 128), dtype=torch.uint8)
     steering = torch.linspace(-1, 1, 7)
     optimizer = make_optimizer(network, 1e-4)
-    error = learn(network, optimizer, pictures, steering, dtype=dtype, micro_batch=micro_batch, **sharing)
+    error = training_step(network, optimizer, pictures, steering, dtype=dtype, micro_batch=micro_batch, **sharing)
     return float(error), torch.cat([p.grad.ravel() for p in network.parameters() if p.grad is not None])
 
 

@@ -255,26 +255,26 @@ def test_malformed_telemetries_are_answered_and_the_good_ones_in_between_driven(
     log = tmp_path / "run.mcap"
     chance = random.Random(11)
     good: list[tuple[str, str]] = []
-    told = {"manual": 0, "steer": 0}
+    answers = {"manual": 0, "steer": 0}
     with driving(mode, log, run) as server:
         client = RawClient(server.port)
         for number in range(500):
             data = malformed(chance)
             client.websocket.send('42["telemetry",' + data + "]")
             name, command = client.command()
-            told[name] += 1
+            answers[name] += 1
             assert (name == "manual") == (data == "null"), data[:80]
             assert name == "manual" or -1 <= float(command["steering_angle"].replace(",", ".")) <= 1
             if number % 9 == 0:
                 client.tell(fields(number % 7))
                 name, command = client.command()
-                told[name] += 1
+                answers[name] += 1
                 good.append((str(number % 7), command["steering_angle"]))
         client.close()
     summary = server.session.summary
-    assert summary.telemetries == sum(told.values())
+    assert summary.telemetries == sum(answers.values())
     assert summary.frames >= len(good)
-    assert summary.frames + summary.malformed == told["steer"]
+    assert summary.frames + summary.malformed == answers["steer"]
     assert summary.malformed > 250
     assert len(set(good)) == 7  # each picture its steering, whatever came before it
     assert len({angle for _, angle in good}) == 7

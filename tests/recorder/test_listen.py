@@ -98,13 +98,13 @@ class ListenProcess(Process):
 
 def fields(telemetry: SimulatorTelemetry, **changed: Any) -> dict[str, Any]:
     """A telemetry as JSON, for clients that are not ours; ... leaves a field out."""
-    told = {
+    values = {
         "steering_angle": f"{telemetry.steering * 25:.4f}",
         "throttle": f"{telemetry.throttle:.4f}",
         "speed": f"{telemetry.speed_mph:.4f}",
         "image": base64.b64encode(telemetry.jpeg).decode(),
     }
-    return {name: value for name, value in {**told, **changed}.items() if value is not ...}
+    return {name: value for name, value in {**values, **changed}.items() if value is not ...}
 
 
 BAD: dict[str, tuple[Any, str]] = {
@@ -175,8 +175,8 @@ def listened(tmp_path_factory: pytest.TempPathFactory) -> Listened:
 
         modern = ModernClient(port)
         for telemetry in DRIVEN[8:12]:
-            told = fields(telemetry)
-            done.comma.append(modern.tell({k: v if k == "image" else comma(v) for k, v in told.items()}))
+            values = fields(telemetry)
+            done.comma.append(modern.tell({k: v if k == "image" else comma(v) for k, v in values.items()}))
         modern.close()
         done.manual = tell(port, ["manual", DRIVEN[3], "manual"])
         done.names = [path.name for path in folder.iterdir()]
@@ -201,10 +201,10 @@ def test_the_pictures_are_in_the_log_byte_for_byte(listened: Listened) -> None:
 
 def test_the_vehicle_is_as_it_was_told_steering_in_shares_of_25_degrees(listened: Listened) -> None:
     states = [decoded for _, decoded in read_messages(listened.log)["/vehicle"]]
-    for state, told in zip(states, listened.rows, strict=True):
-        assert state.steering == pytest.approx(told.steering, abs=1e-4 / 25)
-        assert state.throttle == pytest.approx(told.throttle, abs=1e-4)
-        assert state.speed_mph == pytest.approx(told.speed_mph, abs=1e-4)
+    for state, telemetry in zip(states, listened.rows, strict=True):
+        assert state.steering == pytest.approx(telemetry.steering, abs=1e-4 / 25)
+        assert state.throttle == pytest.approx(telemetry.throttle, abs=1e-4)
+        assert state.speed_mph == pytest.approx(telemetry.speed_mph, abs=1e-4)
         assert state.brake == 0
 
 
@@ -292,7 +292,7 @@ def test_two_simulators_at_once_lose_nothing_and_kill_finishes_the_log(tmp_path:
         other.join(PATIENCE_S)
         assert process.end(signal.SIGTERM) == 0
     frames = read_messages(tmp_path / "live.mcap")["/camera/center"]
-    assert sorted(decoded.data for _, decoded in frames) == sorted(told.jpeg for told in DRIVEN)
+    assert sorted(decoded.data for _, decoded in frames) == sorted(telemetry.jpeg for telemetry in DRIVEN)
     times_ns = [message.log_time for message, _ in frames]
     assert times_ns == sorted(set(times_ns))
 
@@ -329,7 +329,7 @@ def test_broken_packets_cost_no_traceback_and_others_are_served_on(tmp_path: Pat
 
 
 def listen_here(
-    log: Path, capsys: pytest.CaptureFixture[str], told: Callable[[int], object], **options: Any
+    log: Path, capsys: pytest.CaptureFixture[str], send: Callable[[int], object], **options: Any
 ) -> Imported:
     """Listen in this process, while `told(port)` runs in a thread of its own."""
     threads = []
@@ -338,7 +338,7 @@ def listen_here(
         assert growing.is_file()
         assert growing.name.startswith(log.name + ".")
         port = int(capsys.readouterr().err.splitlines()[0].rpartition(":")[2])
-        threads.append(threading.Thread(target=told, args=(port,)))
+        threads.append(threading.Thread(target=send, args=(port,)))
         threads[0].start()
 
     try:
@@ -370,11 +370,11 @@ def test_a_simulator_that_tells_its_clock_and_place_is_recorded_by_them(
 ) -> None:
     """Ten simulated seconds in however little time; what of its world cannot be used is said once."""
     pose = {"x_m": 1.0, "y_m": 2.0, "z_m": 0.0, "heading_rad": 0.0, "pitch_rad": 0.0, "roll_rad": 0.0}
-    told = [replace(DRIVEN[i], world={"time_s": i / 4, **pose, "laps": math.inf}) for i in range(40)]
+    telemetries = [replace(DRIVEN[i], world={"time_s": i / 4, **pose, "laps": math.inf}) for i in range(40)]
 
     def tell_all(port: int) -> None:
         try:
-            tell(port, told)
+            tell(port, telemetries)
         finally:
             signal.raise_signal(signal.SIGINT)  # heard by the main thread, which listens
 
@@ -405,7 +405,7 @@ def test_times_grow_even_if_the_clock_is_set_back(
 
 
 @pytest.mark.parametrize(
-    ("told", "advice"),
+    ("telemetries", "advice"),
     [
         (["manual"], "--watch"),
         ([SimulatorTelemetry(0.0, 0.0, 9.0, b"no picture")], "image is not a JPEG"),
@@ -413,10 +413,10 @@ def test_times_grow_even_if_the_clock_is_set_back(
     ids=["a human drove", "no picture was one"],
 )
 def test_nothing_that_can_be_used_is_an_error_and_leaves_no_file(
-    told: list[Any], advice: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    telemetries: list[Any], advice: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(RecordingError, match=advice):
-        listen_here(tmp_path / "live.mcap", capsys, lambda port: tell(port, told), idle_s=0.1)
+        listen_here(tmp_path / "live.mcap", capsys, lambda port: tell(port, telemetries), idle_s=0.1)
     assert list(tmp_path.iterdir()) == []
 
 

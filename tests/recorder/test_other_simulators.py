@@ -160,9 +160,9 @@ def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.
     folder = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
     (folder / "2_cam-image_array_.jpg").write_bytes(picture_of(320, 240))
     assert call(main, "car", "--from", folder, "--sessions", tmp_path) == 0
-    told = capsys.readouterr()
-    assert "pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)" in told.err
-    assert "4 rows, 4 pictures" in told.out
+    printed = capsys.readouterr()
+    assert "pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)" in printed.err
+    assert "4 rows, 4 pictures" in printed.out
 
 
 def test_one_row_is_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

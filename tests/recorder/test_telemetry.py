@@ -26,13 +26,13 @@ PICTURE = bytes(range(256))
 
 def telemetry(**fields: Any) -> dict[str, Any]:
     """What the simulator tells, with some fields replaced (or left out: ...)."""
-    told = {
+    values = {
         "steering_angle": "-12.5000",
         "throttle": "0.2500",
         "speed": "9.0100",
         "image": base64.b64encode(PICTURE).decode(),
     }
-    return {name: value for name, value in {**told, **fields}.items() if value is not ...}
+    return {name: value for name, value in {**values, **fields}.items() if value is not ...}
 
 
 def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
@@ -40,7 +40,7 @@ def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "throttle", "speed_mph"),
+    ("speed", "throttle", "speed_mph"),
     [
         ("0.0000", "0.0000", 0.0),
         ("1,234.5000", "0.5000", 1234.5),
@@ -59,8 +59,8 @@ def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
         (9, 1, 9.0),
     ],
 )
-def test_numbers_as_every_machine_writes_them(told: object, throttle: object, speed_mph: float) -> None:
-    assert parse_telemetry(telemetry(speed=told, throttle=throttle)).speed_mph == pytest.approx(speed_mph)
+def test_numbers_as_every_machine_writes_them(speed: object, throttle: object, speed_mph: float) -> None:
+    assert parse_telemetry(telemetry(speed=speed, throttle=throttle)).speed_mph == pytest.approx(speed_mph)
 
 
 @pytest.mark.parametrize(
@@ -97,9 +97,9 @@ def test_whole_numbers_do_not_tell_the_separator_and_what_is_known_of_it_is_kept
     degrees: float,
     separator: str,
 ) -> None:
-    told = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), known)
-    assert (told.speed_mph, told.decimal_separator) == (speed_mph, separator)
-    assert told.steering == pytest.approx(degrees / 25)
+    parsed = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), known)
+    assert (parsed.speed_mph, parsed.decimal_separator) == (speed_mph, separator)
+    assert parsed.steering == pytest.approx(degrees / 25)
 
 
 # Mono's "N4" of -1234.5, of 0.25 and of -0.2167 in all its cultures, one a row, and newer .NET's in two of them
@@ -121,11 +121,11 @@ CULTURES = [
 
 @pytest.mark.parametrize(("speed", "throttle", "degrees"), CULTURES)
 def test_every_culture_is_understood_and_answered_in_kind(speed: str, throttle: str, degrees: str) -> None:
-    told = parse_telemetry(telemetry(speed=speed, throttle=throttle, steering_angle=degrees))
-    assert (told.speed_mph, told.throttle) == (-1234.5, 0.25)
-    assert told.steering == pytest.approx(-0.2167 / 25)
+    parsed = parse_telemetry(telemetry(speed=speed, throttle=throttle, steering_angle=degrees))
+    assert (parsed.speed_mph, parsed.throttle) == (-1234.5, 0.25)
+    assert parsed.steering == pytest.approx(-0.2167 / 25)
     separator = throttle[1]
-    assert format_command(-0.25, 0.5, told.decimal_separator) == {
+    assert format_command(-0.25, 0.5, parsed.decimal_separator) == {
         "steering_angle": f"-0{separator}250000",  # a minus behind is written there, and not read
         "throttle": f"0{separator}500000",
     }
@@ -276,10 +276,10 @@ TOLD = st.fixed_dictionaries(
 @given(JSON | TOLD)
 def test_anything_is_either_a_telemetry_or_a_telemetry_error(data: object) -> None:
     try:
-        told = parse_telemetry(data)
+        parsed = parse_telemetry(data)
     except TelemetryError:
         return
-    assert all(math.isfinite(number) for number in (told.steering, told.throttle, told.speed_mph))
+    assert all(math.isfinite(number) for number in (parsed.steering, parsed.throttle, parsed.speed_mph))
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.sampled_from(".,/\u066b"))

@@ -462,15 +462,15 @@ def ask(serving: Serving, count: int, seed: int) -> None:
     chance = random.Random(seed)
     client = RawClient(serving.port)
     for good, start in enumerate(range(0, count, 9)):
-        told = [malformed(chance) for _ in range(min(9, count - start))]
-        for data in told:
+        messages = [malformed(chance) for _ in range(min(9, count - start))]
+        for data in messages:
             if chance.random() < 0.1:  # as a client sends that has bytes in its telemetry
                 client.websocket.send('451-["telemetry",' + data + ',{"_placeholder":true,"num":0}]')
                 client.websocket.send_binary(b"\xff\xd8\xff")
             else:
                 client.websocket.send('42["telemetry",' + data + "]")
         client.tell(fields(good))
-        for data in told:
+        for data in messages:
             name, command = client.command()
             assert name == ("manual" if data == "null" else "steer"), data[:80]
             assert set(command) <= {"steering_angle", "throttle"}

@@ -30,9 +30,9 @@ def world(**values: Any) -> dict[str, Any]:
 
 def used(value: object, decimal: str = ".") -> World | None:
     """What is used of a world with which nothing is wrong."""
-    told, problems = parse_world(value, decimal)
+    parsed, problems = parse_world(value, decimal)
     assert problems == ()
-    return told
+    return parsed
 
 
 def problem(value: object, decimal: str = ".") -> str:
@@ -52,27 +52,27 @@ def test_each_member_may_be_told_by_itself() -> None:
     assert used({"time_s": 1.5, "laps": None}) == World(time_s=1.5)
     assert used({"laps": 0.5, "interventions": 0}) == World(laps=0.5, interventions=0)
     pose = {name: world()[name] for name in MEMBERS[1:7]}
-    told = used(pose)
-    assert told is not None
-    assert told.pose == Pose(-3.0, 4.25, 0.5, 1.5, -0.01, 0.02)
-    assert (told.time_s, told.expert) == (None, None)
+    parsed = used(pose)
+    assert parsed is not None
+    assert parsed.pose == Pose(-3.0, 4.25, 0.5, 1.5, -0.01, 0.02)
+    assert (parsed.time_s, parsed.expert) == (None, None)
     assert WORLD.expert == (-0.5, 0.25)
 
 
 @pytest.mark.parametrize("time_s", [-0.96, 0, 12, 1.76e9, 1e12, "12.5", " -3 ", "1e-3"])
 def test_a_clock_may_begin_before_0_and_numbers_may_stand_in_strings(time_s: float | str) -> None:
-    told = used({"time_s": time_s})
-    assert told == World(time_s=float(time_s))
-    assert told is not None
-    assert type(told.time_s) is float
+    parsed = used({"time_s": time_s})
+    assert parsed == World(time_s=float(time_s))
+    assert parsed is not None
+    assert type(parsed.time_s) is float
 
 
 @pytest.mark.parametrize("count", [2, 2.0, "2", "2.0", "2e0"])
 def test_a_count_may_be_written_with_a_point(count: object) -> None:
-    told = used({"interventions": count})
-    assert told == World(interventions=2)
-    assert told is not None
-    assert type(told.interventions) is int
+    parsed = used({"interventions": count})
+    assert parsed == World(interventions=2)
+    assert parsed is not None
+    assert type(parsed.interventions) is int
 
 
 def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
@@ -102,23 +102,23 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
     ],
 )
 def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, said: str) -> None:
-    told, problems = parse_world(world(**{name: value}))
+    parsed, problems = parse_world(world(**{name: value}))
     assert problems == (said,)
-    assert told == World(**world(**{name: None}))
+    assert parsed == World(**world(**{name: None}))
 
 
 def test_half_a_pose_and_half_an_expert_are_none_and_what_is_missing_is_named() -> None:
-    told, problems = parse_world(world(pitch_rad=..., roll_rad=..., expert_throttle=...))
-    assert told == World(time_s=12.5, offset=-1.25, laps=0.75, interventions=2)
+    parsed, problems = parse_world(world(pitch_rad=..., roll_rad=..., expert_throttle=...))
+    assert parsed == World(time_s=12.5, offset=-1.25, laps=0.75, interventions=2)
     assert problems == (
         "pitch_rad and roll_rad missing beside x_m: they go together",
         "expert_throttle missing beside expert_steering: they go together",
     )
     # one that is there and wrong is not missing as well
-    told, problems = parse_world(world(x_m="far"))
+    parsed, problems = parse_world(world(x_m="far"))
     assert problems == ("x_m is a string that is no plain number",)
-    assert told is not None
-    assert told.pose is None
+    assert parsed is not None
+    assert parsed.pose is None
 
 
 @pytest.mark.parametrize("value", [True, 1, 1.5, "world", [], [{"time_s": 1.0}]])
@@ -134,8 +134,8 @@ def test_names_that_nobody_knows_are_told_those_that_are(value: object) -> None:
 
 
 def test_an_experts_command_stays_within_its_bounds() -> None:
-    for told, expected in ((1.5, 1.0), (-7, -1.0), (1e8, 1.0), (-1.0, -1.0)):
-        assert used({"expert_steering": told, "expert_throttle": told}) == World(
+    for parsed, expected in ((1.5, 1.0), (-7, -1.0), (1e8, 1.0), (-1.0, -1.0)):
+        assert used({"expert_steering": parsed, "expert_throttle": parsed}) == World(
             expert_steering=expected, expert_throttle=expected
         )
 
@@ -153,15 +153,15 @@ JSON = st.recursive(
     st.sampled_from(".,/\u066b"),
 )
 def test_any_world_is_one_of_finite_numbers(value: object, decimal: str) -> None:
-    told, problems = parse_world(value, decimal)
-    assert told is not None or problems or value is None or isinstance(value, dict)
-    if told is None:
+    parsed, problems = parse_world(value, decimal)
+    assert parsed is not None or problems or value is None or isinstance(value, dict)
+    if parsed is None:
         return
-    numbers = [number for number in vars(told).values() if number is not None]
+    numbers = [number for number in vars(parsed).values() if number is not None]
     assert numbers
     assert all(math.isfinite(number) for number in numbers)
-    assert (told.pose is None) == (told.x_m is None)
-    assert all(-1 <= command <= 1 for command in told.expert or ())
+    assert (parsed.pose is None) == (parsed.x_m is None)
+    assert all(-1 <= command <= 1 for command in parsed.expert or ())
 
 
 # While it is driven
@@ -186,8 +186,8 @@ def test_the_telemetry_is_good_whatever_its_world_is() -> None:
     without = parse_telemetry(telemetry())
     values: tuple[object, ...] = (None, {}, [], "world", {"time": 1})
     for value in values:
-        told = parse_telemetry(telemetry(world=value))
-        assert (told.jpeg, told.speed_mph, told.world) == (without.jpeg, without.speed_mph, None)
+        parsed = parse_telemetry(telemetry(world=value))
+        assert (parsed.jpeg, parsed.speed_mph, parsed.world) == (without.jpeg, without.speed_mph, None)
 
 
 def test_what_is_wrong_with_a_world_is_said_once_and_not_at_every_telemetry(pilot: Pilot) -> None:

@@ -1,0 +1,74 @@
+"""Resuming a run: the settings and samples it may go on with, and its config.json from then on."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any, Final
+
+from dataset import Samples
+from model.config import TrainConfig
+from model.errors import RunError
+from model.runs.provenance import data_fingerprint_of, training_of
+from model.runs.run_arguments import run_argument
+from model.runs.run_folder import CONFIG, WEIGHTS
+
+MAY_CHANGE: Final = ("epochs", "patience", "device", "threads", "picture_memory_mb")
+"""Settings that a resumed run may be given anew."""
+
+
+def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | None) -> TrainConfig:
+    """The settings that a run with the config.json `stored` goes on with: `config`, or those it had.
+
+    Raises RunError if `config` changes what may not change.
+    """
+    before = training_of(stored, str(run / CONFIG))
+    if config is None:
+        return before
+    wanted = config.as_dict()
+    for name, value in before.as_dict().items():
+        if name not in MAY_CHANGE and wanted[name] != value:
+            flag = f"--{name.replace('_', '-')}"
+            raise RunError(
+                f"{run}: was begun with {flag} {value} and can only go on so; for {flag} {wanted[name]} train"
+                f" another run from its weights: --init {run_argument(run)}"
+            )
+    return config
+
+
+def refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -> None:
+    """Raise RunError if these are not the samples that the run was trained on."""
+    if data_fingerprint_of(stored, str(run / CONFIG)) != samples.fingerprint:
+        has_weights = (run / WEIGHTS).exists()
+        of_its_weights = (
+            f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""
+        )
+        raise RunError(
+            f"{samples.path}: not the samples that {run} was trained on; `bc-train --resume {run_argument(run)}"
+            f" --index {shlex.quote(f'{samples.path.parent}-{run.name}')}` builds those again{of_its_weights}"
+        )
+
+
+def arithmetic_remarks(run: Path, stored: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """A remark if the machine settings `now` are not those that the run was begun with."""
+    before = stored.get("machine")
+    before = before if isinstance(before, dict) else {}
+    changed = [f"{name} {before.get(name)} to {now[name]}" for name in now if before.get(name) != now[name]]
+    return (
+        [f"{run}: goes on with other arithmetic ({', '.join(changed)}): other weights come of it"]
+        if changed
+        else []
+    )
+
+
+def resumed_config(stored: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:
+    """The config.json of a resumed run: what it was begun with, and what it goes on with."""
+    before = stored.get("resumed")
+    return {
+        **stored,
+        **{name: now[name] for name in ("index", "training")},
+        "resumed": [
+            *(before if isinstance(before, list) else []),
+            {name: now[name] for name in ("machine", "versions")},
+        ],
+    }

@@ -1,0 +1,73 @@
+"""Writing a run folder while the run is trained: its history, the best weights and checkpoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from model.runs.checkpoint import Position, save_checkpoint
+from model.runs.run_files import add_line, keep_lines
+from model.runs.run_folder import WEIGHTS, save_weights
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
+from model.runs.worst_pictures import MOST_WORST_BYTES, WORST_FILE, WorstPictures
+
+
+class RunWriter:
+    """Writes the folder of a run; of several ranks, the first one does."""
+
+    def __init__(self, run: Path) -> None:
+        self.run = run
+        self.has_saved = False
+        """Whether anything that was learnt is saved."""
+        self._unsaved_best: tuple[int, dict[str, Tensor]] | None = None  # the best epoch and its weights
+
+    def begin(self, network: nn.Module, optimizer: torch.optim.Adam, position: Position) -> None:
+        """Save the start of a training: from there a run that is killed early goes on."""
+        save_checkpoint(self.run, network, optimizer, position)
+
+    def cut_history(self, position: Position, samples: int) -> None:
+        """Remove from the run's files what comes after `position`, at which so many samples are learnt."""
+        for name in (WORST_FILE, METRICS_FILE):
+            keep_lines(self.run / name, lambda line: line["epoch"] < position.epoch)
+        keep_lines(self.run / STEPS_FILE, lambda line: line["samples"] <= samples)
+
+    def add_step(self, step: Step) -> None:
+        add_line(self.run / STEPS_FILE, step.as_dict())
+
+    def add_epoch(self, epoch: Epoch, worst: WorstPictures | None) -> None:
+        if worst is not None:  # before the epoch's own line: who reads that finds them
+            self._trim_worst(worst.epoch)
+            add_line(self.run / WORST_FILE, worst.as_dict())
+        add_line(self.run / METRICS_FILE, epoch.as_dict())
+
+    def keep_best(self, epoch: int, network: nn.Module) -> None:
+        """Take a copy of the network's weights, to be saved as those of the best epoch."""
+        weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
+        self._unsaved_best = epoch, weights
+
+    @property
+    def has_best(self) -> bool:
+        """Whether there are weights of a finished epoch, saved or not."""
+        return self._unsaved_best is not None or (self.run / WEIGHTS).exists()
+
+    def save(self, network: nn.Module, optimizer: torch.optim.Adam, position: Position) -> None:
+        """Save the best weights and a checkpoint."""
+        self.save_best()
+        save_checkpoint(self.run, network, optimizer, position)
+        self.has_saved = True
+
+    def save_best(self) -> None:
+        if self._unsaved_best is not None:
+            epoch, weights = self._unsaved_best
+            save_weights(self.run, weights, epoch)
+            self._unsaved_best = None
+            self.has_saved = True
+
+    def _trim_worst(self, epoch: int) -> None:
+        """Once the worst pictures' file is large, keep the later half of its epochs."""
+        path = self.run / WORST_FILE
+        if path.exists() and path.stat().st_size > MOST_WORST_BYTES:
+            first = epoch - path.read_bytes().count(b"\n") // 2
+            keep_lines(path, lambda line: line["epoch"] >= first)

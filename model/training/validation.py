@@ -1,0 +1,78 @@
+"""The validation after each epoch: how far the network is off on the frames held out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import counted
+from dataset import Loader, Samples
+from model.evaluation.predict import predict
+from model.metrics import measure
+from model.network.original import SteeringNetwork
+from model.runs.checkpoint import Position
+from model.runs.run_folder import load_config
+from model.runs.training_progress import Epoch
+from model.runs.worst_pictures import WORST_COLUMNS, WorstPictures, find_worst
+
+Floats = NDArray[np.float64]
+
+
+class Validation:
+    """The frames held out: centre camera, unmirrored, unaltered. There may be none."""
+
+    def __init__(self, samples: Samples, batch: int, budget_bytes: int, threads: int) -> None:
+        frames = samples.driving_view("validation")
+        self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads)
+        self._frames = frames.select(WORST_COLUMNS)
+
+    def __len__(self) -> int:
+        return len(self.loader)
+
+    def predict(self, network: SteeringNetwork, advance: Callable[[int], object]) -> tuple[Floats, Floats]:
+        """Predicted and recorded steering, each (N,), of the frames that decode."""
+        return predict(network, self.loader, advance)
+
+    def epoch(self, position: Position, predicted: Floats, recorded: Floats) -> Epoch:
+        """The measures of an epoch that has been learnt up to its end, `position`."""
+        measures = measure(predicted, recorded)
+        return Epoch(
+            position.epoch,
+            position.squared_error / position.samples,
+            float(np.mean(np.square(predicted - recorded))) if len(recorded) else math.nan,
+            measures,
+            measures.balanced_rmse_deg < position.best_deg if len(recorded) else True,
+            position.seconds,
+            position.samples / position.seconds,
+        )
+
+    def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
+        if not len(recorded):
+            return None
+        return find_worst(epoch, self._frames, self.loader, predicted, recorded)
+
+
+def validation_notices(samples: Samples, held_out: int, init: Path | None) -> list[str]:
+    """A notice if the frames held out, `held_out` in number, say little of a run that starts from `init`."""
+    settings = samples.metadata["settings"]
+    if not held_out:
+        if settings.get("validation_share") or settings.get("validation"):
+            return [
+                f"{samples.path}: no frame is held out, so nothing tells how good the network is; give bc-index a"
+                " smaller --block-s, or whole sessions with --validation SESSION"
+            ]
+        return []
+    if init is None:
+        return []
+    from model.runs.trained_on import by_session, count_trained_on  # needs more packages than training does
+
+    count = count_trained_on(by_session(samples.driving_view("validation")), samples, load_config(init))
+    if count == 0:
+        return []
+    known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
+    held = counted(held_out, "frame")
+    return [f"{samples.path}: {held} held out, but {init} {known}: their errors say too little"]
