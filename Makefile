@@ -33,7 +33,7 @@ docs: install
 	$(BIN)/python docs/make_architecture.py
 
 site: $(VENV)/installed-docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "build/site/index.html"
 
 $(VENV)/installed-docs: $(VENV)/installed

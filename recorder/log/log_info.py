@@ -16,7 +16,7 @@ from recorder.log.tags import Tag, read_tags, stale_tags, tags_path
 
 
 @dataclass(frozen=True)
-class Topic:
+class TopicInfo:
     topic: str
     schema: str
     messages: int
@@ -24,7 +24,7 @@ class Topic:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class FlaggedRows:
     """Rows with something odd about them; times in seconds from the log's first row."""
 
     flag: str
@@ -41,11 +41,11 @@ class Info:
     start: str  # UTC, ISO 8601
     duration_s: float  # from the first message to the last
     driven_s: float | None  # of all drives, without what lies between them; None: nobody has looked at its rows
-    topics: list[Topic]  # rates over the driven time, if it is known
+    topics: list[TopicInfo]  # rates over the driven time, if it is known
     session: dict[str, str]  # where it comes from
     drives: int | None
     flags: dict[str, int] | None  # rows that each flag holds for
-    stretches: list[Stretch]  # the first of them
+    stretches: list[FlaggedRows]  # the first of them
     picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
     tags: list[Tag]
     stale_tags: int  # of what had this name before
@@ -70,7 +70,7 @@ def describe(path: Path) -> Info:
             duration_s=duration_s,
             driven_s=driven_s,
             topics=[
-                Topic(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
+                TopicInfo(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
                 for name in sorted(counts)
             ],
             session=log.metadata,
@@ -116,12 +116,12 @@ def _texts(text: str) -> dict[str, str]:
         return {}
 
 
-def _stretches(text: str) -> list[Stretch]:
+def _stretches(text: str) -> list[FlaggedRows]:
     """Somebody else may have written the log: what is no stretch is left out."""
     try:
         entries: list[list[Any]] = json.loads(text or "[]")
         return [
-            Stretch(str(flag), int(first), int(last), float(begin_s), float(end_s))
+            FlaggedRows(str(flag), int(first), int(last), float(begin_s), float(end_s))
             for flag, first, last, begin_s, end_s in entries
             if math.isfinite(begin_s) and math.isfinite(end_s)
         ]
