@@ -20,7 +20,7 @@ from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
 from dataset.index.index_report import balance_table, print_log_notices, sessions_table
 from dataset.index.leaks import find_leaks
-from dataset.index.quality_report import find_flagged_rows, print_quality_report
+from dataset.index.quality_report import find_flagged_frames, print_quality_report
 from dataset.index.sessions import find_logs, sessions_beside
 from dataset.samples.filter import Condition
 from dataset.samples.samples_format import SAMPLES_NAME
@@ -86,7 +86,7 @@ def index(config: Index) -> int:
         for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
             print_result(str(path))
     if config.report:
-        print_quality_report(find_flagged_rows(config.index))
+        print_quality_report(find_flagged_frames(config.index))
     if config.check:
         leaks = find_leaks(config.index)
         for leak in leaks:

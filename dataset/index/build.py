@@ -37,8 +37,8 @@ from dataset.index.build_lock import build_lock
 from dataset.index.build_state import (
     FRAMES_FOLDER,
     STATE_NAME,
-    Entry,
-    State,
+    BuildState,
+    BuiltLog,
     read_state,
     sources_of,
     stat_of,
@@ -111,7 +111,7 @@ def build_index(
         try:
             return _build(by_name, index, config, state, leave_out_unreadable, passed_over)
         except _StaleStateError:
-            return _build(by_name, index, config, State.nothing(), leave_out_unreadable, passed_over)
+            return _build(by_name, index, config, BuildState.nothing(), leave_out_unreadable, passed_over)
 
 
 def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> None:
@@ -135,11 +135,11 @@ def _build(
     by_name: dict[str, Path],
     index: Path,
     config: IndexConfig,
-    state: State,
+    state: BuildState,
     leave_out_unreadable: bool,
     passed_over: Sequence[str],
 ) -> Indexed:
-    entries: dict[str, Entry] = {}
+    entries: dict[str, BuiltLog] = {}
     with staged(index) as stage:
         for name, path in track(by_name.items(), "indexing", len(by_name)):
             try:
@@ -149,7 +149,7 @@ def _build(
             except LogError as error:
                 if not leave_out_unreadable or name in config.validation:
                     raise
-                entries[name] = Entry(sources_of(name, path, index), notice=f"{error}; left out")
+                entries[name] = BuiltLog(sources_of(name, path, index), notice=f"{error}; left out")
         read = sorted(file.stem for file in (stage / FRAMES_FOLDER).iterdir())
         held = {name: entry for name, entry in entries.items() if entry.fingerprint}
         notices = [entry.notice for entry in entries.values() if entry.notice]
@@ -177,11 +177,13 @@ def _build(
                 raise
         if samples.parent == stage or (entries, sorted(passed_over)) != (state.logs, state.passed_over):
             with write_errors(index / STATE_NAME):
-                write_state(samples.with_name(STATE_NAME), State(stat_of(samples), entries, sorted(passed_over)))
+                write_state(
+                    samples.with_name(STATE_NAME), BuildState(stat_of(samples), entries, sorted(passed_over))
+                )
     return Indexed(index, list(held), read, *made, notices, remarks, sizes_px)
 
 
-def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: State) -> Entry | None:
+def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: BuildState) -> BuiltLog | None:
     """The entry of a session whose frames are up to date, if its log need not be opened to know that.
 
     One that was left out is always tried again: whether a file may be read, its size and time do not tell.
@@ -202,7 +204,7 @@ def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: St
     return entry if all(stored.get(key) == value for key, value in expected.items()) else None
 
 
-def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> Entry:
+def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
     """Read a log, all of it: its fingerprint does not tell of damage within a chunk. Its frames file is put into
     `stage`, unless the index has the very same.
 
@@ -215,7 +217,9 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         tags = read_tags(path, log.fingerprint)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
-        entry = Entry(sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log))
+        entry = BuiltLog(
+            sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log)
+        )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
     with write_errors(file):
@@ -245,7 +249,7 @@ def _are_equal(new: Path, old: Path) -> bool:
 
 
 def _up_to_date(
-    index: Path, held: Mapping[str, Entry], places: Mapping[str, object], config: IndexConfig, state: State
+    index: Path, held: Mapping[str, BuiltLog], places: Mapping[str, object], config: IndexConfig, state: BuildState
 ) -> tuple[Balance, dict[str, SessionCounts]] | None:
     """Balance and counts from samples.parquet, if building it anew would give the same file."""
     before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}

@@ -24,7 +24,7 @@ Stat = tuple[int, int] | None
 Sources = tuple[str, Stat, Stat, Stat]
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A log as it was when the index was built."""
 
     sources: Sources  # what its frames are made of, before it was read: what changes from then on is noticed
@@ -35,13 +35,13 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
 
 
-class State(msgspec.Struct, frozen=True):
+class BuildState(msgspec.Struct, frozen=True):
     samples: Stat
-    logs: dict[str, Entry]
+    logs: dict[str, BuiltLog]
     passed_over: list[str]  # logs that were not to be indexed, by somebody's choice
 
     @classmethod
-    def nothing(cls) -> State:
+    def nothing(cls) -> BuildState:
         """That of an index which is built anew."""
         return cls(None, {}, [])
 
@@ -60,15 +60,15 @@ def stat_of(path: Path) -> Stat:
     return status.st_size, status.st_mtime_ns
 
 
-def read_state(index: Path) -> State:
+def read_state(index: Path) -> BuildState:
     """The state of the last build; an empty one if it is missing, damaged, or of an older version."""
     try:
-        return msgspec.json.decode((index / STATE_NAME).read_bytes(), type=State)
+        return msgspec.json.decode((index / STATE_NAME).read_bytes(), type=BuildState)
     except (OSError, ValueError, RecursionError):
-        return State.nothing()
+        return BuildState.nothing()
 
 
-def write_state(path: Path, state: State) -> None:
+def write_state(path: Path, state: BuildState) -> None:
     with atomic_file(path, overwrite=True) as part:
         stored = json.dumps(msgspec.to_builtins(state), indent=1, sort_keys=True)
         part.write_text(stored + "\n", encoding="utf-8")

@@ -26,7 +26,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True)
-class FlaggedRows:
+class FlaggedFrames:
     """Neighbouring rows of a session whose frames have a flag; a gap begins at the row before it."""
 
     session: str
@@ -39,7 +39,7 @@ class FlaggedRows:
     frames: int  # that have the flag
 
 
-def find_flagged_rows(index: Path | str) -> list[FlaggedRows]:
+def find_flagged_frames(index: Path | str) -> list[FlaggedFrames]:
     """The flagged stretches of `index`, by session and row; reads its frames files alone.
 
     Raises DatasetError if there is no index, or if it is damaged.
@@ -52,7 +52,7 @@ def find_flagged_rows(index: Path | str) -> list[FlaggedRows]:
     return sorted(found, key=lambda reported: (reported.session, reported.first_row, reported.flag))
 
 
-def print_quality_report(reported: Sequence[FlaggedRows]) -> None:
+def print_quality_report(reported: Sequence[FlaggedFrames]) -> None:
     """Print the stretches as a table, then how many frames each flag has."""
     if not reported:
         print_table("no frame has a flag")
@@ -71,7 +71,7 @@ def print_quality_report(reported: Sequence[FlaggedRows]) -> None:
     print_table(", ".join(f"{counted(count, 'frame')} {escape(flag)}" for flag, count in sorted(frames.items())))
 
 
-def _stretches_of(file: Path) -> Iterator[FlaggedRows]:
+def _stretches_of(file: Path) -> Iterator[FlaggedFrames]:
     damaged = DatasetError(f"{file}: damaged, or not of an index; remove it and give `bc-index`")
     if file.is_symlink():
         raise damaged
@@ -96,7 +96,7 @@ def _stretches_of(file: Path) -> Iterator[FlaggedRows]:
         frames = np.bincount(number[of_flag], minlength=len(row))
         for first, last in stretches(frames > 0):
             begin_ns = int(time_ns[max(first - 1, 0) if flag == "gap" else first])
-            yield FlaggedRows(
+            yield FlaggedFrames(
                 session[0].as_py(),
                 flag,
                 int(row[first]),

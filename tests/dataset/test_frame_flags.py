@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from common.car import CAMERAS, Camera
 from dataset import DatasetError
 from dataset.frames.frame_flags import FRAME_FLAGS, UNUSABLE, ImageFindings, Paired, frame_flags, is_unusable
-from dataset.index.quality_report import FlaggedRows, find_flagged_rows, print_quality_report
+from dataset.index.quality_report import FlaggedFrames, find_flagged_frames, print_quality_report
 from recorder.log.row_quality import States
 
 STEP_NS = 100_000_000
@@ -153,11 +153,11 @@ def test_neighbouring_rows_with_a_flag_are_one_stretch(tmp_path: Path, encoded: 
     write_frames(tmp_path, "a", [["out_of_range"], []], encoded=encoded)
     write_frames(tmp_path, "quiet", [[], []], encoded=encoded)
     write_frames(tmp_path, "empty", [], encoded=encoded)
-    assert find_flagged_rows(tmp_path) == [
-        FlaggedRows("a", "out_of_range", 0, 0, 0.0, 0.0, "2024-07-13T14:30:16.000+00:00", 1),
-        FlaggedRows("b", "standing_still", 1, 3, 0.1, 0.3, "2024-07-13T14:30:16.100+00:00", 3),
-        FlaggedRows("b", "frozen_picture", 2, 3, 0.2, 0.3, "2024-07-13T14:30:16.200+00:00", 2),
-        FlaggedRows("b", "standing_still", 5, 5, 0.5, 0.5, "2024-07-13T14:30:16.500+00:00", 1),
+    assert find_flagged_frames(tmp_path) == [
+        FlaggedFrames("a", "out_of_range", 0, 0, 0.0, 0.0, "2024-07-13T14:30:16.000+00:00", 1),
+        FlaggedFrames("b", "standing_still", 1, 3, 0.1, 0.3, "2024-07-13T14:30:16.100+00:00", 3),
+        FlaggedFrames("b", "frozen_picture", 2, 3, 0.2, 0.3, "2024-07-13T14:30:16.200+00:00", 2),
+        FlaggedFrames("b", "standing_still", 5, 5, 0.5, 0.5, "2024-07-13T14:30:16.500+00:00", 1),
     ]
 
 
@@ -165,7 +165,7 @@ def test_frames_of_several_cameras_are_one_row_and_late_ones_change_nothing(tmp_
     rows = [7, 7, 7, 8, 8, 10, 10, 10, 8]  # the last picture came late
     flags = [["frozen_picture"], [], [], ["frozen_picture"], [], ["frozen_picture"], [], [], ["frozen_picture"]]
     write_frames(tmp_path, "a", flags, row=rows)
-    [one] = find_flagged_rows(tmp_path)
+    [one] = find_flagged_frames(tmp_path)
     assert (one.first_row, one.last_row, one.frames) == (7, 10, 4)
     assert (one.begin_s, one.end_s) == (0.0, 0.3)
 
@@ -173,14 +173,14 @@ def test_frames_of_several_cameras_are_one_row_and_late_ones_change_nothing(tmp_
 def test_a_gap_begins_at_the_row_before_it(tmp_path: Path) -> None:
     time_ns = [START_NS + tenths * STEP_NS for tenths in (0, 1, 91, 92)]
     write_frames(tmp_path, "a", [[], [], ["gap"], []], time_ns=time_ns)
-    assert find_flagged_rows(tmp_path) == [
-        FlaggedRows("a", "gap", 2, 2, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 1)
+    assert find_flagged_frames(tmp_path) == [
+        FlaggedFrames("a", "gap", 2, 2, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 1)
     ]
 
 
 def test_times_of_any_log_can_be_told(tmp_path: Path) -> None:
     write_frames(tmp_path, "a", [["gap"], ["gap"]], time_ns=[-(2**63), 2**63 - 1])
-    [one] = find_flagged_rows(tmp_path)
+    [one] = find_flagged_frames(tmp_path)
     assert one.begin_utc == "1677-09-21T00:12:43.145+00:00"
     assert one.end_s == pytest.approx(2**64 / 1e9)
 
@@ -191,7 +191,7 @@ def test_the_report_of_frames_agrees_with_a_count_row_by_row(tmp_path: Path) -> 
     drawn = random.random((rows, 2)) < 0.4
     write_frames(tmp_path, "a", [[n for n, holds in zip("xy", row, strict=True) if holds] for row in drawn])
     covered = np.zeros((rows, 2), np.bool_)
-    for one in find_flagged_rows(tmp_path):
+    for one in find_flagged_frames(tmp_path):
         which = "xy".index(one.flag)
         assert one.frames == one.last_row - one.first_row + 1
         assert not covered[one.first_row : one.last_row + 1, which].any()
@@ -201,7 +201,7 @@ def test_the_report_of_frames_agrees_with_a_count_row_by_row(tmp_path: Path) -> 
 
 def test_an_index_that_is_missing_or_damaged_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no index; build it with `bc-index`"):
-        find_flagged_rows(tmp_path)
+        find_flagged_frames(tmp_path)
     (tmp_path / "frames").mkdir()
     path = tmp_path / "frames" / "a.parquet"
     for table in (
@@ -213,15 +213,15 @@ def test_an_index_that_is_missing_or_damaged_is_one_line(tmp_path: Path) -> None
     ):
         pq.write_table(table, path)
         with pytest.raises(DatasetError, match=r"a\.parquet: damaged"):
-            find_flagged_rows(tmp_path)
+            find_flagged_frames(tmp_path)
     path.write_bytes(b"PAR1 no more")
     with pytest.raises(DatasetError, match=r"a\.parquet: damaged"):
-        find_flagged_rows(tmp_path)
+        find_flagged_frames(tmp_path)
     path.unlink()
     write_frames(tmp_path / "elsewhere", "a", [["gap"]])
     path.symlink_to(tmp_path / "elsewhere" / "frames" / "a.parquet")
     with pytest.raises(DatasetError, match=r"a\.parquet: damaged"):
-        find_flagged_rows(tmp_path)
+        find_flagged_frames(tmp_path)
 
 
 def test_the_printed_report_has_a_line_a_stretch_and_the_sums(
@@ -232,8 +232,8 @@ def test_the_printed_report_has_a_line_a_stretch_and_the_sums(
     assert capsys.readouterr().out == "no frame has a flag\n"
     print_quality_report(
         [
-            FlaggedRows("a[b]", "gap", 7, 7, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 3),
-            FlaggedRows("a[b]", "gap", 1200, 1300, 100, 110, "2024-07-13T14:32:16.100+00:00", 1500),
+            FlaggedFrames("a[b]", "gap", 7, 7, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 3),
+            FlaggedFrames("a[b]", "gap", 1200, 1300, 100, 110, "2024-07-13T14:32:16.100+00:00", 1500),
         ]
     )
     lines = capsys.readouterr().out.splitlines()
