@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 import sysconfig
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from repository import ROOT
 
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
 settings.register_profile("tests", deadline=None, derandomize=True, database=None)
+settings.register_profile("long", settings.get_profile("tests"), max_examples=1000)
 settings.load_profile("tests")
 
 # Messages name commands as they can be typed: here by their names alone, also where they are not installed.
@@ -24,6 +27,14 @@ def pytest_configure(config: pytest.Config) -> None:
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """`make coverage` keeps which test ran a line."""
+    if "coverage" in sys.modules and (measured := sys.modules["coverage"].Coverage.current()):
+        measured.switch_context(item.nodeid)
+    return (yield)
 
 
 @pytest.fixture(scope="session")

@@ -157,19 +157,6 @@ def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
     assert [path for path in SOURCES for _, name in imported(path) if name.split(".")[0] in helpers] == []
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
-def test_a_room_says_what_it_is_for(room: str) -> None:
-    docstring = ast.get_docstring(parsed(ROOT / room / "__init__.py"))
-    assert docstring is not None
-    assert len(docstring) > 30
-
-
-def test_every_module_begins_by_saying_what_it_is() -> None:
-    generated = {"bc_pb2.py"}
-    silent = [path for path in SOURCES if not ast.get_docstring(parsed(path)) and path.name not in generated]
-    assert silent == []
-
-
 @pytest.mark.parametrize(
     ("rooms", "unloaded"),
     [

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 
@@ -34,11 +33,3 @@ def _changes(columns: Any) -> NDArray[np.bool_]:
     for column in columns:
         change[1:] |= column[1:] != column[:-1]
     return change
-
-
-def row_keys(table: pa.Table) -> NDArray[np.void]:
-    """Row and log time of each row of a table: together they tell one row of a log from another."""
-    keys = np.empty(len(table), [("row", np.int64), ("log_time_ns", np.int64)])
-    for name in ("row", "log_time_ns"):
-        keys[name] = table[name].to_numpy()
-    return keys

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from dataset.frames.distinct_rows import number_distinct
@@ -32,3 +33,11 @@ def paired_rows(
     state = first[number[count:]]  # the first of those alike: a state, if there is one
     found = np.flatnonzero(state < count)
     return state[found], found
+
+
+def moments(frames: pa.Table) -> NDArray[np.void]:
+    """Row and log time of each frame (N,): what tells one moment of a log from another."""
+    found = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
+    for name in ("row", "log_time_ns"):
+        found[name] = frames[name].to_numpy()
+    return found

@@ -16,11 +16,16 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.errors import DatasetError
-from dataset.frames.distinct_rows import row_keys
 from dataset.frames.frame_flags import is_excluded
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
+=======
+from dataset.parquet_file import read_metadata
+from dataset.frames.pairing import moments
+from dataset.frames.frame_flags import is_excluded
+from dataset.samples.samples_format import SAMPLES_NAME
+>>>>>>> main
 
 
 def find_leaks(index: Path | str) -> list[str]:
@@ -56,7 +61,10 @@ def find_leaks(index: Path | str) -> list[str]:
 
 def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_validation = pc.equal(samples["split"], "validation").to_numpy()
-    rows = row_keys(samples)
+    rows = moments(samples)
+=======
+    rows = moments(samples)
+>>>>>>> main
     training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
     found = []
     if len(both := np.intersect1d(training, validation)):
@@ -64,10 +72,16 @@ def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_altered = pc.not_equal(samples["alteration"], "").to_numpy() | samples["copy"].to_numpy()
     if altered := int((is_altered & is_validation).sum()):
         found.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
-    excluded = np.unique(row_keys(frames)[is_excluded(frames)])
+    excluded = np.unique(moments(frames)[is_excluded(frames)])
     if len(used := np.intersect1d(excluded, rows)):
         found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
-    if close := _close(np.unique(row_keys(frames)), training, validation, gap_s):
+    if close := _close(np.unique(moments(frames)), training, validation, gap_s):
+=======
+    excluded = np.unique(moments(frames)[is_excluded(frames)])
+    if len(used := np.intersect1d(excluded, rows)):
+        found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
+    if close := _close(np.unique(moments(frames)), training, validation, gap_s):
+>>>>>>> main
         found.append(close)
     return found
 

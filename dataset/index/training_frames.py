@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from dataset.config import IndexConfig
-from dataset.frames.distinct_rows import row_keys
 from dataset.frames.frames_table import driven_states, frames_of
+from dataset.frames.pairing import moments
 from recorder import Log
 from recorder.log.topics import camera_topic
 
@@ -25,4 +25,4 @@ def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfi
     states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     indexed = frames_of(states, pictures, session, config, driver=driver)
-    return np.isin(row_keys(frames), row_keys(indexed.filter(pc.equal(indexed["split"], "train"))))
+    return np.isin(moments(frames), moments(indexed.filter(pc.equal(indexed["split"], "train"))))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from common.car import CAMERAS
@@ -68,7 +68,6 @@ def write_index(
 
 
 @given(drives, configs)
-@settings(max_examples=120)
 def test_whatever_is_driven_the_samples_keep_their_promises(
     sessions: list[list[float]], config: IndexConfig
 ) -> None:

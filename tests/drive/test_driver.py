@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset import decode
@@ -407,7 +407,6 @@ configs = st.builds(
 )
 
 
-@settings(max_examples=150)
 @given(st.lists(st.tuples(telemetries, st.floats(-1e9, 1e9)), min_size=1, max_size=6), configs)
 def test_whatever_is_told_is_answered_by_numbers_within_their_bounds(
     half_right: Pilot, data: list[tuple[object, float]], config: DriveConfig
