@@ -17,15 +17,10 @@ from numpy.typing import NDArray
 from common.errors import counted
 from dataset.errors import DatasetError
 from dataset.frames.frame_flags import is_excluded
+from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
-=======
-from dataset.parquet_file import read_metadata
-from dataset.frames.pairing import moments
-from dataset.frames.frame_flags import is_excluded
-from dataset.samples.samples_format import SAMPLES_NAME
->>>>>>> main
 
 
 def find_leaks(index: Path | str) -> list[str]:
@@ -62,9 +57,6 @@ def find_leaks(index: Path | str) -> list[str]:
 def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_validation = pc.equal(samples["split"], "validation").to_numpy()
     rows = moments(samples)
-=======
-    rows = moments(samples)
->>>>>>> main
     training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
     found = []
     if len(both := np.intersect1d(training, validation)):
@@ -76,12 +68,6 @@ def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     if len(used := np.intersect1d(excluded, rows)):
         found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
     if close := _close(np.unique(moments(frames)), training, validation, gap_s):
-=======
-    excluded = np.unique(moments(frames)[is_excluded(frames)])
-    if len(used := np.intersect1d(excluded, rows)):
-        found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
-    if close := _close(np.unique(moments(frames)), training, validation, gap_s):
->>>>>>> main
         found.append(close)
     return found
 
