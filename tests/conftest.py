@@ -19,6 +19,9 @@ settings.register_profile("tests", deadline=None, derandomize=True, database=Non
 settings.register_profile("long", settings.get_profile("tests"), max_examples=1000)
 settings.load_profile("tests")
 
+# Several test processes share the processors; what they start has one thread, too (driving.environment).
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # Messages name commands as they can be typed: here by their names alone, also where they are not installed.
 os.environ["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", os.defpath)])
 

@@ -36,7 +36,7 @@ class FlaggedRows:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """What `bc-log info` prints of a log."""
+    """The content of `bc-log info`."""
 
     path: str
     size_bytes: int

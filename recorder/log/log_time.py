@@ -44,7 +44,7 @@ class LogClock:
     """Gives every row and every event its time.
 
     A row's is that of the simulated clock, from the moment at which its first telemetry came; where no such clock
-    is told, or it stands, the moment at which its telemetry came. Rows on either side of another clock, or of one
+    is there, or it stands, the moment at which its telemetry came. Rows on either side of another clock, or of one
     that begins anew, are so far apart that nobody takes them for neighbours.
 
     Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is looked at once, so that setting it while

@@ -19,8 +19,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -30,6 +28,7 @@ from mcap.records import Metadata as MetadataRecord
 from common.errors import counted
 from common.untrusted import open_regular
 from recorder.errors import LogError
+from recorder.log.compression import NOT_UNPACKED, unpack
 from recorder.log.topics import LIBRARY, PROFILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -58,9 +57,6 @@ _MOST_COMPRESSED: Final = 100
 
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
-
-NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)
-"""The exceptions of `unpack`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +175,7 @@ class McapFile:
         return self.promises_crcs or all(map(self.has_crc, chunks))
 
     def records(self, chunk: Chunk) -> bytes:
-        """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
+        """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC shows."""
         record = self.read(chunk.start, chunk.end - chunk.start)
         if chunk.mended:
             record = chunk.mended + record[len(chunk.mended) :]
@@ -307,16 +303,3 @@ def prefixed(data: bytes, at: int) -> bytes:
     """A string of MCAP: its length, then its bytes; no longer than what is there."""
     (length,) = struct.unpack_from("<I", data, at)
     return data[at + 4 : at + 4 + length]
-
-
-def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
-    """The unpacked bytes, at most one more than `size`. Raises NOT_UNPACKED."""
-    match compression:
-        case b"":
-            return bytes(stored)
-        case b"zstd":
-            with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
-                return bytes(reader.read(size + 1))
-        case b"lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1))
-    raise ValueError(f"unknown compression {compression!r}")

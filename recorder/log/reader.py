@@ -234,7 +234,7 @@ class Log(Closeable):
 
     def vehicle(self) -> pa.Table:
         """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
-        (0 .. 1), speed_mph (NaN where the source did not tell it)."""
+        (0 .. 1), speed_mph (NaN where the source has none)."""
         return self.table(topics.VEHICLE)
 
     def table(self, topic_name: str) -> pa.Table:

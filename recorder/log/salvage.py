@@ -13,17 +13,16 @@ from typing import Final
 from mcap.opcode import Opcode
 
 from recorder.errors import LogError
+from recorder.log.compression import NOT_UNPACKED, unpack
 from recorder.log.mcap_file import (
     CHUNK_HEADER,
     MAGIC,
     MAX_CHUNK_BYTES,
-    NOT_UNPACKED,
     RECORD,
     Chunk,
     McapFile,
-    unpack,
 )
-from recorder.log.scan import Structure, definitions, next_chunk, search_budget, take
+from recorder.log.scan import Structure, add_definitions, add_record, next_chunk, search_budget
 
 _COMPRESSIONS: Final = (b"", b"zstd", b"lz4")
 _BESIDE_CHUNKS: Final = (
@@ -115,7 +114,7 @@ class _Search:
         """A whole chunk that begins at `start` and ends within `end`."""
         for chunk in self._guesses(start, end):
             try:
-                definitions(self._file, self._file.records(chunk), self._found)
+                add_definitions(self._file, self._file.records(chunk), self._found)
             except LogError:
                 if self._budget <= 0:
                     break
@@ -170,7 +169,7 @@ class _Search:
             if opcode not in _BESIDE_CHUNKS or following > end:
                 break
             try:
-                take(self._file, opcode, start, following, self._found)
+                add_record(self._file, opcode, start, following, self._found)
             except LogError:
                 break
             start = following

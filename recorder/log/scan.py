@@ -123,7 +123,7 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
         try:
             if end > file.size:
                 raise file.damaged("no record")
-            take(file, opcode, position, end, found)
+            add_record(file, opcode, position, end, found)
         except LogError:
             wasted += min(end, file.size) - position
             if wasted > most_waste:
@@ -196,7 +196,7 @@ def _walk(file: McapFile) -> Structure:
                 found.problem = "its end is damaged"
                 found.has_end = True
                 break
-            take(file, opcode, position, end, found)
+            add_record(file, opcode, position, end, found)
         except LogError:
             following = next_chunk(file, unsure + 1) if wasted < most_waste else file.size
             if following == position:
@@ -217,16 +217,18 @@ def _walk(file: McapFile) -> Structure:
     return found
 
 
-def take(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
+def add_record(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
     """Add to `found` the record of a data section from `start` to `end`. Raises LogError where it is none."""
     if opcode == Opcode.CHUNK:
-        definitions(file, file.records(Chunk(start, end)), found)
+        add_definitions(file, file.records(Chunk(start, end)), found)
         compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
         found.chunks.append(Chunk(start, end, compression.decode()))
     elif opcode == Opcode.MESSAGE and _is_message(file, start, end, found):
         found.chunks.append(Chunk(start, end, is_message=True))
     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        _define(file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True)
+        _add_definition(
+            file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True
+        )
     elif opcode == Opcode.METADATA:
         file.metadata(start)
         found.metadata_at.append(start)
@@ -274,8 +276,10 @@ def next_chunk(file: McapFile, position: int) -> int:
     return file.size
 
 
-def _define(file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False) -> None:
-    """Outside of chunks no CRC tells a schema from other bytes, but that it is written `exactly` as it was."""
+def _add_definition(
+    file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False
+) -> None:
+    """`exactly`: as it would be written, which outside of chunks is all that distinguishes it from other bytes."""
     try:
         record: Schema | Channel = (Schema if opcode == Opcode.SCHEMA else Channel).read(
             ReadDataStream(io.BytesIO(content))
@@ -290,10 +294,10 @@ def _define(file: McapFile, opcode: int, content: bytes, structure: Structure, *
         structure.channels.setdefault(record.id, record)
 
 
-def definitions(file: McapFile, records: bytes, structure: Structure) -> None:
+def add_definitions(file: McapFile, records: bytes, structure: Structure) -> None:
     """Add the schemas and channels that are among `records`."""
     for opcode, start, end in file.parts(records).definitions:
-        _define(file, opcode, records[start + RECORD.size : end], structure)
+        _add_definition(file, opcode, records[start + RECORD.size : end], structure)
 
 
 def _written(record: Schema | Channel) -> bytes:

@@ -2,7 +2,7 @@
 
 A camera that is moved sideways by d, at the height h above a flat road, sees a point of the road that is R rows
 below the horizon R * d / h columns farther to the other side, whatever its focal length. So the shift between two
-cameras' pictures, row by row, tells d / h; where the road is, and the horizon, nobody has to know.
+cameras' pictures, row by row, gives d / h; neither the road nor the horizon has to be found in them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class SideCameras:
 
         The steering that leads back to the line within a given way grows with the distance from it (pure pursuit:
         curvature = 2 * distance / way^2). It holds for cameras as high and a car that turns as sharply as
-        Udacity's: what no picture tells.
+        Udacity's, which no picture shows.
         """
         return round(UDACITY_CORRECTION * self.spacing / UDACITY_SPACING, 2)
 

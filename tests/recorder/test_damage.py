@@ -28,8 +28,8 @@ from logs import write_log
 from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log import mcap_file
 from recorder.log.check import check
+from recorder.log.compression import unpack
 from recorder.log.recover import recover
 from recorder.log.topics import VEHICLE
 
@@ -533,13 +533,12 @@ def test_a_file_full_of_chunks_that_lie_is_given_up(tmp_path: Path, monkeypatch:
 def sizes_unpacked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """What compressed chunks are unpacked to from now on, in bytes."""
     sizes: list[int] = []
-    unpack = mcap_file.unpack
 
     def counting(stored: memoryview, compression: bytes, size: int) -> bytes:
         sizes.append(size)
         return unpack(stored, compression, size)
 
-    monkeypatch.setattr(mcap_file, "unpack", counting)
+    monkeypatch.setattr("recorder.log.mcap_file.unpack", counting)
     return sizes
 
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from dataset.index.balance import bin_of
+from dataset.steering_bins import bin_of
 from recorder.log.topics import PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from recorder.pictures.picture_size import can_be_decoded, width_and_height
 from viz.playback.blueprint import (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.index.frames import session_name
+from dataset.frames.frames_file import session_name
 from dataset.preprocess import DESCRIPTION
 from model.evaluation.log_predictions import LogPredictions
 from recorder import Log, LogWriter
