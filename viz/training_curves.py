@@ -150,7 +150,7 @@ class TrainingSender:
     def send(self, history: History) -> None:
         """Send the new part of a training; the steps of its epochs come with them, or came before."""
         has_errors = not history.epochs or any(epoch.measures.bins for epoch in history.epochs)
-        # The first epoch tells; a later one must not change a layout that somebody has arranged meanwhile.
+        # The first epoch decides; a later one must not change a layout that somebody has arranged meanwhile.
         if self._has_errors is None or (not self._has_epochs and has_errors != self._has_errors):
             self._prepare(has_errors=has_errors)
         self._has_epochs = self._has_epochs or bool(history.epochs)

@@ -147,7 +147,7 @@ class _Pictures:
     """The pictures of the centre camera, brought to the size of the video."""
 
     def __init__(self, log: Log) -> None:
-        """Raises UserError if there is none from which the size could be told."""
+        """Raises UserError if there is none that decodes."""
         self.skipped = Skipped()
         self._log = log
         self._found = log.pictures(camera_topic("center"))

@@ -83,7 +83,7 @@ def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threadi
                 if name is not None and known.store_id.endswith(name) and SINCE_START in times:
                     client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=known.store_id)
                     return
-    except (OSError, RuntimeError):  # it cannot be told, or is closed
+    except (OSError, RuntimeError):  # it has no cursor to set, or is closed
         return
 
 

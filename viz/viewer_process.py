@@ -65,7 +65,7 @@ def free_port() -> int:
 
 
 class Viewer(subprocess.Popen[bytes]):
-    """The process of a viewer. What it prints is printed, except why it cannot draw: that is told in our words."""
+    """The process of a viewer. Its output is printed, except why it cannot draw: see `failure_reason`."""
 
     def __init__(self, line: list[str], environment: dict[str, str]) -> None:
         super().__init__(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment)
@@ -141,7 +141,7 @@ def wait_until_it_listens(viewer: Viewer, url: str) -> None:
     deadline_s = time.monotonic() + _PATIENCE_S
     while time.monotonic() < deadline_s:
         if viewer.poll() is not None:
-            wait_until_closed(viewer)  # tells how it ended
+            wait_until_closed(viewer)  # raises the reason
             break
         with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), _PATIENCE_S):
             return

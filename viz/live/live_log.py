@@ -178,4 +178,4 @@ def _has_begun(path: Path) -> bool:
     try:
         return not path.is_file() or path.stat().st_size >= len(MAGIC)
     except OSError:
-        return True  # opening it tells what is wrong
+        return True  # opening it raises the reason

@@ -105,11 +105,13 @@ def log_layout(
     `runs` are the names of those whose predictions are shown beside it, `attention` of those that show where they
     look. A log that grows is followed; another one opens at its start, or `at_s` seconds after it.
     """
-    looks = [rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention]
+    attention_views = [
+        rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention
+    ]
     plots = _plots(topics, has_errors=bool(runs) or _has_predictions(topics))
     if runs or EVENTS in topics or not topics:
         plots.append((rrb.TextLogView(origin=EVENTS, name=TOPICS[EVENTS].title), 1.0))
-    parts = _side_by_side([_pictures(topics, looks), _upright(plots)], shares=[2, 3])
+    parts = _side_by_side([_pictures(topics, attention_views), _upright(plots)], shares=[2, 3])
     return _blueprint(parts, _time_panel(SINCE_START, grows=grows, at_s=at_s))
 
 
@@ -147,7 +149,7 @@ def entity_part(name: str) -> str:
     return rr.escape_entity_path_part(name)
 
 
-def _pictures(topics: Collection[str], looks: Sequence[rrb.View]) -> Part | None:
+def _pictures(topics: Collection[str], attention_views: Sequence[rrb.View]) -> Part | None:
     parts: list[Shared] = []
     if CENTER in topics:
         parts.append((_view(TOPICS[CENTER]), 3.0))
@@ -155,7 +157,7 @@ def _pictures(topics: Collection[str], looks: Sequence[rrb.View]) -> Part | None
     if sides := [_view(topic) for topic in pictures if topic.camera is not None]:
         parts.append((rrb.Horizontal(*sides), 1.5))
     small: list[Part] = [_view(topic) for topic in pictures if topic.camera is None]
-    small.extend(looks)
+    small.extend(attention_views)
     if POSE in topics:
         small.append(rrb.Spatial2DView(origin="/path", name="path from above, m"))
     if small:
