@@ -4,7 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator tests benchmarks docs
 
-.PHONY: install demo test check docs site pictures proto clean
+# as many tests at once as there are processors; those of one file share what they have made
+PYTEST := $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadfile
+
+.PHONY: install demo test test-long coverage check docs site pictures proto clean
 
 install: $(VENV)/installed
 
@@ -21,7 +24,20 @@ demo: install
 	$(BIN)/bc-demo
 
 test: install
-	$(BIN)/python -m pytest
+	$(PYTEST)
+
+# what takes long by nature (every byte, every moment), and ten times the examples of what holds for whatever is given
+test-long: install
+	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
+
+# a few tests fail where everything is measured: those of full disks and of Ctrl-C
+coverage: export COVERAGE_FILE := $(CURDIR)/build/coverage/data
+coverage: install
+	rm -rf build/coverage && mkdir -p build/coverage
+	-COVERAGE_PROCESS_START=$(CURDIR)/pyproject.toml $(PYTEST) --junitxml=build/coverage/junit.xml
+	$(BIN)/coverage combine -q build/coverage
+	$(BIN)/coverage report --precision=2 >build/coverage/report.txt
+	@tail -1 build/coverage/report.txt
 
 check: install
 	$(BIN)/ruff check $(SOURCES)

@@ -21,9 +21,10 @@ from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.streams import end_process
 from model.config import TrainConfig
+from model.epoch_printer import EpochPrinter
 
 if TYPE_CHECKING:
-    from model.runs.training_progress import Epoch, Listener, Step
+    from model.runs.training_progress import Listener
 
 
 @dataclass(frozen=True)
@@ -136,47 +137,15 @@ def _resume(run: Path, index: Path) -> str:
     return f"{command} --resume {run_argument(run)}{'' if is_stored else f' --index {shlex.quote(str(index))}'}"
 
 
-class Printer:
-    """Prints a line an epoch on stdout, and once what knowing nothing would give."""
-
-    def __init__(self) -> None:
-        self._has_begun = False
-
-    def step(self, step: Step) -> None:
-        """The bar shows it."""
-
-    def epoch(self, epoch: Epoch) -> None:
-        measures = epoch.measures
-        if measures.frames and not self._has_begun:
-            print_result(
-                f"errors of {counted(measures.frames, 'frame')} held out, in degrees; always the mean: RMSE"
-                f" {measures.mean.rmse_deg:.2f}, always zero: {measures.zero.rmse_deg:.2f}"
-            )
-        self._has_begun = True
-        validation = (
-            f" RMSE {measures.network.rmse_deg:.2f}, balanced {measures.balanced_rmse_deg:.2f},"
-            f" correlation {measures.network.correlation:.2f},"
-            if measures.frames
-            else " nothing held out,"
-        )
-        print_result(
-            f"epoch {epoch.epoch:>2}: loss {epoch.training_loss:.4f},{validation}"
-            f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
-        )
-
-    def close(self) -> None:
-        """Nothing to close."""
-
-
 def _listeners(config: Train, run: Path) -> list[Listener]:
     """Raises UserError where what one of them needs is not installed."""
     if config.viewer and find_spec("rerun") is None:
         raise UserError("--viewer: the viewer is not installed here: `pip install rerun-sdk` brings it")
     if not config.tensorboard:
-        return [Printer()]
+        return [EpochPrinter()]
     from model.training.tensorboard import TensorBoard
 
-    return [Printer(), TensorBoard(run)]
+    return [EpochPrinter(), TensorBoard(run)]
 
 
 def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]:
@@ -209,7 +178,7 @@ def _run_of(config: Train) -> Path:
 def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
     """The index to train on, built if need be, and the exit code of what had to be printed about it."""
     from dataset import sessions_not_indexed
-    from dataset.index.samples_format import SAMPLES_NAME
+    from dataset.samples.samples_format import SAMPLES_NAME
 
     is_there = (config.index / SAMPLES_NAME).exists()
     if config.like is not None or (config.resume is not None and not is_there):
@@ -240,10 +209,10 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
 def _build_index(config: Train) -> int:
     """Build the index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
     from dataset import build_index, find_logs
-    from dataset.index.index_report import tell_of_logs
+    from dataset.index.index_report import print_log_notices
 
     indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
-    return tell_of_logs(indexed, config.sessions)
+    return print_log_notices(indexed, config.sessions)
 
 
 def _defaults() -> Train:

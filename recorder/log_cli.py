@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,20 +12,19 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, usage_errors, warn
-from common.errors import UsageError, counted, did_you_mean, printable
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
+from common.errors import UsageError, counted, printable
 from common.files import final_path
-from common.output import ask, print_message, print_result
+from common.output import print_message, print_result
 from recorder.log.check import check, is_whole
-from recorder.log.edit import check_rows, merge, rows_between, split, trim, trim_times
+from recorder.log.edit import merge, split, trim, trim_times
 from recorder.log.log_info import describe
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.recover import recover, recovered_name
-from recorder.log.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
-from recorder.log_report import print_checked, print_info, print_written, rows_of
-
-LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+from recorder.log_report import print_checked, print_info, print_written
+from recorder.log_row_flags import rows_of_flags, times_of_flags
+from recorder.log_tag_cli import LogPath, NameRows, warn_stale
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class ShowInfo:
             print_result(json.dumps(dataclasses.asdict(info), allow_nan=False))
         else:
             print_info(info)
-        code = _warn_stale(path, info.stale_tags)
+        code = warn_stale(path, info.stale_tags)
         return warn(info.notice) if info.notice else code
 
 
@@ -70,8 +68,8 @@ class Check:
         checked = check(path, look=self.look)
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
-            told = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            print_result(json.dumps({**told, "has_crcs": checked.has_crcs, "findings": found}))
+            result = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
+            print_result(json.dumps({**result, "has_crcs": checked.has_crcs, "findings": found}))
         else:
             print_checked(checked)
             _remark_crcs(path, checked.has_crcs)
@@ -154,9 +152,9 @@ class Trim:
         to = _named(self.to)
         code = _noted(self.log)
         if self.rows is not None:
-            rows = _stretch(self.log, self.start, self.end, self.rows)
+            rows = rows_of_flags(self.log, self.start, self.end, self.rows)
             return max(code, print_written(trim(self.log, to, rows, overwrite=self.force)))
-        start_s, end_s = _times(self.start, self.end)
+        start_s, end_s = times_of_flags(self.start, self.end)
         return max(code, print_written(trim_times(self.log, to, start_s, end_s, overwrite=self.force)))
 
 
@@ -195,78 +193,6 @@ class Split:
         return max(code, *map(print_written, parts))
 
 
-@dataclass(frozen=True)
-class NameRows:
-    """Name a stretch of a log, or take the name away again. Names are kept beside the log, in NAME.tags.jsonl;
-    rows tagged `exclude` are never trained on. Without a name, the tags are listed."""
-
-    log: LogPath
-    """The log whose rows get a name."""
-    tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
-    """The name: `exclude`, `recovery`, anything."""
-    start: float | None = None
-    """From this second on, counted from the log's first row."""
-    end: float | None = None
-    """Up to this second."""
-    rows: tuple[int, int] | None = None
-    """The first and the last row, instead of times. The whole log: --start 0."""
-    remove: bool = False
-    """Remove this name: from exactly the rows that are given, or wherever it is."""
-
-    def run(self) -> int:
-        with Log(self.log) as log:
-            if log.problem:
-                raise UserError(f"{log.notice}; tag that one")
-            fingerprint = log.fingerprint
-        if self.tag is None and (self.remove or not self._is_everywhere()):
-            raise UsageError("give the name: `bc-log tag LOG NAME --rows FIRST LAST`")
-        code = _warn_stale(self.log, stale_tags(self.log, fingerprint))
-        tags = read_tags(self.log, fingerprint)
-        if self.tag is not None:
-            tags = self._change(self.tag, tags, fingerprint)
-        for tag in tags:
-            print_result(f"{tag.name}: {rows_of(tag)}")
-        return code
-
-    def _is_everywhere(self) -> bool:
-        return self.start is None and self.end is None and self.rows is None
-
-    def _tell_new(self, name: str) -> None:
-        """A name that nobody has used yet is perhaps one that was mistyped: its rows would be trained on."""
-        used = names_used(self.log.parent)
-        if name in used:
-            return
-        meant = did_you_mean(name, used)
-        told = f"new tag {name!r}" + (f"; {meant}" if meant else "")
-        answer = ask(f"{told} Give {name!r} all the same?") if meant else None
-        if answer is None:
-            print_message(told)
-        elif not answer:
-            raise UserError("nothing was tagged")
-
-    def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
-        with usage_errors(ValueError):
-            check_name(name)
-        if self._is_everywhere() and not self.remove:
-            raise UsageError(
-                f"{name}: which rows? Give --rows FIRST LAST, or --start and --end; --start 0 for all"
-            )
-        if self._is_everywhere():
-            chosen = [tag for tag in tags if tag.name == name]
-        else:
-            chosen = [Tag(*_stretch(self.log, self.start, self.end, self.rows), name)]
-        if self.remove and not set(chosen) & set(tags):
-            held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"
-            raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
-        if not self.remove:
-            self._tell_new(name)
-        for tag in chosen:
-            (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
-            if self.remove:
-                print_message(f"removed {tag.name}: {rows_of(tag)}")
-        return read_tags(self.log, fingerprint)
-
-
 Command = (
     Annotated[ShowInfo, tyro.conf.subcommand("info")]
     | Annotated[Check, tyro.conf.subcommand("check")]
@@ -302,14 +228,6 @@ def _each(logs: tuple[Path, ...], action: Callable[[Path], int]) -> int:
     return FAILED if FAILED in codes else max(codes)
 
 
-def _warn_stale(path: Path, count: int) -> int:
-    """Tags of what had this name before are not lost in silence."""
-    if not count:
-        return DONE
-    told = f"{counted(count, 'tag is', 'tags are')} of another content of {path.name} and"
-    return warn(f"{tags_path(path)}: {told} {'does' if count == 1 else 'do'} not count")
-
-
 def _remark_crcs(path: Path, has_crcs: bool) -> None:
     if not has_crcs:
         print_message(f"{path}: {WITHOUT_CRCS}")
@@ -320,29 +238,6 @@ def _noted(path: Path) -> int:
     with Log(path) as log:
         _remark_crcs(path, log.has_crcs)
         return warn(log.notice) if log.notice else DONE
-
-
-def _stretch(
-    path: Path, start_s: float | None, end_s: float | None, rows: tuple[int, int] | None
-) -> tuple[int, int]:
-    """The rows that the flags name."""
-    if rows is not None:
-        if start_s is not None or end_s is not None:
-            raise UsageError("give either --rows, or --start and --end")
-        if not 0 <= rows[0] <= rows[1]:
-            raise UsageError(f"--rows {rows[0]} {rows[1]}: give the first row, then the last one")
-        with Log(path) as log:
-            check_rows(log, rows)
-        return rows
-    with Log(path) as log:
-        return rows_between(log, *_times(start_s, end_s))
-
-
-def _times(start_s: float | None, end_s: float | None) -> tuple[float, float]:
-    begin_s, finish_s = 0.0 if start_s is None else start_s, math.inf if end_s is None else end_s
-    if not begin_s <= finish_s:
-        raise UsageError(f"--start {begin_s:g} --end {finish_s:g}: give seconds, the start before the end")
-    return begin_s, finish_s
 
 
 ABOUT = """Look after logs: what is in one, is it sound, make new ones of it, name stretches of it.

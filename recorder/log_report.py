@@ -1,4 +1,4 @@
-"""What `bc-log` prints of logs: what is in one, what is wrong with one, and what a new one holds."""
+"""The output of `bc-log`: the contents of a log, its findings, and what was written."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from common.errors import counted, printable
 from common.output import print_result, print_table
 from recorder.log.check import Checked
 from recorder.log.derived_log import Written
-from recorder.log.log_info import Info
+from recorder.log.log_info import LogInfo
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE
 
@@ -21,7 +21,7 @@ MOST_PLACES: Final = 6
 """So many are named of a kind; --json names all."""
 
 
-def print_info(info: Info) -> None:
+def print_info(info: LogInfo) -> None:
     driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
     size = f"{info.size_bytes / 1e6:,.1f} MB"
     print_table(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
@@ -50,11 +50,11 @@ def print_checked(checked: Checked) -> None:
 
 
 def print_written(written: Written) -> int:
-    """The exit code, which says whether something is not in it."""
+    """Print what a new log holds and lacks. Returns the exit code, which is 3 if it lacks something."""
     code = max([warn_skipped(written.skipped), *map(warn, written.notices)])
     size_mb = written.path.stat().st_size / 1e6
-    told = f"{counted(written.rows, 'row')}, {counted(written.messages, 'message')}, {size_mb:,.1f} MB"
-    print_result(f"{written.path}: {told}")
+    contents = f"{counted(written.rows, 'row')}, {counted(written.messages, 'message')}, {size_mb:,.1f} MB"
+    print_result(f"{written.path}: {contents}")
     return code
 
 
@@ -62,7 +62,7 @@ def rows_of(tag: Tag) -> str:
     return f"rows {tag.first_row} to {tag.last_row}"
 
 
-def _print_drives(info: Info) -> None:
+def _print_drives(info: LogInfo) -> None:
     if info.drives is None or info.flags is None:
         if not info.is_ours:
             print_table("  written by another program: `bc-log check` looks at what is in it")
@@ -84,7 +84,7 @@ def _print_drives(info: Info) -> None:
         print_table(f"    and {more} (--json lists them)")
 
 
-def _has_rows(info: Info) -> bool:
+def _has_rows(info: LogInfo) -> bool:
     return any(topic.topic == VEHICLE and topic.messages for topic in info.topics)
 
 

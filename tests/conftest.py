@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 import sysconfig
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,11 @@ from repository import ROOT
 
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
 settings.register_profile("tests", deadline=None, derandomize=True, database=None)
+settings.register_profile("long", settings.get_profile("tests"), max_examples=1000)
 settings.load_profile("tests")
+
+# Several test processes share the processors; what they start has one thread, too (driving.environment).
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Messages name commands as they can be typed: here by their names alone, also where they are not installed.
 os.environ["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", os.defpath)])
@@ -24,6 +30,14 @@ def pytest_configure(config: pytest.Config) -> None:
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """`make coverage` keeps which test ran a line."""
+    if "coverage" in sys.modules and (measured := sys.modules["coverage"].Coverage.current()):
+        measured.switch_context(item.nodeid)
+    return (yield)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Whether validation is honest: what is held out for it must not be, or nearly be, what training sees.
+"""The check for leaks: what is held out for validation must not be, or nearly be, what training sees.
 
 Reads the parquet files as anybody could, and computes anew what was promised: of what wrote them, only the rows
 and times of the frames are believed. (That two sessions share a picture is refused when an index is built.)
@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.errors import DatasetError
+from dataset.frames.frame_flags import is_excluded
+from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
-from dataset.index.frames import read_metadata
-from dataset.index.samples import is_excluded
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_leaks(index: Path | str) -> list[str]:
-    """What is wrong with the split of `index`; an empty list if nothing is.
+    """Everything that is wrong with the split of `index`, a line each; an empty list if nothing is.
 
     No row of a log may be on both sides (its cameras, mirror images and copies with it); no training sample may
     lie within the gap around a validation sample of its session; nothing that is altered, a copy, or tagged
@@ -55,7 +56,7 @@ def find_leaks(index: Path | str) -> list[str]:
 
 def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_validation = pc.equal(samples["split"], "validation").to_numpy()
-    rows = _rows_of(samples)
+    rows = moments(samples)
     training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
     found = []
     if len(both := np.intersect1d(training, validation)):
@@ -63,10 +64,10 @@ def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_altered = pc.not_equal(samples["alteration"], "").to_numpy() | samples["copy"].to_numpy()
     if altered := int((is_altered & is_validation).sum()):
         found.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
-    excluded = np.unique(_rows_of(frames)[is_excluded(frames)])
+    excluded = np.unique(moments(frames)[is_excluded(frames)])
     if len(used := np.intersect1d(excluded, rows)):
         found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
-    if close := _close(np.unique(_rows_of(frames)), training, validation, gap_s):
+    if close := _close(np.unique(moments(frames)), training, validation, gap_s):
         found.append(close)
     return found
 
@@ -77,14 +78,6 @@ def _rows(rows: NDArray[np.void]) -> str:
 
 def _are(number: int) -> str:
     return "is" if number == 1 else "are"
-
-
-def _rows_of(table: pa.Table) -> NDArray[np.void]:
-    """Row and time: what tells one moment of a log from another."""
-    rows = np.empty(len(table), [("row", np.int64), ("log_time_ns", np.int64)])
-    for name in ("row", "log_time_ns"):
-        rows[name] = table[name].to_numpy()
-    return rows
 
 
 def _close(rows: NDArray[np.void], training: NDArray[np.void], validation: NDArray[np.void], gap_s: float) -> str:

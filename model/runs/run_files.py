@@ -1,4 +1,4 @@
-"""Writing the files of a run: whole or not at all, and a full disk names the file."""
+"""Writing the files of a run: whole or not at all, with errors that name the file."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from model.errors import RunWriteError
 def replaced_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; it takes the place of `path` at the end. Raises RunWriteError, and
     leaves what was there, where the disk is full or does not let it."""
-    with named(path), atomic_file(path, overwrite=True) as part:
+    with write_errors(path), atomic_file(path, overwrite=True) as part:
         yield part
 
 
 @contextlib.contextmanager
-def named(path: Path) -> Iterator[None]:
-    """Raises RunWriteError where the system refuses what is written to `path` in the block."""
+def write_errors(path: Path) -> Iterator[None]:
+    """Raise RunWriteError, which names `path`, where the system refuses what is written to it in the block."""
     try:
         yield
     except OSError as error:
         raise RunWriteError(f"{path}: cannot be written ({error.strerror or error}); make room") from None
 
 
-def add_line(path: Path, values: dict[str, Any]) -> None:
+def append_json_line(path: Path, values: dict[str, Any]) -> None:
     """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null."""
-    with named(path), path.open("a", encoding="utf-8") as stream:
+    with write_errors(path), path.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(without_nan(values), allow_nan=False) + "\n")
 
 
-def keep_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
+def keep_json_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
     """Leave only the wanted lines; broken ones, which a killed training leaves, go."""
     kept = []
     with contextlib.suppress(FileNotFoundError):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from model.runs.checkpoint import Position, save_checkpoint
-from model.runs.run_files import add_line, keep_lines
+from model.runs.run_files import append_json_line, keep_json_lines
 from model.runs.run_folder import WEIGHTS, save_weights
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
 from model.runs.worst_pictures import MOST_WORST_BYTES, WORST_FILE, WorstPictures
@@ -30,17 +30,17 @@ class RunWriter:
     def cut_history(self, position: Position, samples: int) -> None:
         """Remove from the run's files what comes after `position`, at which so many samples are learnt."""
         for name in (WORST_FILE, METRICS_FILE):
-            keep_lines(self.run / name, lambda line: line["epoch"] < position.epoch)
-        keep_lines(self.run / STEPS_FILE, lambda line: line["samples"] <= samples)
+            keep_json_lines(self.run / name, lambda line: line["epoch"] < position.epoch)
+        keep_json_lines(self.run / STEPS_FILE, lambda line: line["samples"] <= samples)
 
     def add_step(self, step: Step) -> None:
-        add_line(self.run / STEPS_FILE, step.as_dict())
+        append_json_line(self.run / STEPS_FILE, step.as_dict())
 
     def add_epoch(self, epoch: Epoch, worst: WorstPictures | None) -> None:
         if worst is not None:  # before the epoch's own line: who reads that finds them
             self._trim_worst(worst.epoch)
-            add_line(self.run / WORST_FILE, worst.as_dict())
-        add_line(self.run / METRICS_FILE, epoch.as_dict())
+            append_json_line(self.run / WORST_FILE, worst.as_dict())
+        append_json_line(self.run / METRICS_FILE, epoch.as_dict())
 
     def keep_best(self, epoch: int, network: nn.Module) -> None:
         """Take a copy of the network's weights, to be saved as those of the best epoch."""
@@ -70,4 +70,4 @@ class RunWriter:
         path = self.run / WORST_FILE
         if path.exists() and path.stat().st_size > MOST_WORST_BYTES:
             first = epoch - path.read_bytes().count(b"\n") // 2
-            keep_lines(path, lambda line: line["epoch"] >= first)
+            keep_json_lines(path, lambda line: line["epoch"] >= first)

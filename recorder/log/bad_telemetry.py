@@ -14,7 +14,7 @@ _MORE: Final = re.compile(r" \(([0-9,]{1,26}) more\)$")
 
 
 class BadTelemetry:
-    """Counts them by kind (`TelemetryError.kind`), of which there are few, whatever clients tell."""
+    """Counts them by kind (`TelemetryError.kind`), of which there are few, whatever clients send."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -34,7 +34,7 @@ class BadTelemetry:
 
 
 def read_event(message: str) -> tuple[str, int]:
-    """The kind that an event tells, and how many telemetries it stands for: 0 if it is another event."""
+    """The kind in the text of an event, and the number of telemetries it stands for: 0 for another event."""
     if not message.startswith(_PREFIX):
         return message, 0
     reason = message.removeprefix(_PREFIX)

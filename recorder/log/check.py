@@ -1,4 +1,4 @@
-"""Looking a log through: is the file sound, and does what it holds make sense?"""
+"""Checking a log: that its file is sound, and that what it holds makes sense."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from recorder.log.scan import read_structure
 
 
 def is_whole(path: Path) -> bool:
-    """Whether the file is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
+    """True for a file that is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
     file = McapFile(path)
     findings: list[Finding] = []
     try:
@@ -33,7 +33,7 @@ def is_whole(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Checked:
-    """What was looked at, and what is wrong."""
+    """The result of a check: how much was read, and the findings."""
 
     path: Path
     messages: int
@@ -58,8 +58,8 @@ def check(path: Path, *, look: bool = True) -> Checked:
             chunks = sound_chunks(file, structure, findings)
             for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
                 for message in messages:
-                    contents.take(records, message)
-            contents.judge()
+                    contents.add(records, message)
+            contents.finish()
         has_crcs = file.have_crcs(structure.chunks)
     finally:
         file.close()

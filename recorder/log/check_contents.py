@@ -1,4 +1,4 @@
-"""What the messages of a log say when they are looked through: pictures, rows, and how they fit together."""
+"""Checking the messages of a log: pictures, rows, and how they fit together."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Finding(NamedTuple):
 
 
 class Contents:
-    """What the messages say, taken in one by one."""
+    """Collects findings from messages that are added one by one, in the order of the log."""
 
     def __init__(self, structure: Structure, findings: list[Finding], pool: Executor | None) -> None:
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
@@ -61,10 +61,10 @@ class Contents:
 
     @property
     def pictures(self) -> int:
-        """How many were decoded."""
+        """Number of pictures that were decoded."""
         return self._image_check.decoded
 
-    def take(self, records: bytes, message: StoredMessage) -> None:
+    def add(self, records: bytes, message: StoredMessage) -> None:
         topic = self._topics.get(message.channel)
         if topic is None:
             self._findings.append(Finding("messages of unknown channels", f"channel {message.channel}"))
@@ -85,11 +85,11 @@ class Contents:
             else:
                 self._states.add(message.sequence, message.log_time_ns, state)
         elif message.channel in self._images:
-            self._take_picture(topic, records, message)
+            self._add_picture(topic, records, message)
         elif message.channel in self._events:
-            self._take_event(topic, records, message)
+            self._add_event(topic, records, message)
 
-    def _take_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
+    def _add_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
         at, length = image_data(records, message.offset, message.length)
         if at < 0:
             self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
@@ -98,7 +98,7 @@ class Contents:
         self._sizes.add(topic, message.sequence, width_and_height(picture))
         self._image_check.add(topic, message.sequence, message.log_time_ns, picture)
 
-    def _take_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
+    def _add_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
         try:
             event = LogMessage.FromString(records[message.offset : message.offset + message.length])
         except DecodeError:
@@ -108,8 +108,8 @@ class Contents:
         if count:
             self._bad_telemetry[kind] += count
 
-    def judge(self) -> None:
-        """What can only be said when everything was seen."""
+    def finish(self) -> None:
+        """Add the findings that need all messages."""
         self._image_check.finish()
         for topic, at in self._image_check.broken:
             where = f"{topic} row {self._image_check.pictures[topic].rows[at]}"
@@ -122,7 +122,7 @@ class Contents:
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
-            self._judge_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
+            self._check_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
         flags = row_flags(states)
         for flag, kind in _ROW_FINDINGS.items():
             for begin, end in stretches(flags[flag]):
@@ -136,7 +136,7 @@ class Contents:
         others = topics.PICTURE_TOPICS - CAMERA_TOPICS
         return (known | expected | self._image_check.pictures.keys()) - others
 
-    def _judge_pictures(
+    def _check_pictures(
         self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
     ) -> None:
         held = set(zip(pictures.rows, pictures.times_ns, strict=True))

@@ -1,4 +1,4 @@
-"""Whether a log's file is sound: every CRC, and its indexes and counts against what is there."""
+"""Checking a log's file: every CRC, and its indexes and counts against what is there."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) 
 
 
 def is_damaged_beside_chunks(file: McapFile) -> bool:
-    """Whether a finished file's data has another CRC than it tells, and no chunk or index is to blame: then
-    metadata, or what describes topics, is not what was written, and nothing tells where. Reads the whole file."""
+    """True if the CRC of all data of a finished file does not hold though every chunk and index is sound: then
+    metadata, or what describes topics, is damaged, and nothing shows where. Reads the whole file."""
     structure, findings = read_structure(file), list[Finding]()
     if structure.problem:
         return False
@@ -71,9 +71,9 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
         if opcode == Opcode.DATA_END:
             if length != 4:  # the one record whose header no CRC covers
                 findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
-            (told,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
-            if told != crc and (told or _promises_data_crc(file, structure)):
-                findings.append(Finding(DATA_CRC, f"{told:08x}, found {crc:08x}"))
+            (stored,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
+            if stored != crc and (stored or _promises_data_crc(file, structure)):
+                findings.append(Finding(DATA_CRC, f"{stored:08x}, found {crc:08x}"))
             break
         crc = zlib.crc32(record, crc)
         if opcode == Opcode.CHUNK:
@@ -107,20 +107,20 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
         Finding("chunks that are not where the summary says", f"at byte {start:,}") for start in sorted(indexed)
     )
     # other programs may leave the statistics out
-    told_counts = structure.statistics.channel_message_counts if structure.statistics is not None else counts
-    for channel in sorted(told_counts.keys() | counts.keys()):
-        if told_counts.get(channel, 0) != counts[channel]:
+    stored_counts = structure.statistics.channel_message_counts if structure.statistics is not None else counts
+    for channel in sorted(stored_counts.keys() | counts.keys()):
+        if stored_counts.get(channel, 0) != counts[channel]:
             topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"
             findings.append(
                 Finding(
                     "other numbers of messages than told",
-                    f"{topic}: {counts[channel]:,} of {told_counts.get(channel, 0):,}",
+                    f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}",
                 )
             )
 
 
 def _promises_data_crc(file: McapFile, structure: Structure) -> bool:
-    """Whether 0 as the CRC of all data is damage. The earliest logs of ours have none, and no bc.quality."""
+    """True if 0 as the CRC of all data is damage. The earliest logs of ours have none, and no bc.quality."""
     return file.promises_crcs and (structure.has_quality or not file.is_ours)
 
 

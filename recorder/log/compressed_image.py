@@ -1,4 +1,4 @@
-"""Where the picture lies within a serialised foxglove.CompressedImage."""
+"""Finding the picture within a serialised foxglove.CompressedImage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all share that make a log out of others: what it says of itself, how it gets its name and its tags."""
+"""Logs that are made of other logs: their metadata, their names and their tags."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
 
 
 def new_log(to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:
-    """A log that says of itself what the original did (`session`, its metadata), and `about`. Of another program's
-    log, which says nothing, it says nothing."""
+    """A log with the metadata of the original (`session`) and `about`; without any if the original has none, as
+    other programs' logs."""
     if not session:
         return LogWriter(to, None, overwrite=overwrite, profile="")
     rewritten = {"toolkit": "unknown", **session, "rewritten_by": version_of(), **about}
@@ -53,7 +53,7 @@ def new_log(to: Path, session: dict[str, str], about: dict[str, str], overwrite:
 def copy_rest(
     log: Log, metadata: Sequence[tuple[str, dict[str, str]]], writer: LogWriter, skipped: Skipped
 ) -> None:
-    """Metadata (but what the new log says itself) and attachments."""
+    """Copy attachments, and metadata but that which the new log has of its own."""
     for name, values in metadata:
         if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA):
             writer.add_metadata(name, values)

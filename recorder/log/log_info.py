@@ -1,4 +1,4 @@
-"""What a log says of itself: read from its end alone, however long it is."""
+"""A summary of a log, read from its end alone, however long it is."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class FlaggedRows:
-    """Rows with something odd about them; times in seconds from the log's first row."""
+    """A stretch of rows that a flag holds for; times in seconds from the log's first row."""
 
     flag: str
     first_row: int
@@ -35,7 +35,9 @@ class FlaggedRows:
 
 
 @dataclass(frozen=True)
-class Info:
+class LogInfo:
+    """The content of `bc-log info`."""
+
     path: str
     size_bytes: int
     start: str  # UTC, ISO 8601
@@ -53,7 +55,7 @@ class Info:
     is_ours: bool  # not another program's
 
 
-def describe(path: Path) -> Info:
+def describe(path: Path) -> LogInfo:
     """Raises LogError if the log cannot be read."""
     with Log(path) as log:
         first_ns, last_ns = log.time_range_ns
@@ -63,7 +65,7 @@ def describe(path: Path) -> Info:
         driven_s = _seconds(quality.get("driven_s")) if quality else None
         has_tags = tags_path(path).exists()  # without, the fingerprint need not be made
         rate_s = duration_s if driven_s is None else driven_s
-        return Info(
+        return LogInfo(
             path=str(path),
             size_bytes=log.size,
             start=(datetime.fromtimestamp(first_ns // 10**9, UTC)).isoformat() if first_ns < 2**62 else "",

@@ -29,7 +29,7 @@ class StandingClock:
         self._simulated_s: float | None = None
 
     def note(self, now_s: float, simulated_s: float | None) -> bool:
-        """What the simulated clock shows, None if nothing, at `now_s` of this computer's; whether it stands."""
+        """Note the simulated clock's time, None without one, at `now_s` of this computer's. Returns `stands`."""
         passed_s, self._now_s = now_s - self._now_s, now_s
         last_s, self._simulated_s = self._simulated_s, simulated_s
         if simulated_s is None or last_s is None or simulated_s > last_s:
@@ -44,7 +44,7 @@ class LogClock:
     """Gives every row and every event its time.
 
     A row's is that of the simulated clock, from the moment at which its first telemetry came; where no such clock
-    is told, or it stands, the moment at which its telemetry came. Rows on either side of another clock, or of one
+    is there, or it stands, the moment at which its telemetry came. Rows on either side of another clock, or of one
     that begins anew, are so far apart that nobody takes them for neighbours.
 
     Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is looked at once, so that setting it while
@@ -61,7 +61,7 @@ class LogClock:
 
     @property
     def stands(self) -> bool:
-        """Whether the simulated clock was found not to run."""
+        """True once the simulated clock was found not to run."""
         return self._standing.stands
 
     def row(self, received_ns: int, simulated_s: float | None) -> int:

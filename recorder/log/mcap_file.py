@@ -19,8 +19,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -30,6 +28,7 @@ from mcap.records import Metadata as MetadataRecord
 from common.errors import counted
 from common.untrusted import open_regular
 from recorder.errors import LogError
+from recorder.log.compression import NOT_UNPACKED, unpack
 from recorder.log.topics import LIBRARY, PROFILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -43,24 +42,21 @@ _LONGEST_HEADER: Final = 1 << 12
 _MOST_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: there are as many numbers for them
 
 MAX_CHUNK_BYTES: Final = 1 << 28
-"""What a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
+"""The most that a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
 MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
-"""What is read at once: the largest chunk, with its header."""
+"""The most that is read at once: the largest chunk, with its header."""
 FREE_MESSAGES: Final = 1 << 16
 """A file holds no more messages than bytes, and these: compressed, the smallest ones still take several bytes, but
 what was made to fill a memory takes hardly any."""
 
 WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be told"
-"""What to tell a person, once, of another program's log that does without them."""
+"""The notice, given once, of another program's log that does without them."""
 
 _MOST_COMPRESSED: Final = 100
 """Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
 
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
-
-NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)
-"""What `unpack` raises."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +83,7 @@ class StoredMessage(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What a chunk's records are."""
+    """The records of a chunk, by kind."""
 
     messages: array[int]  # where each begins
     definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
@@ -144,7 +140,8 @@ class McapFile:
 
     @cached_property
     def profile_and_library(self) -> tuple[bytes, bytes]:
-        """What the file's first record says: which rules its content follows, what wrote it; empty if damaged."""
+        """The fields of the file's first record: rules that its content follows, program that wrote it; empty if
+        damaged."""
         try:
             opcode, length = RECORD.unpack(self.read(len(MAGIC), RECORD.size))
             header = self.read(len(MAGIC) + RECORD.size, min(length, _LONGEST_HEADER))
@@ -156,17 +153,17 @@ class McapFile:
 
     @property
     def is_ours(self) -> bool:
-        """Whether what is in it is what docs/log-format.md says."""
+        """True if its content follows docs/log-format.md."""
         return self.profile_and_library[0] == PROFILE.encode()
 
     @property
     def promises_crcs(self) -> bool:
-        """Whether a CRC of 0, by which MCAP says that there is none, is damage: what this toolkit writes has them
-        all, copies of other programs' logs too."""
+        """True if a CRC of 0, which in MCAP means none, is damage: all that this toolkit writes has CRCs, copies
+        of other programs' logs too."""
         return self.is_ours or self.profile_and_library[1].startswith(LIBRARY.encode())
 
     def may_have_crc(self, crc: int, content: bytes) -> bool:
-        """Whether `content` is what was written with this CRC, as far as the CRC can tell."""
+        """True if the CRC holds for `content`, or there is none."""
         return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
 
     def has_crc(self, chunk: Chunk) -> bool:
@@ -178,7 +175,7 @@ class McapFile:
         return self.promises_crcs or all(map(self.has_crc, chunks))
 
     def records(self, chunk: Chunk) -> bytes:
-        """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC can tell."""
+        """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC shows."""
         record = self.read(chunk.start, chunk.end - chunk.start)
         if chunk.mended:
             record = chunk.mended + record[len(chunk.mended) :]
@@ -215,7 +212,7 @@ class McapFile:
         return records
 
     def records_at(self, chunk: Chunk) -> int:
-        """Where in the file the records of an uncompressed chunk begin."""
+        """Offset in the file of the records of an uncompressed chunk."""
         return chunk.start if chunk.is_message else chunk.start + CHUNK_HEADER.size + 12
 
     def messages(self, records: bytes) -> Iterator[StoredMessage]:
@@ -249,7 +246,7 @@ class McapFile:
         return self.read(offset + RECORD.size, length)
 
     def parts(self, records: bytes) -> Parts:
-        """Where the messages and definitions in a chunk's records are. Raises LogError if one is damaged."""
+        """The messages and definitions among a chunk's records. Raises LogError if one is damaged."""
         found = Parts(array("q"), [])
         unpack, is_message = RECORD.unpack_from, found.messages.append
         position, size = 0, len(records)
@@ -291,7 +288,7 @@ def _message(records: bytes, start: int) -> StoredMessage:
 
 
 def _advice(path: Path) -> str:
-    """What may have been meant: sessions are known by their names, logs by their files."""
+    """A guess at the file that was meant: sessions are known by their names, logs by their files."""
     for meant in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
         if meant.is_file():
             return f"did you mean {meant}?"
@@ -306,16 +303,3 @@ def prefixed(data: bytes, at: int) -> bytes:
     """A string of MCAP: its length, then its bytes; no longer than what is there."""
     (length,) = struct.unpack_from("<I", data, at)
     return data[at + 4 : at + 4 + length]
-
-
-def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
-    """What was compressed, at most one byte more than `size`. Raises NOT_UNPACKED."""
-    match compression:
-        case b"":
-            return bytes(stored)
-        case b"zstd":
-            with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
-                return bytes(reader.read(size + 1))
-        case b"lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1))
-    raise ValueError(f"unknown compression {compression!r}")

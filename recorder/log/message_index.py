@@ -1,4 +1,4 @@
-"""Where every message of a log lies, and where the pictures lie within theirs: one pass over the file."""
+"""The index of a log's messages, and of the pictures within them, made in one pass over the file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNCOMPRESSED: Final = -1
 LAST_TIME_NS: Final = 2**63 - 1
 """MCAP's times are unsigned, but those of files, tables and NumPy are not."""
 
-PLACE: Final = np.dtype(
+ENTRY: Final = np.dtype(
     [
         ("channel", np.uint16),
         ("sequence", np.uint32),
@@ -44,8 +44,8 @@ _HEAD: Final = np.dtype(
 )  # as MESSAGE, without gaps
 
 
-def find_places(file: McapFile, structure: Structure, chunks: Iterable[Chunk]) -> NDArray[np.void]:
-    """One PLACE for each message in these chunks, in their order.
+def index_messages(file: McapFile, structure: Structure, chunks: Iterable[Chunk]) -> NDArray[np.void]:
+    """One ENTRY for each message in these chunks, in their order.
 
     Raises LogError for a damaged chunk, or a time that no clock of ours can hold.
     """
@@ -55,7 +55,7 @@ def find_places(file: McapFile, structure: Structure, chunks: Iterable[Chunk]) -
         parts.append(_in_chunk(file, chunk, images))
         count += len(parts[-1])
         file.check_count(count)
-    table = np.concatenate(parts) if parts else np.empty(0, PLACE)
+    table = np.concatenate(parts) if parts else np.empty(0, ENTRY)
     if (table["log_time_ns"] > LAST_TIME_NS).any():
         raise file.damaged(f"a message of the time {table['log_time_ns'].max()} ns")
     return table
@@ -64,7 +64,7 @@ def find_places(file: McapFile, structure: Structure, chunks: Iterable[Chunk]) -
 def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArray[np.void]:
     records = file.records(chunk)
     starts = np.array(file.parts(records).messages, np.int64)
-    table = np.empty(len(starts), PLACE)
+    table = np.empty(len(starts), ENTRY)
     if not len(starts):
         return table
     base = 0 if chunk.compression else file.records_at(chunk)

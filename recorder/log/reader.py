@@ -1,4 +1,4 @@
-"""Reading a log: what it says of itself, its vehicle states, and where in the file each picture lies.
+"""Reading a log: its metadata, its messages, and the place of each picture in the file.
 
 Nothing is given out of a chunk whose CRC does not hold. A log that was never finished is read as far as it
 goes, and says so (`Log.notice`).
@@ -6,17 +6,14 @@ goes, and says so (`Log.notice`).
 
 from __future__ import annotations
 
-import bisect
 import hashlib
 import operator
 import struct
-import threading
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -29,8 +26,9 @@ from common.car import CAMERAS, Camera
 from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log import topics
+from recorder.log.chunk_reader import ChunkReader
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
-from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, find_places
+from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, index_messages
 from recorder.log.salvage import salvage
 from recorder.log.scan import read_structure
 from recorder.log.topics import camera_topic, prediction_topic
@@ -39,9 +37,6 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
     from google.protobuf.message import Message as ProtobufMessage
 
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-
-_CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
-_CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
 
@@ -59,7 +54,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Where the pictures of one topic lie in their log; arrays of one length, in the order of writing."""
+    """Places in a log of the pictures of one topic; arrays of one length, in the order of writing."""
 
     sequence: NDArray[np.int64]
     log_time_ns: NDArray[np.int64]
@@ -87,10 +82,7 @@ class Log(Closeable):
         except BaseException:
             self._file.close()
             raise
-        self._chunk_starts = [chunk.start for chunk in self.chunks]
-        self._is_verified = bytearray(len(self.chunks))
-        self._unpacked: OrderedDict[int, bytes] = OrderedDict()
-        self._lock = threading.Lock()
+        self._chunk_reader = ChunkReader(self._file, self.chunks)
         self._copied_from: set[int] = set()
         self._copied = 0
         self._pictures: dict[str, Pictures] = {}
@@ -100,12 +92,12 @@ class Log(Closeable):
 
     @property
     def problem(self) -> str:
-        """Why the log is not a finished one; empty if it is."""
+        """The reason why the log counts as unfinished; empty for a finished one."""
         return self._structure.problem
 
     @property
     def notice(self) -> str:
-        """What to tell a person before such a log is used; empty for a finished one."""
+        """A line to print before an unfinished log is used; empty for a finished one."""
         if not self.problem:
             return ""
         middle = sum(end - start for start, end in self.lost if end < self.size)
@@ -117,12 +109,12 @@ class Log(Closeable):
 
     @property
     def has_crcs(self) -> bool:
-        """Whether all of it has CRCs. Other programs may do without: damage in their logs is then not noticed."""
+        """True if all of it has CRCs. Other programs may do without: damage in their logs is then not noticed."""
         return self._file.have_crcs(self.chunks)
 
     @property
     def is_ours(self) -> bool:
-        """Whether it is of this toolkit, so that topics and row numbers mean what docs/log-format.md says."""
+        """True for a log of this toolkit, whose topics and row numbers mean what docs/log-format.md says."""
         return self._file.is_ours
 
     @property
@@ -152,7 +144,7 @@ class Log(Closeable):
 
     @property
     def metadata(self) -> dict[str, str]:
-        """The record `bc.session`: where the log comes from. Empty if it has none."""
+        """The record `bc.session`: the source of the log. Empty if it has none."""
         return self.read_metadata(topics.SESSION_METADATA)
 
     def read_metadata(self, name: str) -> dict[str, str]:
@@ -165,7 +157,7 @@ class Log(Closeable):
 
     @property
     def metadata_records(self) -> list[int]:
-        """Where the metadata records begin."""
+        """Offsets of the metadata records."""
         return sorted(self._structure.metadata_at)
 
     def metadata_record(self, offset: int) -> tuple[str, dict[str, str]]:
@@ -176,15 +168,15 @@ class Log(Closeable):
 
     @property
     def attachments(self) -> list[int]:
-        """Where the attachments begin (MCAP's files within a log; this toolkit writes none)."""
+        """Offsets of the attachments (MCAP's files within a log; this toolkit writes none)."""
         return sorted(self._structure.attachments_at)
 
     def attachment(self, offset: int) -> Attachment:
         return self._file.attachment(offset)
 
     @property
-    def told_messages(self) -> int | None:
-        """How many messages the log says that it holds; None where it does not say."""
+    def message_count(self) -> int | None:
+        """Number of messages by the log's own statistics; None where it has none."""
         return None if self._structure.statistics is None else self._structure.statistics.message_count
 
     @property
@@ -193,7 +185,7 @@ class Log(Closeable):
         if self._structure.statistics is not None:
             by_channel = self._structure.statistics.channel_message_counts
         else:
-            found = np.unique(self._places["channel"], return_counts=True)
+            found = np.unique(self._index["channel"], return_counts=True)
             by_channel = dict(zip(*(column.tolist() for column in found), strict=True))
         counts: dict[str, int] = {}
         for number, channel in self.channels.items():
@@ -206,17 +198,17 @@ class Log(Closeable):
         if self._structure.statistics is not None:
             statistics = self._structure.statistics
             return statistics.message_start_time, statistics.message_end_time
-        times = self._places["log_time_ns"]
+        times = self._index["log_time_ns"]
         return (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
     @cached_property
     def fingerprint(self) -> str:
-        """Tells this content from any other: SHA-256 over the chunks' headers (with the CRC of each chunk's
+        """A name for this content and no other: SHA-256 over the chunks' headers (with the CRC of each chunk's
         content) and the file's size. It reads some 50 bytes a chunk, and changes with any picture."""
         digest = hashlib.sha256(struct.pack("<Q", self.size))
         for chunk in self.chunks:
-            is_told = self._file.has_crc(chunk)
-            digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if is_told else chunk.end - chunk.start))
+            has_crc = self._file.has_crc(chunk)
+            digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start))
         return digest.hexdigest()
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
@@ -224,18 +216,7 @@ class Log(Closeable):
 
         Raises LogError where the CRC of the chunk around them does not hold; it is computed once for each chunk.
         """
-        if chunk != UNCOMPRESSED:
-            data = self._unpacked_records(chunk)[offset : offset + length]
-            if offset < 0 or len(data) != length:
-                raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
-            return data
-        number = bisect.bisect_right(self._chunk_starts, offset) - 1
-        if number < 0 or offset + length > self.chunks[number].end:
-            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
-        if not self._is_verified[number]:
-            self._file.records(self.chunks[number])
-            self._is_verified[number] = True
-        return self._file.read(offset, length)
+        return self._chunk_reader.read(offset, length, chunk)
 
     def frames(self) -> pa.Table:
         """The cameras' pictures, one a row, in the order of the file: row (the frame's number in the log), camera,
@@ -253,7 +234,7 @@ class Log(Closeable):
 
     def vehicle(self) -> pa.Table:
         """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
-        (0 .. 1), speed_mph (NaN where the source did not tell it)."""
+        (0 .. 1), speed_mph (NaN where the source has none)."""
         return self.table(topics.VEHICLE)
 
     def table(self, topic_name: str) -> pa.Table:
@@ -278,7 +259,7 @@ class Log(Closeable):
         return self.read(int(found.offset[at[0]]), int(found.length[at[0]]), int(found.chunk[at[0]]))
 
     def pictures(self, topic: str) -> Pictures:
-        """Where the pictures of a CompressedImage topic lie."""
+        """The places of the pictures of a CompressedImage topic."""
         if topic not in self._pictures:
             table = self._of_topic(topic)
             if (table["picture"] < 0).any():
@@ -288,7 +269,7 @@ class Log(Closeable):
         return self._pictures[topic]
 
     def messages(self, topic: str) -> list[Message]:
-        """Where the messages of `topic` lie, in the order of writing."""
+        """The places of the messages on `topic`, in the order of writing."""
         names = ("sequence", "log_time_ns", "offset", "length", "chunk")
         table = self._of_topic(topic)
         return [Message(*row) for row in zip(*(table[name].tolist() for name in names), strict=True)]
@@ -308,7 +289,7 @@ class Log(Closeable):
         return self._decoded(topics.PILOT_COMMAND, PilotCommand)
 
     def predictions(self, run: str) -> Iterator[tuple[Message, Prediction]]:
-        """What the network of a run says of recorded pictures, in a log of predictions."""
+        """The predictions of the network of a run, in a log of predictions."""
         from recorder.bc_pb2 import Prediction
 
         return self._decoded(prediction_topic(run), Prediction)
@@ -341,22 +322,22 @@ class Log(Closeable):
             yield self._structure.schemas.get(channel.schema_id), channel, message
 
     @cached_property
-    def _places(self) -> NDArray[np.void]:
+    def _index(self) -> NDArray[np.void]:
         chunks: Iterable[Chunk] = self.chunks
         if self._shows_progress:
             from common.progress import track  # training reads logs where no bars are installed
 
             chunks = track(chunks, f"reading {self.path.name}", len(self.chunks))
-        places = find_places(self._file, self._structure, chunks)
-        self._is_verified = bytearray(b"\1") * len(self.chunks)
-        return places
+        index = index_messages(self._file, self._structure, chunks)
+        self._chunk_reader.set_verified()
+        return index
 
     def _of_topic(self, topic: str) -> NDArray[np.void]:
-        mask = np.zeros(len(self._places), np.bool_)
+        mask = np.zeros(len(self._index), np.bool_)
         for number, channel in self.channels.items():
             if channel.topic == topic:
-                mask |= self._places["channel"] == number
-        return self._places[mask]
+                mask |= self._index["channel"] == number
+        return self._index[mask]
 
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         from google.protobuf.message import DecodeError
@@ -366,18 +347,3 @@ class Log(Closeable):
                 yield message, kind.FromString(self.read(message.offset, message.length, message.chunk))
             except DecodeError as error:
                 raise self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}") from error
-
-    def _unpacked_records(self, start: int) -> bytes:
-        records = self._unpacked.get(start)
-        if records is None:
-            number = bisect.bisect_left(self._chunk_starts, start)
-            if number == len(self.chunks) or self.chunks[number].start != start:
-                raise self._file.damaged(f"no chunk begins at byte {start:,}")
-            records = self._file.records(self.chunks[number])
-            with self._lock:
-                self._unpacked[start] = records
-                kept = list(self._unpacked.values())
-                while len(kept) > _CACHED_CHUNKS or sum(map(len, kept)) > _CACHED_BYTES:
-                    kept.pop(0)
-                    self._unpacked.popitem(last=False)
-        return records

@@ -34,7 +34,7 @@ from recorder.log.topics import CAMERA_TOPICS, ROW_TOPICS
 
 
 def recovered_name(path: Path) -> Path:
-    """Where a recovered log goes unless told otherwise: what was being written gets the name it would have had,
+    """The default path of a recovered log: what was being written gets the name it would have had,
     unless its recording still goes on, and will take that name itself."""
     meant = final_path(path)
     if meant != path and not meant.exists() and not is_being_written(path):
@@ -86,9 +86,9 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
         else:
             skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
     notices = []
-    lost = (log.told_messages or 0) - count - left_out
+    lost = (log.message_count or 0) - count - left_out
     if lost > 0:
-        notices.append(f"{path}: lost in all: {lost:,} of {counted(log.told_messages or 0, 'message')}")
+        notices.append(f"{path}: lost in all: {lost:,} of {counted(log.message_count or 0, 'message')}")
     if not len(skipped) and _is_doubtful(path):
         notices.append(
             f"{path}: metadata, or what describes topics, may be wrong: the CRC of all data does not hold,"
@@ -113,14 +113,14 @@ class _Order:
     torn: frozenset[int] = frozenset()  # rows of which a part is lost beside what is kept
 
     def why_not(self, row: int) -> str:
-        """Why what is left of a row is not taken; empty if it is."""
+        """The reason why the rest of a row is left out; empty if it is taken."""
         if row > self.last_row:
             return "messages of a row that was never finished"
         return "messages of a row of which the rest is lost" if row in self.torn else ""
 
 
 def _in_order_of_rows(log: Log, skipped: Skipped) -> _Order:
-    """The rows tell, unless several chunks claim the same ones. Another program's log stays as it is."""
+    """The chunks by their rows, unless several claim the same ones. Another program's log stays as it is."""
     chunks, rows = _once(log, skipped) if log.is_ours else (log.chunks, [])
     driven = [row for its_rows in rows for topic, row in its_rows if topic == topics.VEHICLE]
     if not driven:
@@ -180,7 +180,7 @@ def _torn_rows(holes: set[int], rows: Sequence[list[tuple[str, int]]], *, is_cle
 
 
 def _rows_in(log: Log, chunk: Chunk) -> tuple[list[tuple[str, int]], bytes]:
-    """Topic and number of every message that belongs to a row; and what tells the chunk's messages from others."""
+    """Topic and number of every message that belongs to a row, and a digest of all messages."""
     rows, digest = [], hashlib.sha256()
     try:
         for _, channel, message in log.messages_of(chunk, Skipped()):

@@ -1,4 +1,4 @@
-"""What is odd about the rows of a log, from its vehicle states alone; whether pictures are, `check` looks.
+"""Flags for odd rows of a log, from its vehicle states alone; `recorder.log.check` checks the pictures.
 
 Thresholds were set on published recordings: people with keyboards hold an exact 0 for up to 14 s of driving, and
 any other exact value for at most 2 s; the simulator writes at least five rows a second.
@@ -64,9 +64,9 @@ class StatesWritten:
 
 
 def summary(states: States) -> dict[str, str]:
-    """What a log says of its own rows, so that nobody has to read it all to tell: drives, how many rows each flag
-    holds for, and the first stretches of them as JSON: [flag, first row, last row, begin and end in seconds from
-    the log's first row]; a gap begins at the row before it."""
+    """A log's summary of its own rows, so that nobody has to read it all: drives, how many rows each flag holds
+    for, and the first stretches of them as JSON: [flag, first row, last row, begin and end in seconds from the
+    log's first row]; a gap begins at the row before it."""
     flags = row_flags(states)
     found = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
     since_s = (states.time_ns - states.time_ns[:1]) / 1e9

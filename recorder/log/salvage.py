@@ -1,4 +1,4 @@
-"""What is whole in a damaged file wherever it lies: what recovering takes.
+"""Finding what is whole in a damaged file, wherever it lies, for a recovery.
 
 Readers take a chunk only where the summary, or the record before it, says that one is, and with a sound header.
 Here chunks are found too that lie elsewhere, or whose header is damaged, if only the CRC of their records holds.
@@ -13,17 +13,16 @@ from typing import Final
 from mcap.opcode import Opcode
 
 from recorder.errors import LogError
+from recorder.log.compression import NOT_UNPACKED, unpack
 from recorder.log.mcap_file import (
     CHUNK_HEADER,
     MAGIC,
     MAX_CHUNK_BYTES,
-    NOT_UNPACKED,
     RECORD,
     Chunk,
     McapFile,
-    unpack,
 )
-from recorder.log.scan import Structure, definitions, next_chunk, search_budget, take
+from recorder.log.scan import Structure, add_definitions, add_record, next_chunk, search_budget
 
 _COMPRESSIONS: Final = (b"", b"zstd", b"lz4")
 _BESIDE_CHUNKS: Final = (
@@ -40,54 +39,54 @@ _LONGEST_HEADER: Final = CHUNK_HEADER.size + _LENGTH.size + max(map(len, _COMPRE
 
 
 def salvage(file: McapFile, found: Structure) -> None:
-    """Make `found` tell every chunk of the file that is whole; its `lost` are then where nothing is."""
+    """Put every whole chunk of the file into `found`, and into its `lost` the stretches without one."""
     if found.problem:  # it was walked through: its chunks are whole
-        stretches, told_ends = found.lost, dict[int, int]()
+        stretches, indexed_ends = found.lost, dict[int, int]()
     else:
-        stretches, told_ends = _beside_the_whole(file, found)
+        stretches, indexed_ends = _beside_the_whole(file, found)
     found.lost = []
-    told = found.metadata_at, found.attachments_at
-    if told_ends:
+    indexed = found.metadata_at, found.attachments_at
+    if indexed_ends:
         found.metadata_at, found.attachments_at = [], []  # they may have moved as well
-    search = _Search(file, found, told_ends)
+    search = _Search(file, found, indexed_ends)
     for start, end in stretches:
         search.through(start, end)
     found.chunks.sort(key=lambda chunk: chunk.start)
-    found.metadata_at = _all_of(found.metadata_at, told[0])
-    found.attachments_at = _all_of(found.attachments_at, told[1])
+    found.metadata_at = _all_of(found.metadata_at, indexed[0])
+    found.attachments_at = _all_of(found.attachments_at, indexed[1])
 
 
-def _all_of(found: list[int], told: list[int]) -> list[int]:
-    """Where records are: where they were found; if fewer were found than told, also where they are told to be."""
-    return sorted({*found} if len({*found}) >= len(told) else {*found, *told})
+def _all_of(found: list[int], indexed: list[int]) -> list[int]:
+    """Offsets of records: those found, and where these are fewer than the indexed ones, those too."""
+    return sorted({*found} if len({*found}) >= len(indexed) else {*found, *indexed})
 
 
 def _beside_the_whole(file: McapFile, found: Structure) -> tuple[list[tuple[int, int]], dict[int, int]]:
     """Leave in `found` the chunks that are where the summary says. If not all are, they may lie anywhere else: the
     stretches between the others, and where each that is not there would begin and end."""
-    whole, told_ends = list[Chunk](), dict[int, int]()
+    whole, indexed_ends = list[Chunk](), dict[int, int]()
     for chunk in found.chunks:
         try:
             file.parts(file.records(chunk))
         except LogError:
-            told_ends[chunk.start] = chunk.end
+            indexed_ends[chunk.start] = chunk.end
         else:
             whole.append(chunk)
-    if not told_ends:
+    if not indexed_ends:
         return [], {}
     found.chunks = whole
     starts = [len(MAGIC), *(chunk.end for chunk in whole)]
     ends = [*(chunk.start for chunk in whole), found.data_end]
-    return list(zip(starts, ends, strict=True)), told_ends
+    return list(zip(starts, ends, strict=True)), indexed_ends
 
 
 class _Search:
     """Adds to `found` what is whole in stretches of the file, and what is lost in them."""
 
-    def __init__(self, file: McapFile, found: Structure, told_ends: dict[int, int]) -> None:
+    def __init__(self, file: McapFile, found: Structure, indexed_ends: dict[int, int]) -> None:
         self._file = file
         self._found = found
-        self._told_ends = told_ends  # by start, of chunks that are not whole there
+        self._indexed_ends = indexed_ends  # by start, of chunks that are not whole there
         self._budget = search_budget(file)
 
     def through(self, start: int, end: int) -> None:
@@ -103,19 +102,19 @@ class _Search:
             start = following
 
     def _lose(self, start: int, end: int) -> None:
-        """Note that nothing is whole from `start` to `end`, but what lies behind a chunk's told end."""
+        """Note that nothing is whole from `start` to `end`, but what lies behind a chunk's indexed end."""
         if self._found.lost and self._found.lost[-1][1] == start:
             start = self._found.lost.pop()[0]
-        told_end = self._told_ends.get(start, end)
-        if start < told_end < end and self._behind_records(told_end, end) == end:
-            end = told_end
+        indexed_end = self._indexed_ends.get(start, end)
+        if start < indexed_end < end and self._behind_records(indexed_end, end) == end:
+            end = indexed_end
         self._found.lost.append((start, end))
 
     def _chunk_at(self, start: int, end: int) -> Chunk | None:
         """A whole chunk that begins at `start` and ends within `end`."""
         for chunk in self._guesses(start, end):
             try:
-                definitions(self._file, self._file.records(chunk), self._found)
+                add_definitions(self._file, self._file.records(chunk), self._found)
             except LogError:
                 if self._budget <= 0:
                     break
@@ -124,7 +123,7 @@ class _Search:
         return None
 
     def _guesses(self, start: int, end: int) -> Iterator[Chunk]:
-        """What may begin there: a header says its chunk's length in several ways, of which one may be damaged."""
+        """Chunks that may begin there: a header has its chunk's length in several ways; one may be damaged."""
         head = self._file.read(start, min(_LONGEST_HEADER, end - start))
         for name in _COMPRESSIONS:
             stored_at = CHUNK_HEADER.size + _LENGTH.size + len(name) + _SIZE.size
@@ -132,8 +131,8 @@ class _Search:
                 break
             _, told_length, _, _, told_size, crc = CHUNK_HEADER.unpack_from(head)
             (stored_size,) = _SIZE.unpack_from(head, stored_at - _SIZE.size)
-            told_end = min(self._told_ends.get(start, end), end)
-            lengths = [RECORD.size + told_length, stored_at + stored_size, told_end - start]
+            indexed_end = min(self._indexed_ends.get(start, end), end)
+            lengths = [RECORD.size + told_length, stored_at + stored_size, indexed_end - start]
             if not name:
                 lengths.append(stored_at + told_size)
             for length in dict.fromkeys(lengths):
@@ -147,30 +146,30 @@ class _Search:
                     elif crc:  # where there is none, anything would do
                         yield Chunk(start, start + length, name.decode(), mended=mended)
 
-    def _sizes(self, start: int, length: int, stored_at: int, name: bytes, told: int) -> Iterator[int]:
-        """What the chunk may unpack to: what it tells, and what it does."""
+    def _sizes(self, start: int, length: int, stored_at: int, name: bytes, stated: int) -> Iterator[int]:
+        """Sizes that the chunk may unpack to: the stated one, and that which it does unpack to."""
         if not name:
             yield length - stored_at
             return
-        if told <= MAX_CHUNK_BYTES:
-            yield told
+        if stated <= MAX_CHUNK_BYTES:
+            yield stated
         stored = self._file.read(start + stored_at, length - stored_at)
         try:
             found = len(unpack(stored, name, MAX_CHUNK_BYTES))
         except NOT_UNPACKED:
             return
-        if found != told:
+        if found != stated:
             yield found
 
     def _behind_records(self, start: int, end: int) -> int:
-        """Where the sound records end that lie before the next chunk: indexes, metadata, the file's header."""
+        """The end of the sound records that lie before the next chunk: indexes, metadata, the file's header."""
         while end - start >= RECORD.size:
             opcode, length = RECORD.unpack(self._file.read(start, RECORD.size))
             following = start + RECORD.size + length
             if opcode not in _BESIDE_CHUNKS or following > end:
                 break
             try:
-                take(self._file, opcode, start, following, self._found)
+                add_record(self._file, opcode, start, following, self._found)
             except LogError:
                 break
             start = following

@@ -1,4 +1,4 @@
-"""What an MCAP file holds, and where: from the summary at its end, or by walking through it.
+"""The structure of an MCAP file, from the summary at its end or by walking through it.
 
 A file without a readable end (its recording was killed, goes on still, or it is damaged) is walked through from
 its start, past stretches that make no sense, and every chunk is found whose CRC holds.
@@ -52,7 +52,7 @@ _LEAST_BUDGET: Final = 1 << 24
 
 @dataclass
 class Structure:
-    """What a file holds, and where."""
+    """The chunks and other records of a file, and their places."""
 
     chunks: list[Chunk] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -67,14 +67,14 @@ class Structure:
     lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
 
     def is_protobuf(self, channel: int, schema: str) -> bool:
-        """Whether a channel's messages are of this schema, in Protobuf: other programs write some as JSON too."""
+        """True if a channel's messages are of this schema, in Protobuf: other programs write some as JSON too."""
         known = self.channels[channel]
         its = self.schemas.get(known.schema_id)
         return its is not None and (its.name, known.message_encoding) == (schema, MessageEncoding.Protobuf)
 
 
 def read_structure(file: McapFile) -> Structure:
-    """What is in the file: from its end if that is sound, else by walking through it."""
+    """The structure of the file: from its end if that is sound, else by walking through it."""
     found = _summary(file)
     if found is None:
         return _walk(file)
@@ -86,29 +86,29 @@ def read_structure(file: McapFile) -> Structure:
 
 
 def has_summary(file: McapFile) -> bool:
-    """Whether the file has the summary at its end that tells where everything is."""
+    """True if the file has a sound summary at its end."""
     return _summary(file) is not None
 
 
 def _is_complete(summary: Structure) -> bool:
-    """Whether a summary tells of all that the file holds, as far as it counts that."""
-    told = summary.statistics
+    """True if a summary lists all that it counts."""
+    statistics = summary.statistics
     return (
-        told is not None
-        and len(summary.chunks) == told.chunk_count
-        and len(summary.channels) >= told.channel_count
-        and len(summary.schemas) >= told.schema_count
-        and len(summary.metadata_at) == told.metadata_count
-        and len(summary.attachments_at) == told.attachment_count
-        and (summary.chunks != [] or not told.message_count)
+        statistics is not None
+        and len(summary.chunks) == statistics.chunk_count
+        and len(summary.channels) >= statistics.channel_count
+        and len(summary.schemas) >= statistics.schema_count
+        and len(summary.metadata_at) == statistics.metadata_count
+        and len(summary.attachments_at) == statistics.attachment_count
+        and (summary.chunks != [] or not statistics.message_count)
     )
 
 
 def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]:
     """Take into `found` what has been completed behind `position` of a file that grows.
 
-    Where to go on next time, and whether there is nothing more to come. Start at `len(MAGIC)`, and know the
-    file's new size after it. Raises LogError where the file was deleted before its end was written, or is
+    Returns the position to go on from next time, and True if nothing more will come. Start at `len(MAGIC)`; the
+    file has its new size afterwards. Raises LogError where the file was deleted before its end was written, or is
     damaged all over.
     """
     is_there = file.grow()
@@ -123,7 +123,7 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
         try:
             if end > file.size:
                 raise file.damaged("no record")
-            take(file, opcode, position, end, found)
+            add_record(file, opcode, position, end, found)
         except LogError:
             wasted += min(end, file.size) - position
             if wasted > most_waste:
@@ -196,7 +196,7 @@ def _walk(file: McapFile) -> Structure:
                 found.problem = "its end is damaged"
                 found.has_end = True
                 break
-            take(file, opcode, position, end, found)
+            add_record(file, opcode, position, end, found)
         except LogError:
             following = next_chunk(file, unsure + 1) if wasted < most_waste else file.size
             if following == position:
@@ -217,16 +217,18 @@ def _walk(file: McapFile) -> Structure:
     return found
 
 
-def take(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
+def add_record(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
     """Add to `found` the record of a data section from `start` to `end`. Raises LogError where it is none."""
     if opcode == Opcode.CHUNK:
-        definitions(file, file.records(Chunk(start, end)), found)
+        add_definitions(file, file.records(Chunk(start, end)), found)
         compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
         found.chunks.append(Chunk(start, end, compression.decode()))
     elif opcode == Opcode.MESSAGE and _is_message(file, start, end, found):
         found.chunks.append(Chunk(start, end, is_message=True))
     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        _define(file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True)
+        _add_definition(
+            file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True
+        )
     elif opcode == Opcode.METADATA:
         file.metadata(start)
         found.metadata_at.append(start)
@@ -248,8 +250,8 @@ def _cost(file: McapFile, start: int, end: int) -> int:
     """Bytes that were read, and at most unpacked, to find out that a record is damaged."""
     if end > file.size:
         return 0
-    told = file.read(start, min(CHUNK_HEADER.size, end - start))
-    size = CHUNK_HEADER.unpack(told)[4] if told[0] == Opcode.CHUNK and len(told) == CHUNK_HEADER.size else 0
+    head = file.read(start, min(CHUNK_HEADER.size, end - start))
+    size = CHUNK_HEADER.unpack(head)[4] if head[0] == Opcode.CHUNK and len(head) == CHUNK_HEADER.size else 0
     return end - start + (size if size <= MAX_CHUNK_BYTES else 0)
 
 
@@ -260,12 +262,12 @@ def _is_index(file: McapFile, start: int, end: int) -> bool:
 
 
 def search_budget(file: McapFile) -> int:
-    """How many bytes a search for what is whole may read or unpack in vain."""
+    """The bytes that a search for what is whole may read or unpack in vain."""
     return _MOST_WASTE * file.size + _LEAST_BUDGET
 
 
 def next_chunk(file: McapFile, position: int) -> int:
-    """Where the next bytes are that look like a chunk; the file's size if nowhere."""
+    """Offset of the next bytes that look like a chunk; the file's size if there are none."""
     while position < file.size:
         block = file.read(position, min(_SEARCH_BYTES + 64, file.size - position))
         if (match := _CHUNK_START.search(block)) is not None:
@@ -274,8 +276,10 @@ def next_chunk(file: McapFile, position: int) -> int:
     return file.size
 
 
-def _define(file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False) -> None:
-    """Outside of chunks no CRC tells a schema from other bytes, but that it is written `exactly` as it was."""
+def _add_definition(
+    file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False
+) -> None:
+    """`exactly`: as it would be written, which outside of chunks is all that distinguishes it from other bytes."""
     try:
         record: Schema | Channel = (Schema if opcode == Opcode.SCHEMA else Channel).read(
             ReadDataStream(io.BytesIO(content))
@@ -290,10 +294,10 @@ def _define(file: McapFile, opcode: int, content: bytes, structure: Structure, *
         structure.channels.setdefault(record.id, record)
 
 
-def definitions(file: McapFile, records: bytes, structure: Structure) -> None:
+def add_definitions(file: McapFile, records: bytes, structure: Structure) -> None:
     """Add the schemas and channels that are among `records`."""
     for opcode, start, end in file.parts(records).definitions:
-        _define(file, opcode, records[start + RECORD.size : end], structure)
+        _add_definition(file, opcode, records[start + RECORD.size : end], structure)
 
 
 def _written(record: Schema | Channel) -> bytes:

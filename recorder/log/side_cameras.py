@@ -1,8 +1,8 @@
-"""How far the side cameras are from the centre one, measured in their own pictures.
+"""The distance of the side cameras from the centre one, measured in their own pictures.
 
 A camera that is moved sideways by d, at the height h above a flat road, sees a point of the road that is R rows
 below the horizon R * d / h columns farther to the other side, whatever its focal length. So the shift between two
-cameras' pictures, row by row, tells d / h; where the road is, and the horizon, nobody has to know.
+cameras' pictures, row by row, gives d / h; neither the road nor the horizon has to be found in them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from recorder.pictures.picture_size import can_be_decoded
 UDACITY_SPACING: Final = 0.63
 """d / h of the real simulator, as measured here: 0.62 to 0.64 in published recordings of its three tracks."""
 UDACITY_CORRECTION: Final = 0.2
-"""What is added to the steering there, in use since the first projects with it."""
+"""The label correction in use for it since the first projects with that simulator."""
 
 _MEASURED: Final[tuple[Camera, ...]] = ("center", "left", "right")
 MOMENTS: Final = 60
@@ -41,7 +41,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SideCameras:
-    """What was measured."""
+    """The measured distances."""
 
     left: float  # distance from the centre camera, as a share of the cameras' height above the road
     right: float
@@ -53,17 +53,17 @@ class SideCameras:
 
     @property
     def side_correction(self) -> float:
-        """What brings such cameras' car back as Udacity's 0.2 does its own.
+        """The label correction that brings such cameras' car back as Udacity's 0.2 does its own.
 
         The steering that leads back to the line within a given way grows with the distance from it (pure pursuit:
         curvature = 2 * distance / way^2). It holds for cameras as high and a car that turns as sharply as
-        Udacity's: what no picture tells.
+        Udacity's, which no picture shows.
         """
         return round(UDACITY_CORRECTION * self.spacing / UDACITY_SPACING, 2)
 
 
 def side_cameras(log: Log) -> SideCameras:
-    """Of a log with pictures of all three cameras. Raises RecordingError where they do not tell, and why."""
+    """Measure in a log with pictures of all three cameras. Raises RecordingError where that is not possible."""
     places = [log.pictures(camera_topic(camera)) for camera in _MEASURED]
     rows = np.array(sorted(set.intersection(*(set(each.sequence.tolist()) for each in places))), np.int64)
     if not len(rows):
@@ -77,8 +77,8 @@ def side_cameras(log: Log) -> SideCameras:
 
 
 def measure(moments: Iterable[list[Gray | None]]) -> SideCameras:
-    """Of the pictures (H, W) of the centre, left and right camera in many places; where one is None, or of another
-    size than the others, the moment is passed over. Raises ValueError where they do not tell."""
+    """Measure in pictures (H, W) of the centre, left and right camera in many places; where one is None, or of
+    another size than the others, the moment is passed over. Raises ValueError where it cannot be measured."""
     left: list[Floats] = []
     right: list[Floats] = []
     rows = 0  # of a band

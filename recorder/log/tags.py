@@ -45,7 +45,7 @@ def read_tags(log: Path, fingerprint: str) -> list[Tag]:
 
 
 def stale_tags(log: Path, fingerprint: str) -> int:
-    """How many tags beside the log are for another content of it. Raises what `read_tags` does."""
+    """Number of tags beside the log that are for another content of it. Raises what `read_tags` does."""
     return sum(len(tags) for content, tags in _by_content(log).items() if content != fingerprint)
 
 

@@ -88,7 +88,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Topic:
-    """What is written on one topic.
+    """One topic of a log.
 
     Pictures (`COMPRESSED_IMAGE`) are shown in a view called `title`, numbers as `lines`.
     """
@@ -124,7 +124,7 @@ def camera_topic(camera: Camera) -> str:
 
 
 def prediction_topic(run: str) -> str:
-    """Where it is kept what the network of a run says of recorded pictures."""
+    """The topic with the predictions of a run's network for recorded pictures."""
     return f"{PREDICTIONS}{run}"
 
 

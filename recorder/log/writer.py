@@ -31,6 +31,7 @@ from common.versions import version_of
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.log import topics
 from recorder.log.compressed_image import image_data
+from recorder.log.copied_channels import CopiedChannels
 from recorder.log.row_quality import StatesWritten, summary
 from recorder.log.topics import (
     CAMERA_TOPICS,
@@ -77,7 +78,7 @@ class LogWriter:
         live: bool = False,
         profile: str = topics.PROFILE,
     ) -> None:
-        """`metadata` says where the log comes from; None for copies of other programs' logs, which do not.
+        """`metadata` is about the source of the log; None for copies of other programs' logs, which have none.
 
         Raises UserError if `path` exists and may not be overwritten, or cannot be written.
         """
@@ -91,9 +92,6 @@ class LogWriter:
         self._last_flush_s = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._copied: dict[int, tuple[Channel, int]] = {}
-        self._copied_channels: dict[tuple[object, ...], int] = {}
-        self._copied_schemas: dict[tuple[str, str, bytes], int] = {}
         self._states = StatesWritten()
         self._sizes = PictureSizes()
         self._sync: files.BackgroundSync | None = None
@@ -119,6 +117,7 @@ class LogWriter:
         self._mcap = McapWriter(
             self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
         )
+        self._copied_channels = CopiedChannels(self._mcap)
         self._to_disk(self._mcap.start, profile=profile, library=f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
@@ -149,7 +148,7 @@ class LogWriter:
         self._write(topic, message, time_ns, sequence)
 
     def prediction(self, run: str, time_ns: int, sequence: int, prediction: Prediction) -> None:
-        """What the network of a run says of a recorded picture."""
+        """The prediction of a run's network for a recorded picture."""
         self._write(prediction_topic(_utf8(run)), prediction, time_ns, sequence)
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
@@ -167,11 +166,8 @@ class LogWriter:
 
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
         """A message of another log, as it is but for its sequence number."""
-        known = self._copied.get(id(channel))
-        if known is None:
-            # keeping the channel keeps its id from being used again
-            known = self._copied[id(channel)] = (channel, self._copied_channel(schema, channel))
-        self._message(known[1], message.log_time, message.publish_time, sequence, message.data)
+        number = self._copied_channels.number_of(schema, channel)
+        self._message(number, message.log_time, message.publish_time, sequence, message.data)
         if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
             try:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
@@ -199,7 +195,7 @@ class LogWriter:
 
     @property
     def notices(self) -> list[str]:
-        """What a person should know of the cameras' pictures until now."""
+        """Lines to print about the cameras' pictures until now."""
         return self._sizes.notices()
 
     def flush_if_due(self) -> None:
@@ -233,8 +229,8 @@ class LogWriter:
         """Write the summary; the log still has its temporary name (`part`)."""
         if len(self._states):
             sizes = self._sizes.mixed()
-            told = {"picture_sizes": json.dumps(sizes)} if sizes else {}
-            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | told)
+            mixed = {"picture_sizes": json.dumps(sizes)} if sizes else {}
+            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | mixed)
         self._to_disk(self._finish)
 
     def publish(self) -> None:
@@ -265,7 +261,7 @@ class LogWriter:
             raise
 
     def _end(self, is_sound: bool) -> None:
-        is_kept = self._live and bool(self._channels or self._copied)
+        is_kept = self._live and bool(self._channels or self._copied_channels)
         if self._is_broken and is_kept:
             self._abandon()  # the error that broke it names the file, which stays
         elif is_sound or is_kept:
@@ -298,25 +294,6 @@ class LogWriter:
         self._channels[topic] = self._mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
         return self._channels[topic]
 
-    def _copied_channel(self, schema: Schema | None, channel: Channel) -> int:
-        """Logs that are merged share the channels that are alike."""
-        metadata = dict(channel.metadata)
-        number = self._copied_schema(schema)
-        key = (channel.topic, channel.message_encoding, number, *sorted(metadata.items()))
-        if key not in self._copied_channels:
-            self._copied_channels[key] = self._mcap.register_channel(
-                channel.topic, channel.message_encoding, number, metadata
-            )
-        return self._copied_channels[key]
-
-    def _copied_schema(self, schema: Schema | None) -> int:
-        if schema is None:
-            return 0  # in MCAP: no schema
-        key = (schema.name, schema.encoding, schema.data)
-        if key not in self._copied_schemas:
-            self._copied_schemas[key] = self._mcap.register_schema(*key)
-        return self._copied_schemas[key]
-
     def _finish(self) -> None:
         self._mcap.finish()
         self._stream.flush()
@@ -332,7 +309,7 @@ class LogWriter:
             raise self._broken(error) from None
 
     def _broken(self, error: OSError) -> UserError:
-        """What to tell when the disk is full, or gone."""
+        """The error for a disk that is full, or gone."""
         self._is_broken = True
         if not self._live:
             return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")

@@ -127,7 +127,7 @@ def _load_decoder() -> None:
 
 def decodes(picture: bytes) -> bool:
     """Return True for a JPEG or PNG, not too large, that OpenCV decodes to its end. Wrong bytes within the coded
-    picture that end where they should decode to a wrong picture, which nothing can tell from a right one."""
+    picture that end where they should decode to a wrong picture, which nothing distinguishes from a right one."""
     if not can_be_decoded(picture):
         return False
     import cv2  # what looks at no picture needs none of its memory

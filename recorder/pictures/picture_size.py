@@ -1,4 +1,4 @@
-"""How large a JPEG or PNG is by its own header, before anything is unpacked: a few kilobytes may say gigabytes."""
+"""The size of a JPEG or PNG by its header, before anything is unpacked: a few kilobytes may be gigabytes."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def pixels(picture: bytes) -> int | None:
 
 
 def can_be_decoded(picture: bytes) -> bool:
-    """Whether it begins as a JPEG or PNG of at most `MOST_PIXELS`."""
+    """True for what begins as a JPEG or PNG of at most `MOST_PIXELS`."""
     return 0 < (pixels(picture) or 0) <= MOST_PIXELS
 
 
 class PictureSizes:
-    """How large each camera's pictures are: one that changes its size within a session is told."""
+    """Counts the sizes of each camera's pictures, to report one that changes its size within a session."""
 
     def __init__(self) -> None:
         self._found: dict[str, dict[tuple[int, int], tuple[int, int]]] = {}  # topic, size -> count, first row
@@ -71,7 +71,7 @@ class PictureSizes:
         }
 
     def notices(self) -> list[str]:
-        """What to tell of a recording whose pictures are not all of one size, on whatever camera."""
+        """Lines to print about a recording whose pictures are not all of one size, on whatever camera."""
         counts: Counter[tuple[int, int]] = Counter()
         for sizes in self._found.values():
             counts.update({size: count for size, (count, _) in sizes.items()})
@@ -89,7 +89,7 @@ class PictureSizes:
 
 
 def _frame(jpeg: bytes) -> int:
-    """Where the content of the first frame's header begins (T.81, B.2.2), searched as libjpeg does.
+    """Offset of the content of the first frame's header (T.81, B.2.2), searched as libjpeg does.
 
     Raises IndexError or ValueError if there is none.
     """

@@ -63,7 +63,7 @@ class OpenConnections:
     def __len__(self) -> int:
         return len(self._deadlines_s)
 
-    def begin(self, stream: Any) -> None:
+    def add(self, stream: Any) -> None:
         self._deadlines_s[stream] = math.inf
 
     def request_started(self, stream: Any) -> None:
@@ -72,7 +72,7 @@ class OpenConnections:
     def request_complete(self, stream: Any) -> None:
         self._deadlines_s[stream] = math.inf
 
-    def end(self, stream: Any) -> None:
+    def remove(self, stream: Any) -> None:
         self._deadlines_s.pop(stream, None)
 
     def close_overdue(self) -> None:
@@ -86,8 +86,8 @@ class OpenConnections:
                 self._notify(NOTICE_SLOW)
                 _shut_down(stream)
 
-    def cut(self) -> None:
-        """End all of them at once."""
+    def close_all(self) -> None:
+        """Cut all connections at once."""
         for stream in list(self._deadlines_s):
             _shut_down(stream)
 
@@ -105,7 +105,7 @@ class GuardedHandler:
         super().__init__(*arguments)  # handles the request
 
     def handle(self) -> None:
-        self._open_connections.begin(self.connection)
+        self._open_connections.add(self.connection)
         try:
             problem = _first_bytes_problem(self.connection)
             if problem is None:
@@ -114,7 +114,7 @@ class GuardedHandler:
             elif problem:
                 self._notify(problem)
         finally:
-            self._open_connections.end(self.connection)
+            self._open_connections.remove(self.connection)
 
     def get_environ(self) -> dict[str, Any]:
         environ: dict[str, Any] = super().get_environ()  # type: ignore[misc]

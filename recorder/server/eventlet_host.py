@@ -95,5 +95,5 @@ class EventletHost:
         for _ in range(2):
             with eventlet.Timeout(END_S, False):
                 self._connections.waitall()
-            self._open_connections.cut()
+            self._open_connections.close_all()
         self._listener.close()

@@ -67,7 +67,7 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
         until_s = time.monotonic() + END_S
         while len(self._open_connections) and time.monotonic() < until_s:
             time.sleep(0.01)
-        self._open_connections.cut()
+        self._open_connections.close_all()
         self.server_close()
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
@@ -77,12 +77,12 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
         return False
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        self._open_connections.begin(request)  # before its thread does: the server may end first
+        self._open_connections.add(request)  # before its thread does: the server may end first
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         super().shutdown_request(request)
-        self._open_connections.end(request)  # also where it got no thread
+        self._open_connections.remove(request)  # also where it got no thread
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         pass  # the client has gone; the application's own errors never get here

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from common.car import CAMERAS
 from dataset import DatasetError, IndexConfig
-from dataset.index.balance import bin_of
-from dataset.index.frames import frames_of, write_table
-from dataset.index.samples import write_samples
+from dataset.frames.frames_table import frames_of
+from dataset.parquet_file import write_table
+from dataset.samples.samples_writer import write_samples
+from dataset.steering_bins import bin_of
 from recorder import Pictures
 from recorder.log.row_quality import States
 
@@ -67,7 +68,6 @@ def write_index(
 
 
 @given(drives, configs)
-@settings(max_examples=120)
 def test_whatever_is_driven_the_samples_keep_their_promises(
     sessions: list[list[float]], config: IndexConfig
 ) -> None:

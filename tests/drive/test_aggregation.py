@@ -20,12 +20,14 @@ from drive.evaluation.aggregation import Aggregation, AggregationFolders
 from drive.evaluation.simulator_process import BuiltInSimulator
 from driving import Process, command, one_line_of, run
 from model import TrainConfig, train
+from model.cli import main
 from model.runs.checkpoint import checkpoint_path, read_position
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.topics import DRIVE_METADATA
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from serving import ModernClient, fields
+from udacity import call
 from waiting import wait_until
 
 TRACK, LAPS, SPEED = "random:3", 0.04, 20
@@ -129,7 +131,9 @@ def start_aggregation(aggregated: Aggregated, track: str, *flags: object) -> Pro
     return Process(command("bc-drive", *arguments), aggregated.folder)
 
 
-def test_a_training_that_is_stopped_says_how_to_finish_it(aggregated: Aggregated) -> None:
+def test_a_training_that_is_stopped_says_how_to_finish_it(
+    aggregated: Aggregated, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with start_aggregation(aggregated, "random:5", "--laps", 0.01, "--epochs", 10_000) as process:
         process.wait_for("training runs/first-random-5-1")
         trained = aggregated.folder / "runs" / "first-random-5-1"
@@ -142,8 +146,8 @@ def test_a_training_that_is_stopped_says_how_to_finish_it(aggregated: Aggregated
     assert stopped[1] == "runs/first-random-5-1"
     assert stopped[3] == "runs/first-random-5-1 --simulator random:5 --aggregate 1"
     epoch = read_position(aggregated.folder / stopped[1]).epoch
-    resumed = run("bc-train", *stopped[2].split(), "--epochs", epoch, cwd=aggregated.folder)
-    assert resumed.returncode == 0, resumed.stderr
+    monkeypatch.chdir(aggregated.folder)
+    assert call(main, *stopped[2].split(), "--epochs", epoch) == 0
 
 
 def test_a_drive_that_is_stopped_says_what_is_left(aggregated: Aggregated) -> None:
@@ -239,7 +243,8 @@ def test_what_cannot_be_aggregated_is_one_line(
     assert expected in one_line_of(done)
 
 
-def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggregated) -> None:
+@pytest.mark.parametrize("rounds", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggregated, rounds: int) -> None:
     folder = aggregated.folder
     hurt = record_simulated(SimulatedDrive(track="mountain", laps=0.005), folder / "sessions" / "hurt.mcap").path
     build_index([folder / "sessions" / "lake.mcap", hurt], folder / "index-two", SETTINGS)
@@ -248,9 +253,9 @@ def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggre
     data[len(data) // 2] ^= 1
     hurt.write_bytes(data)
     drive = ("bc-drive", "two", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
-    done = run(*drive, "--aggregate", 2, "--epochs", 1, cwd=folder)
+    done = run(*drive, "--aggregate", rounds, "--epochs", 1, cwd=folder)
     assert done.returncode == 3, done.stderr
     (warning,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
     assert warning.startswith("sessions/hurt.mcap: ")
-    learnt = json.loads((folder / "runs" / "two-random-3-2" / "config.json").read_text())
-    assert set(learnt["data"]["logs"]) == {"lake", "two-random-3-0", "two-random-3-1"}
+    learnt = json.loads((folder / "runs" / f"two-random-3-{rounds}" / "config.json").read_text())
+    assert set(learnt["data"]["logs"]) == {"lake", *(f"two-random-3-{driven}" for driven in range(rounds))}

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset import decode
@@ -69,10 +69,14 @@ def message(number: int = 0, speed_mph: float = 9.0, world: World | None = None,
     return {**fields, "image": image, **changed}
 
 
-def encoded(width: int, height: int) -> str:
-    ok, jpeg = cv2.imencode(".jpg", np.full((height, width, 3), 90, np.uint8))
+def picture(width: int, height: int, kind: str = ".jpg") -> bytes:
+    ok, data = cv2.imencode(kind, np.full((height, width, 3), 90, np.uint8))
     assert ok
-    return base64.b64encode(jpeg.tobytes()).decode()
+    return data.tobytes()
+
+
+def encoded(width: int, height: int) -> str:
+    return base64.b64encode(picture(width, height)).decode()
 
 
 def drive(driver: Driver, data: object, now_s: float = 0.0) -> Decision:
@@ -119,6 +123,8 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
     ("jpeg", "problem"),
     [
         (encoded(2049, 1024), f"image has more than {MAX_PIXELS:,} pixels (2,098,176)"),
+        (base64.b64encode(picture(2049, 1024)[:-9]).decode(), f"image has more than {MAX_PIXELS:,} pixels"),
+        (base64.b64encode(picture(2049, 1024, ".png")).decode(), f"image has more than {MAX_PIXELS:,} pixels"),
         (base64.b64encode(road_jpeg(0)[:-900]).decode(), "image is a JPEG that is cut off or damaged ("),
         (base64.b64encode(b"\x89PNG" + bytes(99)).decode(), "image is a PNG, not a JPEG"),
         (base64.b64encode(bytes(99)).decode(), "image is not a JPEG (99 bytes)"),
@@ -130,6 +136,18 @@ def test_a_picture_that_is_too_large_or_none_is_not_driven_on(half_right: Pilot,
     assert problem in decision.problem
     assert (decision.steering, decision.throttle, decision.telemetry, decision.crop) == (0.0, 0.0, None, None)
     assert decision.speed_mph == 9.0  # what can be read is used
+
+
+def test_a_picture_that_exif_turns_is_driven_on_turned_and_keeps_the_size_of_its_header(half_right: Pilot) -> None:
+    tags = (
+        b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + bytes(4)
+    )  # orientation: a quarter turn
+    exif = b"Exif\0\0" + tags
+    plain = picture(320, 160)
+    turned = plain[:2] + b"\xff\xe1" + (2 + len(exif)).to_bytes(2, "big") + exif + plain[2:]
+    decision = drive(Driver(half_right, DriveConfig()), message(image=base64.b64encode(turned).decode()))
+    assert decision.events == ("pictures of 160x320 pixels, not 320x160: driven on all the same",)
+    assert decision.picture_size == (320, 160)
 
 
 def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> None:
@@ -389,7 +407,6 @@ configs = st.builds(
 )
 
 
-@settings(max_examples=150)
 @given(st.lists(st.tuples(telemetries, st.floats(-1e9, 1e9)), min_size=1, max_size=6), configs)
 def test_whatever_is_told_is_answered_by_numbers_within_their_bounds(
     half_right: Pilot, data: list[tuple[object, float]], config: DriveConfig

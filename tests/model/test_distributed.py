@@ -54,13 +54,14 @@ def losses(run: Path) -> list[float]:
     return [json.loads(line)["training_loss"] for line in (run / "metrics.jsonl").read_text().splitlines()]
 
 
-def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path) -> None:
-    """26 samples in batches of 10: the last one, of 6, is shared as well."""
+@pytest.mark.parametrize("batch", [pytest.param(10, marks=pytest.mark.long), 25])
+def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path, batch: int) -> None:
+    """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing."""
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
-    done = torchrun("--name", "two", *FLAGS, *places)
+    done = torchrun("--name", "two", *FLAGS, "--batch", batch, *places)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("epoch  1:") == 1  # one of them speaks, and writes
-    config = TrainConfig(epochs=1, batch=10, dropout=0.0, precision="float32", threads=1)
+    config = TrainConfig(epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
     one, two = first_line(tmp_path / "one"), first_line(tmp_path / "two")
     assert two["training_loss"] == pytest.approx(one["training_loss"], rel=1e-5)
@@ -72,20 +73,26 @@ def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "two" / "config.json").read_text())["machine"]["ranks"] == 2
 
 
-def test_the_command_is_begun_by_torchrun_whatever_lies_in_the_working_folder(index: Path, tmp_path: Path) -> None:
-    """`--no-python bc-train`: a script, and beside the folder that it works in a `model.py` of somebody else."""
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    """`bc-train` as it is installed, and a `model.py` of somebody else in the folder where it is started."""
     script = tmp_path / "bin" / "bc-train"
     script.parent.mkdir()
     script.write_text(f"#!{sys.executable}\nfrom behavioural_cloning_toolkit import bc_train\nbc_train()\n")
     script.chmod(0o755)
     (tmp_path / "model.py").write_text("raise SystemExit('the wrong one')\n")
+    return script
+
+
+@pytest.mark.long  # that it starts: test_a_run_that_exists_is_said_and_ends_all
+def test_torchrun_starts_the_installed_command(index: Path, tmp_path: Path, script: Path) -> None:
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
-    begin = ["--no-python", str(script)]
-    done = torchrun("--name", "two", *FLAGS, *places, begin=begin, cwd=tmp_path)
+    done = torchrun("--name", "two", *FLAGS, *places, begin=["--no-python", str(script)], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("epoch  1:") == 1
 
 
+@pytest.mark.long
 def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Path) -> None:
     """25 + 1: two of three processes have nothing in the second batch, and still take the step together."""
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
@@ -97,6 +104,7 @@ def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Pa
     assert first_line(tmp_path / "three")["training_loss"] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.long
 def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path) -> None:
     """In two epochs, stopped between them, they learn what they do in one go; a part of a batch at a time."""
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
@@ -115,9 +123,11 @@ def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path)
     assert found == pytest.approx(expected, rel=1e-4)
 
 
-def test_a_run_that_exists_is_said_and_ends_all(index: Path, tmp_path: Path) -> None:
+def test_a_run_that_exists_is_said_and_ends_all(index: Path, tmp_path: Path, script: Path) -> None:
+    """By `--no-python bc-train`, whatever lies in the working folder."""
     (tmp_path / "run").mkdir()
-    done = torchrun("--name", "run", *FLAGS, "--index", index, "--sessions", index.parent, "--runs", tmp_path)
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
+    done = torchrun("--name", "run", *FLAGS, *places, begin=["--no-python", str(script)], cwd=tmp_path)
     assert done.returncode != 0
     assert "run: exists already, and is no run; give another --name" in done.stderr
     assert "Traceback" not in done.stderr.split("torch/distributed/elastic")[0]

@@ -122,6 +122,7 @@ def in_python(code: str, *arguments: object) -> subprocess.CompletedProcess[str]
     )
 
 
+@pytest.mark.long  # killed once: test_a_fine_tuned_run_that_is_killed_...
 def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
     index: Path, whole: Path, tmp_path: Path
 ) -> None:

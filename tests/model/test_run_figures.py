@@ -154,7 +154,8 @@ def test_numbers_that_are_missing_or_have_gone_astray_still_give_a_picture(
     wrong = dict.fromkeys(("mae_deg", "rmse_deg", "turning_mae_deg", "correlation"), value)
     losses = {"training_loss": value, "validation_loss": value}
     run = write_run(tmp_path / "first", 2, **losses, validation=wrong, mean=wrong, zero=wrong)
-    write_run_figures(run, np.full(5, math.nan if value is None else min(value, 1e30)), np.zeros(5))
+    predicted = np.full(5, math.nan if value is None else min(value, 1e30))
+    assert len(write_run_figures(run, predicted, np.zeros(5))) == 2
 
 
 # The steering

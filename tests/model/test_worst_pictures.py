@@ -92,7 +92,9 @@ def test_a_picture_that_does_not_decode_moves_no_other_picture(
     (tmp_path / "toy.mcap").unlink()
     monkeypatch.setattr("toy.road", picture)
     train(toy_index(tmp_path), tmp_path / "run", TINY, figures=False, show_progress=False)
-    for worst in read_history(tmp_path / "run")[0].worst:
+    found = read_history(tmp_path / "run")[0].worst
+    assert [len(worst.frames) > 0 for worst in found] == [True] * TINY.epochs
+    for worst in found:
         for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
             assert frame.row != broken
             assert np.abs(decode(jpeg).astype(int) - preprocess(decode(road("center", frame.row)))).mean() < 3
@@ -108,16 +110,16 @@ def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
 
 def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`read_history` takes no file of any size."""
-    monkeypatch.setattr("model.training.run_writer.MOST_WORST_BYTES", 40_000)
-    config = type(TINY)(**{**TINY.as_dict(), "epochs": 12})
+    monkeypatch.setattr("model.training.run_writer.MOST_WORST_BYTES", 20_000)
+    config = type(TINY)(**{**TINY.as_dict(), "epochs": 6})
     train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
     history, skipped = read_history(tmp_path / "run")
     assert len(skipped) == 0
-    assert [epoch.epoch for epoch in history.epochs] == list(range(1, 13))
+    assert [epoch.epoch for epoch in history.epochs] == list(range(1, 7))
     kept = [worst.epoch for worst in history.worst]
-    assert kept == list(range(kept[0], 13))
-    assert 1 < kept[0] < 12
-    assert (tmp_path / "run" / "worst.jsonl").stat().st_size < 2 * 40_000
+    assert kept == list(range(kept[0], 7))
+    assert 1 < kept[0] < 6
+    assert (tmp_path / "run" / "worst.jsonl").stat().st_size < 2 * 20_000
 
 
 def test_lines_that_no_training_writes_are_skipped_and_named(here: Path, tmp_path: Path) -> None:

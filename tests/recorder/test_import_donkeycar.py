@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from common import UserError
@@ -397,7 +397,6 @@ odd_records = st.dictionaries(fields, json_values).map(lambda changes: record_2(
 junk_lines = st.binary(max_size=40) | odd_records.map(lambda record: json.dumps(record).encode())
 
 
-@settings(max_examples=150)
 @given(
     catalog=st.lists(junk_lines, max_size=4), last=junk_lines | json_values.map(lambda v: json.dumps(v).encode())
 )
@@ -413,7 +412,6 @@ def test_junk_among_the_records_costs_no_sound_record(catalog: list[bytes], last
         assert len(numbers) <= 3
 
 
-@settings(max_examples=100)
 @given(meta=junk_lines, excluded=junk_lines, record=junk_lines)
 def test_junk_in_a_version_1_tub_costs_no_sound_record(meta: bytes, excluded: bytes, record: bytes) -> None:
     with tempfile.TemporaryDirectory() as place:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.pictures.jpeg import PADDING_BYTES, is_whole_jpeg, whole_jpeg_size
@@ -73,7 +73,6 @@ def test_a_picture_whose_end_is_not_written_yet_is_refused(data: bytes, draw: st
     assert not is_whole_jpeg(data[:kept] + bytes(len(data) - kept))
 
 
-@settings(max_examples=1000)
 @given(whole_pictures, whole_pictures, st.data())
 def test_what_is_taken_can_be_decoded_however_it_was_spliced(one: bytes, two: bytes, draw: st.DataObject) -> None:
     begin = one[: draw.draw(st.integers(0, len(one)))]
@@ -83,7 +82,6 @@ def test_what_is_taken_can_be_decoded_however_it_was_spliced(one: bytes, two: by
     assert is_decoded(spliced) or not is_whole_jpeg(spliced)
 
 
-@settings(max_examples=500)
 @given(whole_pictures, st.integers(0, 900), st.integers(1, 200))
 def test_what_is_taken_can_be_decoded_with_a_hole_of_zeros(data: bytes, begin: int, size: int) -> None:
     holed = (data[:begin] + bytes(size) + data[begin + size :])[: len(data)]

@@ -297,11 +297,12 @@ class Interruption:
         self.left = at
 
     def __enter__(self) -> Self:
+        self.traced = sys.gettrace()
         sys.settrace(self._trace)
         return self
 
     def __exit__(self, *_: object) -> None:
-        sys.settrace(None)
+        sys.settrace(self.traced)
 
     @property
     def came(self) -> bool:

@@ -140,12 +140,15 @@ def test_every_recovery_comes_back_to_the_line_and_stays_on_the_road(track: Road
 
 def test_on_a_straight_the_first_command_steers_back_to_the_line() -> None:
     track = road((500, 0), (40 * math.pi, 180), (500, 0), (40 * math.pi, 180))
+    pointed_m = []
     for steps in recoveries(record(track, laps=0.38)):
         pushed = steps[0]
         # The place it points to 7 m ahead is left of the line: it steers right, and the other way round.
         ahead_m = pushed.offset * 4.0 + 7.0 * math.sin(math.remainder(pushed.pose.heading_rad, math.tau))
         if abs(ahead_m) > 1.0:
             assert math.copysign(1, pushed.steering) == math.copysign(1, ahead_m)
+            pointed_m.append(ahead_m)
+    assert min(pointed_m) < 0 < max(pointed_m)
 
 
 def test_what_is_recorded_ends_with_the_laps_asked_for() -> None:

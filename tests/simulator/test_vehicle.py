@@ -6,7 +6,7 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simulator.driving.vehicle import (
@@ -74,7 +74,6 @@ def test_the_same_wheel_angle_turns_wider_at_speed() -> None:
     st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.integers(1, 60)), min_size=1, max_size=8),
     st.floats(-0.15, 0.15),
 )
-@settings(max_examples=60, deadline=None)
 def test_no_command_takes_more_than_the_grip(commands: list[tuple[float, float, int]], slope: float) -> None:
     car = moving(12.0)
     for steering, throttle, steps in commands:

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from common import Skipped
@@ -137,7 +137,6 @@ def count_rows(lines: list[bytes]) -> int:
     return sum(bool(text) and re.match(r'"?center"?\s*,', text) is None for text in texts)
 
 
-@settings(max_examples=1000)
 @given(recordings())
 def test_known_styles_are_read_and_the_rest_is_counted(folder: Path, made: tuple[list[Line], bytes]) -> None:
     lines, csv = made
@@ -150,7 +149,6 @@ def test_known_styles_are_read_and_the_rest_is_counted(folder: Path, made: tuple
     assert len(recording.rows) + rows_skipped(recording) == count_rows([line.content for line in lines])
 
 
-@settings(max_examples=300)
 @given(
     st.one_of(st.binary(), st.lists(junk(), max_size=6).map(lambda lines: b"\n".join(x.content for x in lines)))
 )
@@ -165,7 +163,6 @@ def test_any_bytes_give_a_recording_or_a_clear_error(folder: Path, csv: bytes) -
     assert len(recording.rows) + rows_skipped(recording) == count_rows(lines)
 
 
-@settings(max_examples=100)
 @given(st.text(st.characters(exclude_characters='/\\,"\0\r\n', exclude_categories=["Cs"]), max_size=20))
 def test_any_name_of_a_picture_is_found(folder: Path, prefix: str) -> None:
     """Spaces, accents, emoji: what the file system has is what the row says."""

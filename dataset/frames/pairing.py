@@ -1,0 +1,43 @@
+"""Pairing of a log's messages with its vehicle states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from dataset.frames.distinct_rows import number_distinct
+from dataset.frames.drivers import Commands
+from recorder import Pictures
+from recorder.log.row_quality import States
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Row number and log time of messages; arrays of one length."""
+
+    sequence: NDArray[np.int64]
+    log_time_ns: NDArray[np.int64]
+
+
+def paired_rows(
+    messages: Pictures | Commands | Moments, states: States
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs messages with vehicle states by row number and log time: (positions of states, of messages)."""
+    count = len(states.row)
+    number, first = number_distinct(
+        np.concatenate([states.time_ns, messages.log_time_ns]), np.concatenate([states.row, messages.sequence])
+    )
+    state = first[number[count:]]  # the first of those alike: a state, if there is one
+    found = np.flatnonzero(state < count)
+    return state[found], found
+
+
+def moments(frames: pa.Table) -> NDArray[np.void]:
+    """Row and log time of each frame (N,): what tells one moment of a log from another."""
+    found = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
+    for name in ("row", "log_time_ns"):
+        found[name] = frames[name].to_numpy()
+    return found

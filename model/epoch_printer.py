@@ -1,0 +1,43 @@
+"""The lines that `bc-train` prints while it trains."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from common.errors import counted
+from common.output import print_result
+
+if TYPE_CHECKING:
+    from model.runs.training_progress import Epoch, Step
+
+
+class EpochPrinter:
+    """Prints a line an epoch on stdout, and before the first one the errors of constant predictors."""
+
+    def __init__(self) -> None:
+        self._has_begun = False
+
+    def step(self, step: Step) -> None:
+        """The bar shows it."""
+
+    def epoch(self, epoch: Epoch) -> None:
+        measures = epoch.measures
+        if measures.frames and not self._has_begun:
+            print_result(
+                f"errors of {counted(measures.frames, 'frame')} held out, in degrees; always the mean: RMSE"
+                f" {measures.mean.rmse_deg:.2f}, always zero: {measures.zero.rmse_deg:.2f}"
+            )
+        self._has_begun = True
+        validation = (
+            f" RMSE {measures.network.rmse_deg:.2f}, balanced {measures.balanced_rmse_deg:.2f},"
+            f" correlation {measures.network.correlation:.2f},"
+            if measures.frames
+            else " nothing held out,"
+        )
+        print_result(
+            f"epoch {epoch.epoch:>2}: loss {epoch.training_loss:.4f},{validation}"
+            f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
+        )
+
+    def close(self) -> None:
+        """Nothing to close."""

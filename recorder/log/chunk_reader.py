@@ -1,0 +1,62 @@
+"""Byte ranges of a log's chunks, from any thread, and only of chunks whose CRC holds."""
+
+from __future__ import annotations
+
+import bisect
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Final
+
+from recorder.log.mcap_file import Chunk, McapFile
+from recorder.log.message_index import UNCOMPRESSED
+
+_CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
+_CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
+
+
+class ChunkReader:
+    """Reads from chunks of a file. The CRC of each is compared once; compressed ones stay unpacked for a while."""
+
+    def __init__(self, file: McapFile, chunks: Sequence[Chunk]) -> None:
+        self._file = file
+        self._chunks = chunks
+        self._starts = [chunk.start for chunk in chunks]
+        self._is_verified = bytearray(len(chunks))
+        self._unpacked: OrderedDict[int, bytes] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def set_verified(self) -> None:
+        """Note that all chunks have been read, and that their CRCs hold."""
+        self._is_verified = bytearray(b"\1") * len(self._chunks)
+
+    def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
+        """`length` bytes from `offset`: in the file, or among the unpacked records of the chunk that begins at
+        byte `chunk`. Raises LogError where they lie in no chunk, or its CRC does not hold."""
+        if chunk != UNCOMPRESSED:
+            data = self._unpacked_records(chunk)[offset : offset + length]
+            if offset < 0 or len(data) != length:
+                raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
+            return data
+        number = bisect.bisect_right(self._starts, offset) - 1
+        if number < 0 or offset + length > self._chunks[number].end:
+            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
+        if not self._is_verified[number]:
+            self._file.records(self._chunks[number])
+            self._is_verified[number] = True
+        return self._file.read(offset, length)
+
+    def _unpacked_records(self, start: int) -> bytes:
+        records = self._unpacked.get(start)
+        if records is None:
+            number = bisect.bisect_left(self._starts, start)
+            if number == len(self._chunks) or self._starts[number] != start:
+                raise self._file.damaged(f"no chunk begins at byte {start:,}")
+            records = self._file.records(self._chunks[number])
+            with self._lock:
+                self._unpacked[start] = records
+                kept = list(self._unpacked.values())
+                while len(kept) > _CACHED_CHUNKS or sum(map(len, kept)) > _CACHED_BYTES:
+                    kept.pop(0)
+                    self._unpacked.popitem(last=False)
+        return records

@@ -1,0 +1,100 @@
+"""`bc-log tag`: names rows of a log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from common import UserError
+from common.command import DONE, usage_errors, warn
+from common.errors import UsageError, counted, did_you_mean
+from common.output import ask, print_message, print_result
+from recorder.log.reader import Log
+from recorder.log.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
+from recorder.log_report import rows_of
+from recorder.log_row_flags import rows_of_flags
+
+LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+
+
+@dataclass(frozen=True)
+class NameRows:
+    """Name a stretch of a log, or take the name away again. Names are kept beside the log, in NAME.tags.jsonl;
+    rows tagged `exclude` are never trained on. Without a name, the tags are listed."""
+
+    log: LogPath
+    """The log whose rows get a name."""
+    tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
+    """The name: `exclude`, `recovery`, anything."""
+    start: float | None = None
+    """From this second on, counted from the log's first row."""
+    end: float | None = None
+    """Up to this second."""
+    rows: tuple[int, int] | None = None
+    """The first and the last row, instead of times. The whole log: --start 0."""
+    remove: bool = False
+    """Remove this name: from exactly the rows that are given, or wherever it is."""
+
+    def run(self) -> int:
+        with Log(self.log) as log:
+            if log.problem:
+                raise UserError(f"{log.notice}; tag that one")
+            fingerprint = log.fingerprint
+        if self.tag is None and (self.remove or not self._is_everywhere()):
+            raise UsageError("give the name: `bc-log tag LOG NAME --rows FIRST LAST`")
+        code = warn_stale(self.log, stale_tags(self.log, fingerprint))
+        tags = read_tags(self.log, fingerprint)
+        if self.tag is not None:
+            tags = self._change(self.tag, tags, fingerprint)
+        for tag in tags:
+            print_result(f"{tag.name}: {rows_of(tag)}")
+        return code
+
+    def _is_everywhere(self) -> bool:
+        return self.start is None and self.end is None and self.rows is None
+
+    def _announce_new(self, name: str) -> None:
+        """A name that nobody has used yet is perhaps one that was mistyped: its rows would be trained on."""
+        used = names_used(self.log.parent)
+        if name in used:
+            return
+        meant = did_you_mean(name, used)
+        notice = f"new tag {name!r}" + (f"; {meant}" if meant else "")
+        answer = ask(f"{notice} Give {name!r} all the same?") if meant else None
+        if answer is None:
+            print_message(notice)
+        elif not answer:
+            raise UserError("nothing was tagged")
+
+    def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
+        with usage_errors(ValueError):
+            check_name(name)
+        if self._is_everywhere() and not self.remove:
+            raise UsageError(
+                f"{name}: which rows? Give --rows FIRST LAST, or --start and --end; --start 0 for all"
+            )
+        if self._is_everywhere():
+            chosen = [tag for tag in tags if tag.name == name]
+        else:
+            chosen = [Tag(*rows_of_flags(self.log, self.start, self.end, self.rows), name)]
+        if self.remove and not set(chosen) & set(tags):
+            held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"
+            raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
+        if not self.remove:
+            self._announce_new(name)
+        for tag in chosen:
+            (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
+            if self.remove:
+                print_message(f"removed {tag.name}: {rows_of(tag)}")
+        return read_tags(self.log, fingerprint)
+
+
+def warn_stale(path: Path, count: int) -> int:
+    """Tags of what had this name before are not lost in silence."""
+    if not count:
+        return DONE
+    tags = f"{counted(count, 'tag is', 'tags are')} of another content of {path.name} and"
+    return warn(f"{tags_path(path)}: {tags} {'does' if count == 1 else 'do'} not count")
