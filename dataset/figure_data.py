@@ -1,4 +1,4 @@
-"""What the figures of an index show: frames, draws of the alterations, and counts of samples."""
+"""The data of an index's figures: frames, draws of the alterations, and counts of samples."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.index.samples import Balance
-from dataset.index.samples_file import Samples
 from dataset.preprocess import BOTTOM_SHARE, TOP_SHARE, Image, decode
+from dataset.samples.samples_format import Balance
+from dataset.samples.samples_reader import Samples
 
 TURN: Final = 0.1  # steering from which a frame counts as a turn: 2.5 degrees
 
@@ -45,7 +45,7 @@ class Distribution:
 
 
 def settings_of(samples: Samples) -> IndexConfig:
-    """What the index was built with."""
+    """The settings that the index was built with."""
     try:
         stored = samples.metadata["settings"].items()
         settings: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Which sessions there are: logs by name, those that an index does not hold, and recordings without an end."""
+"""Finding sessions: logs by name, those that an index does not hold, and recordings without an end."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 
 from common.errors import did_you_mean, printable
 from dataset.errors import DatasetError
+from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state, sources_of
-from dataset.index.frames import read_metadata, session_name
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_logs(sessions: Sequence[Path | str], folder: Path | str) -> list[Path]:

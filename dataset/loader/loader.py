@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
-from dataset.index.samples_file import LOADED, Rows, Samples, Split
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import filled
 from dataset.preprocess import Image
+from dataset.samples.sample_rows import Rows
+from dataset.samples.samples_reader import LOADED, Samples, Split
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 UNDECODED: Final = "pictures that do not decode"
@@ -94,7 +95,7 @@ class Loader(Closeable):
         return len(self.rows.session)
 
     def order(self, epoch: int) -> NDArray[np.int64]:
-        """Which sample comes when, in an epoch: every one once."""
+        """The order of the samples in an epoch: every one once."""
         return np.random.default_rng((self.seed, epoch)).permutation(len(self))
 
     def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:

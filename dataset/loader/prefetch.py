@@ -1,4 +1,4 @@
-"""Pictures for numbers, in threads, some of them before they are asked for."""
+"""Prefetching: threads decode batches before they are asked for."""
 
 from __future__ import annotations
 
