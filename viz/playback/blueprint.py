@@ -1,4 +1,4 @@
-"""How a log is laid out in the viewer. The layout is code, because it is a function of what the log holds."""
+"""The layout of a log in the viewer. It is code, because it is a function of what the log holds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from recorder.log.topics import (
 from viz.timelines import SINCE_START
 
 AROUND_S: Final = 1.0
-"""So long before and after the moment that is asked for is played, where the time cursor cannot be set."""
+"""Seconds before and after the requested moment that are played where the time cursor cannot be set."""
 
 CENTER: Final = camera_topic("center")
 ERRORS: Final = "/error_deg"
@@ -68,10 +68,10 @@ DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
     PilotCommand.EXPERT: ("expert", BLUE),
     PilotCommand.BRAKE: ("brake", RED),
 }
-"""Who drives: name and colour."""
+"""Names and colours of the drivers."""
 
 LOG_COLORS: Final = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY)
-"""Of logs beside each other."""
+"""Colours of logs beside each other."""
 
 WHO: Final = "who drives"
 ERROR: Final = "error in degrees: predicted - recorded"
@@ -133,12 +133,12 @@ def comparison_layout(
 
 
 def attention_entity(run: str) -> str:
-    """Where it is shown where a run's network looks."""
+    """The entity of a run's attention maps."""
     return f"/attention/{entity_part(run)}"
 
 
 def log_entity(name: str) -> str:
-    """Where all of one of several logs stands."""
+    """The entity above all those of one of several logs."""
     return f"/{entity_part(name)}"
 
 

@@ -1,4 +1,4 @@
-"""What networks say of a recorded log, kept as a log of its own, with a topic for each run."""
+"""Predictions of networks for a recorded log, kept as a log of its own, with a topic for each run."""
 
 from __future__ import annotations
 
