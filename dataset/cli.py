@@ -74,8 +74,8 @@ def index(config: Index) -> int:
     code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config.config):
         code = warn(notice)
-    for told in _left_out(others, config):
-        print_message(told)
+    for line in _left_out(others, config):
+        print_message(line)
     print_table(sessions_table(indexed))
     print_table(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.stored_settings import settings_from
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -47,12 +48,8 @@ class Distribution:
 def settings_of(samples: Samples) -> IndexConfig:
     """The settings that the index was built with."""
     try:
-        stored = samples.metadata["settings"].items()
-        settings: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in stored
-        }
-        return IndexConfig(**settings)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return settings_from(IndexConfig, samples.metadata["settings"])
+    except (KeyError, ValueError) as error:
         raise _damaged(samples.path, error) from None
 
 

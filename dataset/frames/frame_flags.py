@@ -32,7 +32,7 @@ Stretches = tuple[tuple[Position, Position], ...]
 class ImageFindings:
     """What decoding all pictures of a log has found, as positions among a camera's pictures (`Log.pictures`)."""
 
-    pictures: int  # that were looked at
+    pictures: int  # that were checked
     broken: Mapping[Camera, Stretches]
     frozen: Mapping[Camera, Stretches]
 
@@ -45,11 +45,11 @@ class Paired:
     picture: NDArray[np.int64]
 
 
-def frame_flags(states: States, frames: Mapping[Camera, Paired], looked: ImageFindings | None) -> pa.ListArray:
+def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: ImageFindings | None) -> pa.ListArray:
     """The flags of each frame, as lists of strings, for the frames of all cameras one after the other.
 
     Those of `recorder.log.row_quality.row_flags`, and `missing_picture`: its row lacks the picture of another
-    camera that the session has. Only with `looked`: `broken_picture`, which does not decode, and
+    camera that the session has. Only with `findings`: `broken_picture`, which does not decode, and
     `frozen_picture`, one of three or more equal ones in a row from a moving car.
     """
     flags: dict[FrameFlag, NDArray[np.bool_]] = {
@@ -57,10 +57,10 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], looked: ImageFi
     }
     lacks = _lacks_a_picture(len(states.row), frames)
     flags["missing_picture"] = _joined(lacks[paired.state] for paired in frames.values())
-    if looked is not None:
+    if findings is not None:
         found: dict[PictureFlag, Mapping[Camera, Stretches]] = {
-            "broken_picture": looked.broken,
-            "frozen_picture": looked.frozen,
+            "broken_picture": findings.broken,
+            "frozen_picture": findings.frozen,
         }
         for flag, stretches in found.items():
             flags[flag] = _joined(

@@ -30,13 +30,13 @@ from recorder.log.topics import VEHICLE_COLUMNS, camera_topic
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:
     """One row for each camera picture that has a vehicle state, in the order of the log.
 
-    `index` is the index's folder, which holds what was seen when its pictures were looked at.
+    `index` is the index's folder, which holds the findings of a check of its pictures.
     """
     states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
-    looked = read_image_check(index, session, log.fingerprint)
-    return frames_of(states, pictures, session, config, tags, looked, driver, topic_columns(log, states))
+    findings = read_image_check(index, session, log.fingerprint)
+    return frames_of(states, pictures, session, config, tags, findings, driver, topic_columns(log, states))
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
@@ -62,7 +62,7 @@ def frames_of(
     session: str,
     config: IndexConfig,
     tags: Sequence[Tag] = (),
-    looked: ImageFindings | None = None,
+    findings: ImageFindings | None = None,
     driver: NDArray[np.int8] | None = None,
     others: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> pa.Table:
@@ -113,7 +113,7 @@ def frames_of(
         "block": block[state],
         "split": pa.DictionaryArray.from_arrays(split[state], ["train", "validation", "gap"]),
         "bin": bins[state],
-        "flags": frame_flags(states, paired, looked).take(pa.array(order)),
+        "flags": frame_flags(states, paired, findings).take(pa.array(order)),
         "tags": _tags_of(states.row[state], tags),
     }
     return pa.table({name: pa.array(column) for name, column in columns.items()}).cast(FRAMES_SCHEMA)

@@ -48,8 +48,8 @@ class BuildState(msgspec.Struct, frozen=True):
 
 def sources_of(session: str, log: Path, index: Path) -> Sources:
     """The files that a session's frames are made of: the log, its tags, and the check of its pictures."""
-    looked = index / IMAGE_CHECKS_FOLDER / f"{session}.json"
-    return os.path.realpath(log), stat_of(log), stat_of(tags_path(log)), stat_of(looked)
+    findings = index / IMAGE_CHECKS_FOLDER / f"{session}.json"
+    return os.path.realpath(log), stat_of(log), stat_of(tags_path(log)), stat_of(findings)
 
 
 def stat_of(path: Path) -> Stat:

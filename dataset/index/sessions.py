@@ -56,7 +56,7 @@ def sessions_beside(logs: Sequence[Path], folder: Path) -> list[str]:
 def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
     """Names of the logs in `folder` that the index does not hold because they are newer, or have changed since.
 
-    Those that somebody chose not to have in it, and those that could not be read, were told when it was built.
+    Those that somebody chose not to have in it, and those that could not be read, were reported when it was built.
     """
     index = Path(index)
     held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
@@ -67,8 +67,8 @@ def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
     for log in sorted(Path(folder).glob("*.mcap")):
         name = session_name(log)
         entry = state.logs.get(name)
-        is_told = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index))
-        if name not in held and not is_told:
+        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index))
+        if name not in held and not is_reported:
             found.append(name)
     return found
 

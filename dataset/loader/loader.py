@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from dataset.loader.crops import Crops
-from dataset.loader.prefetch import filled
+from dataset.loader.prefetch import prefetched
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from dataset.samples.samples_reader import LOADED, Samples, Split
@@ -125,7 +125,7 @@ class Loader(Closeable):
         """Of which samples (N,) the picture decodes, as far as they were asked for by now."""
         return ~np.isin(self.rows.picture, list(self._undecoded))
 
-    def look(self, samples: NDArray[np.int64]) -> Image:
+    def pictures_of(self, samples: NDArray[np.int64]) -> Image:
         """The pictures (N, 128, 128, 3) of N samples that decode, at most a batch of them."""
         ((_, pictures),) = self._decoded([samples], self._crops)
         return pictures
@@ -141,7 +141,7 @@ class Loader(Closeable):
         self, parts: Iterable[NDArray[np.int64]], crops: Crops
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The samples of each part that decode, and their pictures; the others are skipped."""
-        for part, pictures, failed in filled(parts, crops.fill, threads=self.threads, at_once=self._at_once):
+        for part, pictures, failed in prefetched(parts, crops.fill, threads=self.threads, at_once=self._at_once):
             if failed:
                 self._skip(self.rows.picture[failed].tolist())
                 is_decoded = ~np.isin(part, failed)

@@ -21,7 +21,7 @@ from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import Crops
 from dataset.loader.loader import UNDECODED
-from dataset.loader.prefetch import filled
+from dataset.loader.prefetch import prefetched
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
@@ -95,7 +95,7 @@ class LogCrops(Closeable):
         numbers = np.arange(len(self))
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
-        for part, crops, failed in filled(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
+        for part, crops, failed in prefetched(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
             for number in failed:
                 self.skipped.add(UNDECODED, self._crops.name(number))
             is_decoded = ~np.isin(part, failed)

@@ -116,8 +116,8 @@ class Samples:
                     )
         except _UNREADABLE as error:
             raise self._damaged(error) from None
-        told = [sorted(logs.values()), {name: digest.hexdigest() for name, digest in digests.items()}]
-        return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+        content = [sorted(logs.values()), {name: digest.hexdigest() for name, digest in digests.items()}]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     def rows(self, table: pa.Table) -> Rows:
         """Samples of this index as arrays. Raises DatasetError for what no index holds."""
