@@ -1,4 +1,4 @@
-"""Where every command begins, and who is in the way of the rooms' names.
+"""The entry points of all commands, and the check that the rooms' names are not taken by other packages.
 
 The rooms have short names that others use too: a student's own `model.py` beside a script, or a package that is
 installed beside. This module has a name that nobody else has. Each room calls `refuse_hidden` before it imports
@@ -55,7 +55,7 @@ def viewer() -> None:
 
 
 def _command(prog: str, module: str) -> Callable[[], None]:
-    """What a `bc-` command is: `module`'s main, and nothing that Python would say before it runs."""
+    """A `bc-` command: `module`'s main, and one line in place of a traceback until it runs."""
 
     def run() -> None:
         _hold_standard_streams()

@@ -20,9 +20,10 @@ import numpy as np
 
 from common.car import CAMERAS, Camera
 from dataset import IndexConfig, build_index
+from dataset.frames.frames_table import frames_of, frames_table
 from dataset.index.duplicates import refuse_shared_pictures
-from dataset.index.frames import frames_of, frames_table, write_table
-from dataset.index.samples import write_samples
+from dataset.parquet_file import write_table
+from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogWriter, Pictures
 from recorder.bc_pb2 import VehicleState
 from recorder.log.row_quality import States

@@ -18,7 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dataset import load
-from dataset.index.samples_format import FORMAT, METADATA_KEY, SAMPLES_NAME
+from dataset.parquet_file import METADATA_KEY
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME
 from recorder import Log, LogWriter
 
 SESSIONS = 100
@@ -88,7 +89,7 @@ def _make(index: Path, count: int) -> None:
         "copy": use == 2,
     }
     logs = dict.fromkeys(columns["session"].dictionary.to_pylist(), source)
-    metadata = {"format": FORMAT, "settings": {}, "logs": logs}
+    metadata = {"format": SAMPLES_FORMAT, "settings": {}, "logs": logs}
     table = pa.table(columns).replace_schema_metadata({METADATA_KEY: json.dumps(metadata).encode()})
     pq.write_table(table, index / SAMPLES_NAME, compression="zstd")
 

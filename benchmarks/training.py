@@ -26,8 +26,8 @@ from typing import IO, Final
 import numpy as np
 
 from dataset import Samples
-from dataset.index.frames import write_table
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.parquet_file import write_table
+from dataset.samples.samples_format import SAMPLES_NAME
 
 HERE: Final = Path(__file__).parent
 KERAS: Final = "Keras, `fit`"  # with its defaults: what the original used

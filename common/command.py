@@ -62,7 +62,7 @@ def flags_given(config: object, *names: str) -> str:
 
 @contextlib.contextmanager
 def usage_errors(*kinds: type[Exception]) -> Iterator[None]:
-    """Raise UsageError where the block, which looks at values of flags only, raises an error of these kinds."""
+    """Raise UsageError where the block, which checks values of flags only, raises an error of these kinds."""
     try:
         yield
     except kinds as error:

@@ -25,9 +25,9 @@ class FileTail:
         self.line_count = 0
         """Lines of the present file that were read so far."""
         self.is_behind = False
-        """Whether more is there than the last call has read: it reads a megabyte, so that nothing waits long."""
+        """True if there is more than the last call has read: it reads a megabyte, so that nothing waits long."""
         self.was_replaced = False
-        """Whether the file was ever replaced, or made shorter, after it was first read."""
+        """True if the file was ever replaced, or made shorter, after it was first read."""
         self._most_line_bytes = most_line_bytes
         self._status: tuple[int, ...] = ()  # of the file, when it was last read
         self._earlier_lines = set[int]()  # hashes of the lines of the file that was replaced
@@ -61,7 +61,7 @@ class FileTail:
         return None if key in self._earlier_lines else (self.line_count, content)
 
     def _read_on(self) -> bytes:
-        """What was appended; b"" if the file is as it was."""
+        """The bytes that were appended; b"" if the file is as it was."""
         stat = self.path.stat()
         status = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
         if status == self._status:

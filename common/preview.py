@@ -28,7 +28,7 @@ _NICENESS: Final = 10
 
 
 def has_display() -> bool:
-    """Whether a window can open here."""
+    """True if a window can open here."""
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -11,10 +11,10 @@ from common.car import MAX_STEERING_DEG
 from common.lazy import lazy_names
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.index.samples_file import Samples
 from dataset.loader.loader import Batch, Loader, load
 from dataset.loader.torch_dataset import SamplesDataset
 from dataset.preprocess import decode, preprocess
+from dataset.samples.samples_reader import Samples
 
 if TYPE_CHECKING:
     from dataset.index.build import Indexed, build_index

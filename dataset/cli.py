@@ -15,15 +15,15 @@ from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result, print_table
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
+from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
+from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
-from dataset.index.filter import Condition
-from dataset.index.frames import SCHEMA, session_name
-from dataset.index.image_check_cache import look_at_all
-from dataset.index.index_report import balance_table, sessions_table, tell_of_logs
+from dataset.index.index_report import balance_table, print_log_notices, sessions_table
 from dataset.index.leaks import find_leaks
-from dataset.index.quality_report import print_report, report
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.index.quality_report import find_flagged_frames, print_quality_report
 from dataset.index.sessions import find_logs, sessions_beside
+from dataset.samples.filter import Condition
+from dataset.samples.samples_format import SAMPLES_NAME
 
 
 @dataclass(frozen=True)
@@ -68,14 +68,14 @@ def index(config: Index) -> int:
         not config.sessions
     )  # named by nobody, one damaged log must not keep all the others from being indexed
     if config.look:
-        look_at_all({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
+        check_all_images({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
     others = [] if is_any else sessions_beside(logs, config.folder)
     indexed = build_index(logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others)
-    code = tell_of_logs(indexed, config.folder, config.sessions)
+    code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config.config):
         code = warn(notice)
-    for told in _passed_over(others, config):
-        print_message(told)
+    for line in _left_out(others, config):
+        print_message(line)
     print_table(sessions_table(indexed))
     print_table(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
@@ -86,7 +86,7 @@ def index(config: Index) -> int:
         for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
             print_result(str(path))
     if config.report:
-        print_report(report(config.index))
+        print_quality_report(find_flagged_frames(config.index))
     if config.check:
         leaks = find_leaks(config.index)
         for leak in leaks:
@@ -103,10 +103,10 @@ def _refuse_contradictions(config: Index) -> None:
     if config.config.where is not None:
         condition = Condition(config.config.where)
         with usage_errors(DatasetError):
-            condition.check(SCHEMA.empty_table())
+            condition.check(FRAMES_SCHEMA.empty_table())
 
 
-def _passed_over(others: list[str], config: Index) -> list[str]:
+def _left_out(others: list[str], config: Index) -> list[str]:
     """A line for the sessions that were not named, so that training need not tell of them."""
     if not others:
         return []

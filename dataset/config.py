@@ -1,4 +1,4 @@
-"""What an index is made with."""
+"""The settings of an index."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from common.car import Camera
 from dataset.augment import Alteration
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
-"""How the side correction enters the label of each camera that is trained on unless others are asked for."""
+"""The side correction's sign in the label of each camera that is trained on unless others are asked for."""
 
 Drives = Literal["all", "takeovers"]
 

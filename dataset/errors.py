@@ -1,4 +1,4 @@
-"""What can be wrong with an index."""
+"""The errors of this room."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class DatasetError(UserError):
 
 
 @contextlib.contextmanager
-def naming(path: Path) -> Iterator[None]:
+def write_errors(path: Path) -> Iterator[None]:
     """Say of `path` what the system says in the block, such as that the disk is full: pyarrow names no file."""
     try:
         yield

@@ -1,23 +1,24 @@
-"""What the figures of an index show: frames, draws of the alterations, and counts of samples."""
+"""The data of an index's figures: frames, draws of the alterations, and counts of samples."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.stored_settings import settings_from
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.index.samples import Balance
-from dataset.index.samples_file import Samples
 from dataset.preprocess import BOTTOM_SHARE, TOP_SHARE, Image, decode
+from dataset.samples.samples_format import Balance
+from dataset.samples.samples_reader import Samples
 
 TURN: Final = 0.1  # steering from which a frame counts as a turn: 2.5 degrees
 
@@ -45,14 +46,10 @@ class Distribution:
 
 
 def settings_of(samples: Samples) -> IndexConfig:
-    """What the index was built with."""
+    """The settings that the index was built with."""
     try:
-        stored = samples.metadata["settings"].items()
-        settings: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in stored
-        }
-        return IndexConfig(**settings)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return settings_from(IndexConfig, samples.metadata["settings"])
+    except (KeyError, ValueError) as error:
         raise _damaged(samples.path, error) from None
 
 

@@ -1,4 +1,4 @@
-"""How figures for a paper look, so that those of an index and those of a run look alike.
+"""The style of figures for a paper: those of an index and those of a run look alike.
 
 Matplotlib is an extra, and is imported only where a figure is drawn.
 """

@@ -16,7 +16,7 @@ import numpy as np
 from common.files import atomic_file, refuse_existing
 from dataset.augment import alter
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, naming
+from dataset.errors import DatasetError, write_errors
 from dataset.figure_data import (
     Distribution,
     Moment,
@@ -37,8 +37,8 @@ from dataset.figure_style import (
     new_figure,
     require_matplotlib,
 )
-from dataset.index.samples_file import Samples
 from dataset.preprocess import SIZE_PX, Image, preprocess
+from dataset.samples.samples_reader import Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,7 +85,7 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
             figure = draw[name]()
             for kind, metadata in (("png", None), ("pdf", {"CreationDate": None})):
                 path = paths[name, kind]
-                with naming(path), atomic_file(path, overwrite=overwrite) as part:
+                with write_errors(path), atomic_file(path, overwrite=overwrite) as part:
                     figure.savefig(part, format=kind, dpi=DPI, metadata=metadata)
     return list(paths.values())
 
@@ -126,7 +126,7 @@ def draw_preprocessing(moments: list[Moment]) -> Figure:
 
 
 def draw_augmentation(moment: Moment, config: IndexConfig, seed: int) -> Figure:
-    """What the network sees of a picture and of its mirror image, plain and with each alteration of the index."""
+    """A picture and its mirror image as the network sees them, plain and with each alteration of the index."""
     crop = preprocess(moment.picture)
     titles = {"": "unaltered", "+".join(config.alterations): "combined"} | {
         name: name for name in config.alterations

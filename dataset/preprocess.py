@@ -52,7 +52,7 @@ def decode(encoded: bytes, size: int | None = None) -> Image:
 
 
 def is_crop(encoded: bytes) -> bool:
-    """Whether it begins as a JPEG or PNG of as many pixels as the network sees; nothing is unpacked."""
+    """True for the header of a JPEG or PNG of as many pixels as the network sees; nothing is unpacked."""
     return pixels(encoded) == SIZE_PX**2
 
 

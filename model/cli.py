@@ -178,7 +178,7 @@ def _run_of(config: Train) -> Path:
 def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
     """The index to train on, built if need be, and the exit code of what had to be printed about it."""
     from dataset import sessions_not_indexed
-    from dataset.index.samples_format import SAMPLES_NAME
+    from dataset.samples.samples_format import SAMPLES_NAME
 
     is_there = (config.index / SAMPLES_NAME).exists()
     if config.like is not None or (config.resume is not None and not is_there):
@@ -209,10 +209,10 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
 def _build_index(config: Train) -> int:
     """Build the index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
     from dataset import build_index, find_logs
-    from dataset.index.index_report import tell_of_logs
+    from dataset.index.index_report import print_log_notices
 
     indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
-    return tell_of_logs(indexed, config.sessions)
+    return print_log_notices(indexed, config.sessions)
 
 
 def _defaults() -> Train:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset import MAX_STEERING_DEG
-from dataset.index.balance import bin_of
+from dataset.steering_bins import bin_of
 
 TURNING = 0.05  # |steering| above this is turning
 BINS = 25  # those of the original project

@@ -6,6 +6,7 @@ import ast
 import re
 import shlex
 import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,6 +74,14 @@ def test_the_command_lines_in_the_documentation_have_flags_that_exist(flags: dic
         if known is None or unknown:
             wrong.append(f"{page}: {line}")
     assert wrong == []
+
+
+@pytest.mark.long
+def test_the_examples_of_the_documentation_run(tmp_path: Path) -> None:
+    """The release workflow runs them from an installed wheel."""
+    program = ROOT / "docs" / "run_examples.py"
+    done = subprocess.run([sys.executable, program, tmp_path / "examples"], check=False, stdout=subprocess.DEVNULL)
+    assert done.returncode == 0
 
 
 def test_the_pictures_and_pages_that_the_documentation_shows_are_there() -> None:

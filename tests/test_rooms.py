@@ -30,7 +30,7 @@ FOLDERS: dict[str, list[str]] = {
     "common": [],
     "simulator": ["roads", "rendering", "driving", "protocol"],
     "recorder": ["pictures", "log", "server", "sources"],
-    "dataset": ["index", "loader"],
+    "dataset": ["frames", "samples", "index", "loader"],
     "model": ["network", "runs", "evaluation", "training"],
     "viz": ["playback", "live"],
     "drive": ["control", "log", "evaluation"],

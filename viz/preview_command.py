@@ -1,4 +1,4 @@
-"""`bc-play` as `common.preview` starts it: it ends when who started it has ended, however that was."""
+"""`bc-play` as `common.preview` starts it: it ends with the process that started it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import threading
 from common import UserError
 from common.command import INTERRUPTED, run_command
 from common.files import final_path
-from viz.cli import Play, play
+from viz.cli import play
+from viz.config import Play
 from viz.console import set_program_name
 
 _NAME = "viewer"  # nobody has called bc-play
 
 
 def _end_with_parent() -> None:
-    """Who started it holds the other end of stdin, and writes nothing: its end is the end of that process."""
+    """End this process with its parent, which holds the other end of stdin open and writes nothing."""
     while os.read(0, 1024):
         pass
     if sys.platform != "win32":
@@ -28,7 +29,7 @@ def _end_with_parent() -> None:
 def _show(config: Play) -> int:
     try:
         return play(config)
-    except KeyboardInterrupt:  # who started it needs it no more: nothing to tell anybody
+    except KeyboardInterrupt:  # ended by the command beside it: not worth a message
         return INTERRUPTED
     except UserError as error:
         if config.save is not None:

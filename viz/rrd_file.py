@@ -23,7 +23,7 @@ _READ_BYTES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class RrdFile:
-    """What to send to, and whether there is still a point in it."""
+    """A recording to send to, and whether its file has failed."""
 
     recording: rr.RecordingStream
     has_failed: threading.Event

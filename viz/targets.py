@@ -16,10 +16,11 @@ from common.interrupts import stop_signals
 from common.output import print_result
 from common.preview import has_display
 from viz.console import print_error, print_notice
-from viz.live.follow import VIEWER_MEMORY, Follower, ViewerGoneError, feed_viewer, follow_log, save_growing
+from viz.live.follow import VIEWER_MEMORY, follow_log, save_growing
 from viz.playback.rerun_recording import PreparedRecording, save_prepared
 from viz.training_curves import follow_training, prepare_training, wait_until_trained
 from viz.viewer_connection import check_viewer, set_time, viewer_url
+from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
@@ -71,7 +72,7 @@ class FinishedContent:
             self._prepare() as prepared,
         ):
             notice_code = warn_all(prepared.notices)
-            code = feed_viewer(_Sender(url, prepared), viewer)
+            code = feed_viewer(_ContentFeed(url, prepared), viewer)
             if viewer is None and code == DONE:
                 print_result(f"{prepared.name}: sent to {urlsplit(url).netloc}")
             return max(notice_code, code)
@@ -138,7 +139,7 @@ def warn_all(notices: Sequence[str]) -> int:
     return max((warn(notice) for notice in notices if notice), default=DONE)
 
 
-class _Sender(Follower):
+class _ContentFeed(ViewerFeed):
     """Sends content that does not grow."""
 
     def __init__(self, url: str, prepared: PreparedRecording) -> None:
@@ -155,7 +156,7 @@ class _Sender(Follower):
                 if self._prepared.at_s is not None:
                     set_time(self.url, recording, self._prepared.at_s, self.stop)
             except ViewerGoneError:
-                self._refuse_silence()
+                self._raise_if_not_closed()
                 return
         except UserError as error:
             self.code = print_error(error)

@@ -34,7 +34,7 @@ def start_clock(start_ns: int) -> Clock:
 
 
 def on_clock(chunks: Iterable[Chunk], clock: Clock, left_out: str = "") -> Generator[Chunk]:
-    """What Rerun's reader makes of a log, on other time lines and without the component `left_out`; chunks without
+    """Move chunks of Rerun's reader to other time lines, without the component `left_out`; chunks without
     a time stay as they are."""
     for chunk in chunks:
         if LOG_TIME not in chunk.timeline_names:

@@ -21,8 +21,9 @@ from model.metrics import Errors
 from model.runs.history import History, HistoryReader, read_history
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
 from viz.console import print_error, print_notice, print_skipped
-from viz.live.follow import POLL_S, Follower, ViewerGoneError, feed_viewer
+from viz.playback.blueprint import BLUE, GREEN, GREY, ORANGE
 from viz.playback.rerun_recording import PreparedRecording
+from viz.viewer_feed import POLL_S, ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Viewer
 from viz.worst_frames import send_worst, worst_views
 
@@ -31,13 +32,7 @@ EPOCH: Final = "epoch"
 
 _MAX_NAMES: Final = 5  # in an error
 
-_BLUE, _ORANGE, _GREEN, _GREY, _DARK = (
-    (120, 160, 255),
-    (255, 160, 60),
-    (110, 210, 110),
-    (160, 160, 160),
-    (100,) * 3,
-)
+_DARK_GREY: Final = (100, 100, 100)
 
 
 @dataclass(frozen=True)
@@ -56,17 +51,17 @@ def _squared(errors: Errors) -> float:
 
 
 _LINES: Final = (
-    _Line("/loss/training", "training", _BLUE, lambda epoch: epoch.training_loss),
-    _Line("/loss/validation", "validation", _ORANGE, lambda epoch: epoch.validation_loss),
-    _Line("/loss/mean", "always the mean", _GREY, lambda epoch: _squared(epoch.measures.mean)),
-    _Line("/loss/zero", "always zero", _DARK, lambda epoch: _squared(epoch.measures.zero)),
-    _Line("/rmse_deg/network", "network", _ORANGE, lambda epoch: epoch.measures.network.rmse_deg),
-    _Line("/rmse_deg/balanced", "balanced", _GREEN, lambda epoch: epoch.measures.balanced_rmse_deg),
-    _Line("/rmse_deg/mean", "always the mean", _GREY, lambda epoch: epoch.measures.mean.rmse_deg),
-    _Line("/rmse_deg/zero", "always zero", _DARK, lambda epoch: epoch.measures.zero.rmse_deg),
-    _Line("/turning_mae_deg/network", "network", _ORANGE, lambda epoch: epoch.measures.network.turning_mae_deg),
-    _Line("/turning_mae_deg/mean", "always the mean", _GREY, lambda epoch: epoch.measures.mean.turning_mae_deg),
-    _Line("/turning_mae_deg/zero", "always zero", _DARK, lambda epoch: epoch.measures.zero.turning_mae_deg),
+    _Line("/loss/training", "training", BLUE, lambda epoch: epoch.training_loss),
+    _Line("/loss/validation", "validation", ORANGE, lambda epoch: epoch.validation_loss),
+    _Line("/loss/mean", "always the mean", GREY, lambda epoch: _squared(epoch.measures.mean)),
+    _Line("/loss/zero", "always zero", _DARK_GREY, lambda epoch: _squared(epoch.measures.zero)),
+    _Line("/rmse_deg/network", "network", ORANGE, lambda epoch: epoch.measures.network.rmse_deg),
+    _Line("/rmse_deg/balanced", "balanced", GREEN, lambda epoch: epoch.measures.balanced_rmse_deg),
+    _Line("/rmse_deg/mean", "always the mean", GREY, lambda epoch: epoch.measures.mean.rmse_deg),
+    _Line("/rmse_deg/zero", "always zero", _DARK_GREY, lambda epoch: epoch.measures.zero.rmse_deg),
+    _Line("/turning_mae_deg/network", "network", ORANGE, lambda epoch: epoch.measures.network.turning_mae_deg),
+    _Line("/turning_mae_deg/mean", "always the mean", GREY, lambda epoch: epoch.measures.mean.turning_mae_deg),
+    _Line("/turning_mae_deg/zero", "always zero", _DARK_GREY, lambda epoch: epoch.measures.zero.turning_mae_deg),
 )
 _STEPS: Final = "/loss/steps"
 _BEST: Final = "/rmse_deg/best"
@@ -92,7 +87,7 @@ def _is_trained(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def prepare_training(run: Path) -> Iterator[PreparedRecording]:
-    """How the training of `run` went by now. Raises RunError if `run` holds no training."""
+    """Prepare the training of `run` as far as it has come. Raises RunError if `run` holds no training."""
     history, skipped = read_history(run)
     notices = [f"skipped {line}" for line in skipped.lines()]
     yield PreparedRecording(
@@ -116,10 +111,10 @@ def follow_training(run: Path, url: str, viewer: Viewer | None) -> int:
 
     Without its process (`viewer`), the viewer is another's.
 
-    What goes wrong with the run is told on stderr when it happens, and the viewer stays open. Raises UserError if
+    Trouble with the run is printed on stderr when it happens, and the viewer stays open. Raises UserError if
     the viewer does not start, or dies.
     """
-    return feed_viewer(_TrainingFollower(run, url), viewer)
+    return feed_viewer(_TrainingFeed(run, url), viewer)
 
 
 def training_layout(*, has_errors: bool) -> rrb.Blueprint:
@@ -133,9 +128,9 @@ def training_layout(*, has_errors: bool) -> rrb.Blueprint:
         rrb.BarChartView(origin="/bins/rmse_deg", name="RMSE in degrees by steering, -1 left .. 1 right"),
         rrb.BarChartView(origin="/bins/frames", name="frames held out by steering"),
     )
-    looks = rrb.Vertical(*bins, worst_views(), row_shares=[1, 1, 2])
+    details = rrb.Vertical(*bins, worst_views(), row_shares=[1, 1, 2])
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(loss, *errors), looks, column_shares=[3, 2]) if has_errors else
+        rrb.Horizontal(rrb.Vertical(loss, *errors), details, column_shares=[3, 2]) if has_errors else
         loss,
         rrb.TimePanel(state="collapsed", timeline=SAMPLES, play_state="following"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -153,9 +148,9 @@ class TrainingSender:
         self._ends: dict[int, int] = {}  # of each epoch, in samples
 
     def send(self, history: History) -> None:
-        """What is new of a training; the steps of its epochs come with them, or came before."""
+        """Send the new part of a training; the steps of its epochs come with them, or came before."""
         has_errors = not history.epochs or any(epoch.measures.bins for epoch in history.epochs)
-        # The first epoch tells; a later one must not change a layout that somebody has arranged meanwhile.
+        # The first epoch decides; a later one must not change a layout that somebody has arranged meanwhile.
         if self._has_errors is None or (not self._has_epochs and has_errors != self._has_errors):
             self._prepare(has_errors=has_errors)
         self._has_epochs = self._has_epochs or bool(history.epochs)
@@ -173,9 +168,9 @@ class TrainingSender:
         for line in _LINES:
             style = rr.SeriesLines(names=line.name, colors=[line.color], widths=1.5)
             self._recording.log(line.entity, style, static=True)
-        steps = rr.SeriesLines(names="training, last batches", colors=[(*_BLUE, 110)], widths=1.0)
+        steps = rr.SeriesLines(names="training, last batches", colors=[(*BLUE, 110)], widths=1.0)
         self._recording.log(_STEPS, steps, static=True)
-        best = rr.SeriesPoints(names="best so far", colors=[_GREEN], markers="circle", marker_sizes=4.0)
+        best = rr.SeriesPoints(names="best so far", colors=[GREEN], markers="circle", marker_sizes=4.0)
         self._recording.log(_BEST, best, static=True)
         self._recording.send_blueprint(training_layout(has_errors=has_errors))
 
@@ -188,7 +183,7 @@ class TrainingSender:
 
     def _send_epochs(self, epochs: Iterable[Epoch], samples: Iterable[int]) -> None:
         placed = list(zip(samples, epochs, strict=True))
-        best = _Line(_BEST, "", _GREEN, lambda epoch: epoch.measures.balanced_rmse_deg)
+        best = _Line(_BEST, "", GREEN, lambda epoch: epoch.measures.balanced_rmse_deg)
         for line in _LINES:
             self._send_line(line, placed)
         self._send_line(best, [(at, epoch) for at, epoch in placed if epoch.is_best])
@@ -214,14 +209,14 @@ class TrainingSender:
             ("frames", np.array([part.frames for part in bins])),
         ):
             chart = rr.BarChart(
-                values, abscissa=middles, widths=widths, color=_ORANGE if name == "rmse_deg" else _GREY
+                values, abscissa=middles, widths=widths, color=ORANGE if name == "rmse_deg" else GREY
             )
             self._recording.set_time(SAMPLES, sequence=samples)
             self._recording.set_time(EPOCH, sequence=epoch.epoch)
             self._recording.log(f"/bins/{name}", chart)
 
 
-class _TrainingFollower(Follower):
+class _TrainingFeed(ViewerFeed):
     """Sends a training. When it is resumed, its files are replaced: all is shown anew, as another recording."""
 
     def __init__(self, run: Path, url: str) -> None:
@@ -255,13 +250,13 @@ class _TrainingFollower(Follower):
             try:
                 self._flush(self._recording)
             except ViewerGoneError:
-                self._refuse_silence()
+                self._raise_if_not_closed()
                 return
             self.stop.wait(POLL_S)
 
 
 def _plot(origin: str, name: str) -> rrb.View:
-    """All of a training: by itself, a viewer that follows shows only the last few samples."""
+    """A plot of a whole training: by itself, a viewer that follows shows only the last few samples."""
     whole = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
     return rrb.TimeSeriesView(
         origin=origin,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 TICKS_A_SECOND: Final = 60
 """A picture appears at the sixtieth of a second that is nearest to its time: no screen or player needs finer."""
 HELD_S: Final = 0.5
-"""For so long the last picture before a gap stays, in place of the gap."""
+"""Seconds for which the last picture before a gap stays, in place of the gap."""
 MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 _MIN_WIDTH, _MAX_SIDE, _MIN_SIDE = 640, 1920, 64
@@ -48,7 +48,7 @@ _BT601: Final = 6  # SMPTE 170M, which OpenCV converts to
 
 @dataclass(frozen=True)
 class Video:
-    """What was made of a log."""
+    """A video that was written, and what of its log is not in it."""
 
     pictures: int
     duration_s: float
@@ -59,16 +59,16 @@ class Video:
     gaps: int
     """Gaps of more than a second, of which `HELD_S` is left."""
     cut_s: float
-    """How much of the log's time went with them."""
+    """Seconds of the log that these gaps took."""
     skipped: Skipped
     """Pictures that do not decode: the one before is shown in their place."""
     notice: str
-    """That the log was never finished; empty if it was."""
+    """Says that the log was never finished; empty if it was."""
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which pictures are shown, and when."""
+    """The pictures of a video, and their times."""
 
     numbers: NDArray[np.int64]
     ticks: NDArray[np.int64]  # at which each appears
@@ -128,7 +128,7 @@ def write_video(
 
 
 def schedule(times_ns: NDArray[np.int64], speed: float) -> Schedule:
-    """When pictures of these log times (N,), N > 0, appear in a video that plays `speed` times as fast."""
+    """The schedule of pictures of these log times (N,), N > 0, in a video that plays `speed` times as fast."""
     step_s = np.diff(times_ns) / 1e9
     is_gap = (step_s > GAP_S) | (step_s < 0)
     at_s = np.concatenate([[0.0], np.cumsum(np.where(is_gap, HELD_S, step_s))]) / speed
@@ -147,7 +147,7 @@ class _Pictures:
     """The pictures of the centre camera, brought to the size of the video."""
 
     def __init__(self, log: Log) -> None:
-        """Raises UserError if there is none from which the size could be told."""
+        """Raises UserError if there is none that decodes."""
         self.skipped = Skipped()
         self._log = log
         self._found = log.pictures(camera_topic("center"))

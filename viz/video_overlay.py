@@ -17,9 +17,9 @@ Color = tuple[int, int, int]  # BGR
 Driver = Literal["network", "human", "expert"]
 
 WHEEL_DEG: Final = 90.0
-"""How far the wheel on the panel turns for steering 1."""
+"""The angle of the wheel on the panel for steering 1."""
 WHEEL_X, WHEEL_Y, WHEEL_RADIUS = 84.0, 82.0, 52.0
-"""Where the wheel is on a panel of 640 x 160."""
+"""The place of the wheel on a panel of 640 x 160."""
 # As in the viewer's curves
 RECORDED: Final[Color] = (255, 160, 120)
 PREDICTED: Final[Color] = (60, 160, 255)
@@ -44,7 +44,7 @@ _DRIVER_COLORS: Final[dict[Driver, Color]] = {"network": PREDICTED, "expert": _G
 
 @dataclass(frozen=True)
 class Reading:
-    """What the instruments show at one moment; NaN is not known, and an instrument without it stays empty."""
+    """The values of the instruments at one moment; an instrument whose value is NaN stays empty."""
 
     time_s: float  # since the log began
     steering: float = math.nan  # as driven, -1 (left) .. 1 (right)

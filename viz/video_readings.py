@@ -1,4 +1,4 @@
-"""What the instruments of a video show at each moment of a log."""
+"""The readings of a video's instruments at each moment of a log."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class Readings:
 
     @property
     def top_mph(self) -> float:
-        """Where a bar for the speed should end."""
+        """The speed at which its bar should end."""
         top = max(_MIN_TOP_MPH, min(self._states.largest(3), _MAX_TOP_MPH))
         return 10.0 * math.ceil(top / 10)
 
     def at(self, time_ns: int) -> Reading:
-        """What is known at a log time: what came with its picture, or else the last before, up to a second old."""
+        """The readings at a log time: those of its picture, or else the last before, up to a second old."""
         steering, throttle, brake, speed_mph = self._states.at(time_ns)
         predicted, set_speed_mph, driver = self._commands.at(time_ns)
         return Reading(
@@ -91,14 +91,14 @@ class _Rows:
 
     @cached_property
     def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """What was added, in the order of time: none may be added any more."""
+        """The rows in the order of time: none may be added any more."""
         times_ns = np.array(self._times_ns, np.int64)
         order = np.argsort(times_ns, kind="stable")
         return times_ns[order], np.array(self._numbers, np.float64).reshape(-1, self._width)[order]
 
 
 def _percent(text: str) -> float:
-    """A share that a log tells of itself; NaN if it is none."""
+    """A percentage in a log's metadata; NaN if it is none."""
     try:
         value = float(text)
     except ValueError:

@@ -29,7 +29,7 @@ _SETTINGS: Final = 4
 
 
 def viewer_url(address: str) -> str:
-    """What Rerun calls a viewer at "PORT", "HOST:PORT" or a URL of Rerun's own; empty: on its own port, here.
+    """Rerun's URL of a viewer at "PORT", "HOST:PORT" or a URL of Rerun's own; empty: on its own port, here.
 
     Raises UsageError for what is no such address.
     """
@@ -48,8 +48,8 @@ def viewer_url(address: str) -> str:
 
 
 def check_viewer(url: str) -> str:
-    """Make sure that a Rerun viewer of our version listens at `url`; what to tell a person if it does not say its
-    version, else "". Rerun itself would wait for five seconds, and find out nothing.
+    """Check that a Rerun viewer of our version listens at `url`. Return a notice if it does not give its version,
+    else "". Rerun itself would wait for five seconds, and find out nothing.
 
     Raises UserError otherwise.
     """
@@ -70,8 +70,8 @@ def check_viewer(url: str) -> str:
 
 def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threading.Event) -> None:
     """Put the time cursor of the viewer at `url` to `at_s` seconds after the start of what was sent and hold it
-    there, as soon as the viewer has got that; not if `stop` is set before. What serves browsers cannot be told: it
-    plays what the layout says."""
+    there, as soon as the viewer has got that; not if `stop` is set before. A server for browsers has
+    no cursor to set: it plays what the layout says."""
     from rerun.experimental import ViewerClient
 
     client = ViewerClient.connect(url)
@@ -83,7 +83,7 @@ def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threadi
                 if name is not None and known.store_id.endswith(name) and SINCE_START in times:
                     client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=known.store_id)
                     return
-    except (OSError, RuntimeError):  # it cannot be told, or is closed
+    except (OSError, RuntimeError):  # it has no cursor to set, or is closed
         return
 
 

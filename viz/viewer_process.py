@@ -25,7 +25,7 @@ from viz.console import browser_hint
 
 LOCAL: Final = "127.0.0.1"
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
-"""What Rerun may print where data is sent: a viewer that is closed while it gets some is no error."""
+"""Rerun's log level where data is sent: a viewer that is closed while it receives some is no error."""
 
 _PATIENCE_S: Final = 120.0  # for a window to open on a slow and busy machine
 _GRACE_S: Final = 1.0  # a frozen process does not hear that it shall end
@@ -37,7 +37,7 @@ _NO_WINDOW: Final = re.compile(rb"EventLoopError")
 
 @dataclass(frozen=True)
 class Ports:
-    """Where the viewer is found on this machine."""
+    """The ports of a viewer on this machine."""
 
     web: int  # of the page
     data: int
@@ -48,7 +48,7 @@ class Ports:
 
     @property
     def web_address(self) -> str:
-        """What to open in a browser."""
+        """The address to open in a browser."""
         return f"http://{LOCAL}:{self.web}/?url=rerun%2Bhttp://{LOCAL}:{self.data}/proxy"
 
 
@@ -65,7 +65,7 @@ def free_port() -> int:
 
 
 class Viewer(subprocess.Popen[bytes]):
-    """The process of a viewer. What it prints is printed, except why it cannot draw: that is told in our words."""
+    """The process of a viewer. Its output is printed, except why it cannot draw: see `failure_reason`."""
 
     def __init__(self, line: list[str], environment: dict[str, str]) -> None:
         super().__init__(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment)
@@ -74,7 +74,7 @@ class Viewer(subprocess.Popen[bytes]):
         self._reader.start()
 
     def failure_reason(self) -> str:
-        """Why it could not draw, and what helps, once it has ended; empty if it was something else."""
+        """Explains why a viewer that has ended could not draw, and what helps; empty if it failed otherwise."""
         self._reader.join(_LAST_WORDS_S)
         return self._failure_reason
 
@@ -141,7 +141,7 @@ def wait_until_it_listens(viewer: Viewer, url: str) -> None:
     deadline_s = time.monotonic() + _PATIENCE_S
     while time.monotonic() < deadline_s:
         if viewer.poll() is not None:
-            wait_until_closed(viewer)  # tells how it ended
+            wait_until_closed(viewer)  # raises the reason
             break
         with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), _PATIENCE_S):
             return

@@ -1,1 +1,1 @@
-"""The index: frames of every log, their labels, flags and split, and the balanced samples that training reads."""
+"""The index: built from logs, kept up to date, checked and reported on."""

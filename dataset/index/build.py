@@ -7,70 +7,64 @@ which can be read give.
 
 from __future__ import annotations
 
-import contextlib
 import filecmp
 import json
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Final
 
+import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from common.car import CAMERAS
-from common.locks import lock
 from common.progress import track
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, naming
+from dataset.errors import DatasetError, write_errors
+from dataset.frames.frames_file import (
+    FRAMES_FORMAT,
+    FRAMES_SCHEMA,
+    FramesError,
+    frames_metadata,
+    frames_settings,
+    relative_log_path,
+    session_name,
+)
+from dataset.frames.frames_table import frames_table
+from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
+from dataset.index.build_lock import build_lock
 from dataset.index.build_state import (
     FRAMES_FOLDER,
     STATE_NAME,
-    Entry,
-    State,
+    BuildState,
+    BuiltLog,
     read_state,
     sources_of,
     stat_of,
     write_state,
 )
 from dataset.index.duplicates import refuse_shared_pictures
-from dataset.index.filter import Condition
-from dataset.index.frames import (
-    FORMAT,
-    SCHEMA,
-    FramesError,
-    frames_metadata,
-    frames_settings,
-    frames_table,
-    place_of,
-    read_metadata,
-    session_name,
-    write_table,
-)
-from dataset.index.image_check_cache import LOOKS_FOLDER
-from dataset.index.samples import Balance, SessionCounts, write_samples
-from dataset.index.samples_format import FORMAT as SAMPLES_FORMAT
-from dataset.index.samples_format import SAMPLES_NAME
 from dataset.index.sessions import name_problem
-from dataset.index.staging import clear_up, staged, strangers_to
+from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
+from dataset.parquet_file import read_metadata, write_table
+from dataset.samples.filter import Condition
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts
+from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.tags import read_tags
 from recorder.log.topics import camera_topic
 from recorder.pictures.picture_size import width_and_height
 
-LOCK_NAME: Final = ".lock"
 
-
-class _NotAsRememberedError(Exception):
+class _StaleStateError(Exception):
     """A file is not what its size and time tell, or has changed at this very moment."""
 
 
 @dataclass(frozen=True)
 class Indexed:
-    """What an index holds."""
+    """An index that was built: its sessions, and what there is to say of them."""
 
     path: Path
     sessions: list[str]
@@ -111,13 +105,13 @@ def build_index(
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted((session_name(Path(path)), Path(path)) for path in logs))
     check_settings(list(by_name.values()), index, config)
-    with _alone(index):
-        clear_up(index)
+    with build_lock(index):
+        finish_interrupted_build(index)
         state = read_state(index)
         try:
             return _build(by_name, index, config, state, leave_out_unreadable, passed_over)
-        except _NotAsRememberedError:
-            return _build(by_name, index, config, State(), leave_out_unreadable, passed_over)
+        except _StaleStateError:
+            return _build(by_name, index, config, BuildState.nothing(), leave_out_unreadable, passed_over)
 
 
 def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> None:
@@ -129,31 +123,33 @@ def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> No
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
         raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
-    for folder in (index / FRAMES_FOLDER, index / LOOKS_FOLDER):
+    for folder in (index / FRAMES_FOLDER, index / IMAGE_CHECKS_FOLDER):
         # what is written and deleted in a link would be somebody else's
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
-        Condition(config.where).check(SCHEMA.empty_table())
+        Condition(config.where).check(FRAMES_SCHEMA.empty_table())
 
 
 def _build(
     by_name: dict[str, Path],
     index: Path,
     config: IndexConfig,
-    state: State,
+    state: BuildState,
     leave_out_unreadable: bool,
     passed_over: Sequence[str],
 ) -> Indexed:
-    entries: dict[str, Entry] = {}
+    entries: dict[str, BuiltLog] = {}
     with staged(index) as stage:
         for name, path in track(by_name.items(), "indexing", len(by_name)):
             try:
-                entries[name] = _known(name, path, index, config, state) or _read(name, path, index, config, stage)
+                entries[name] = _unchanged(name, path, index, config, state) or _read(
+                    name, path, index, config, stage
+                )
             except LogError as error:
                 if not leave_out_unreadable or name in config.validation:
                     raise
-                entries[name] = Entry(sources_of(name, path, index), notice=f"{error}; left out")
+                entries[name] = BuiltLog(sources_of(name, path, index), notice=f"{error}; left out")
         read = sorted(file.stem for file in (stage / FRAMES_FOLDER).iterdir())
         held = {name: entry for name, entry in entries.items() if entry.fingerprint}
         notices = [entry.notice for entry in entries.values() if entry.notice]
@@ -161,11 +157,11 @@ def _build(
             raise LogError("; ".join(notices))
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         places = {
-            name: {"log": place_of(by_name[name], index), "fingerprint": entry.fingerprint}
+            name: {"log": relative_log_path(by_name[name], index), "fingerprint": entry.fingerprint}
             for name, entry in held.items()
         }
-        sizes_px = {name: sorted({(width, height) for width, height in held[name].sizes_px}) for name in held}
-        made = _as_it_is(index, held, places, config, state)
+        sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
+        made = _up_to_date(index, held, places, config, state)
         samples = (index if made else stage) / SAMPLES_NAME
         if made is None:
             frames = {
@@ -173,49 +169,22 @@ def _build(
             }
             try:
                 refuse_shared_pictures(frames, by_name)
-                with naming(index / SAMPLES_NAME):
+                with write_errors(index / SAMPLES_NAME):
                     made = write_samples(frames, samples, config, places)
             except (LogError, FramesError):
                 if state.logs:
-                    raise _NotAsRememberedError from None
+                    raise _StaleStateError from None
                 raise
         if samples.parent == stage or (entries, sorted(passed_over)) != (state.logs, state.passed_over):
-            with naming(index / STATE_NAME):
-                write_state(samples.with_name(STATE_NAME), stat_of(samples), entries, passed_over)
+            with write_errors(index / STATE_NAME):
+                write_state(
+                    samples.with_name(STATE_NAME), BuildState(stat_of(samples), entries, sorted(passed_over))
+                )
     return Indexed(index, list(held), read, *made, notices, remarks, sizes_px)
 
 
-@contextlib.contextmanager
-def _alone(index: Path) -> Iterator[None]:
-    """Let one at a time build this index; where none comes of it, nothing stays of what this has made."""
-    made = [folder for folder in (index, *index.parents) if not folder.exists()]
-    with _locked(index) as stream:
-        try:
-            yield
-        finally:
-            if not (index / SAMPLES_NAME).exists():
-                with contextlib.suppress(OSError):  # somebody else's files; Windows removes no open one
-                    Path(stream.name).unlink()
-                    for folder in made:
-                        folder.rmdir()
-
-
-def _locked(index: Path) -> IO[bytes]:
-    """The lock's file, locked until it is closed."""
-    path = index / LOCK_NAME
-    while True:
-        index.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as stack, contextlib.suppress(FileNotFoundError):
-            stream = stack.enter_context(path.open("ab"))
-            lock(stream)
-            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
-                stack.pop_all()
-                return stream
-        # who held the lock has removed the file: the next one would lock another
-
-
-def _known(name: str, log: Path, index: Path, config: IndexConfig, state: State) -> Entry | None:
-    """What is remembered of a session whose frames are up to date, if its log need not be opened for that.
+def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: BuildState) -> BuiltLog | None:
+    """The entry of a session whose frames are up to date, if its log need not be opened to know that.
 
     One that was left out is always tried again: whether a file may be read, its size and time do not tell.
     """
@@ -226,16 +195,16 @@ def _known(name: str, log: Path, index: Path, config: IndexConfig, state: State)
     if entry.sources != sources_of(name, log, index) or entry.frames is None or entry.frames != stat_of(file):
         return None
     expected = {
-        "format": FORMAT,
+        "format": FRAMES_FORMAT,
         "settings": frames_settings(config, name),
-        "log": place_of(log, index),
+        "log": relative_log_path(log, index),
         "fingerprint": entry.fingerprint,
     }
     stored = read_metadata(file) or {}
     return entry if all(stored.get(key) == value for key, value in expected.items()) else None
 
 
-def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> Entry:
+def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
     """Read a log, all of it: its fingerprint does not tell of damage within a chunk. Its frames file is put into
     `stage`, unless the index has the very same.
 
@@ -248,25 +217,27 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         tags = read_tags(path, log.fingerprint)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
-        entry = Entry(sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log))
+        entry = BuiltLog(
+            sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log)
+        )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
-    with naming(file):
+    with write_errors(file):
         write_table(new, table, metadata)
     if _are_equal(new, file):
         new.unlink()
-        return replace(entry, frames=stat_of(file))
-    return replace(entry, frames=stat_of(new))
+        return msgspec.structs.replace(entry, frames=stat_of(file))
+    return msgspec.structs.replace(entry, frames=stat_of(new))
 
 
-def _sizes_px(log: Log) -> list[list[int]]:
+def _sizes_px(log: Log) -> list[tuple[int, int]]:
     """Width and height of the first picture of each camera, as its header has it."""
     sizes = []
     for camera in CAMERAS:
         found = log.pictures(camera_topic(camera))
         if len(found.sequence):
             data = log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0]))
-            sizes += [list(size) for size in [width_and_height(data)] if size]
+            sizes += [size for size in [width_and_height(data)] if size]
     return sizes
 
 
@@ -277,12 +248,12 @@ def _are_equal(new: Path, old: Path) -> bool:
         return False
 
 
-def _as_it_is(
-    index: Path, held: Mapping[str, Entry], places: Mapping[str, object], config: IndexConfig, state: State
+def _up_to_date(
+    index: Path, held: Mapping[str, BuiltLog], places: Mapping[str, object], config: IndexConfig, state: BuildState
 ) -> tuple[Balance, dict[str, SessionCounts]] | None:
-    """What samples.parquet says of itself, if it would be made the same of these frames, and no other is there."""
+    """Balance and counts from samples.parquet, if building it anew would give the same file."""
     before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}
-    if {name: entry.frames for name, entry in held.items()} != before or strangers_to(set(held), index):
+    if {name: entry.frames for name, entry in held.items()} != before or stale_frames_files(set(held), index):
         return None
     samples = index / SAMPLES_NAME
     stored = read_metadata(samples) or {}
@@ -290,7 +261,7 @@ def _as_it_is(
     if state.samples != stat_of(samples) or any(stored.get(key) != value for key, value in expected.items()):
         return None
     try:
-        counts = {name: SessionCounts.from_dict(stored["counts"][name]) for name in held}
+        counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         return Balance.from_dict(stored["balance"]), counts
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
         return None

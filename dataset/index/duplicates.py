@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
-from dataset.index.frames import read_frames
-from dataset.index.samples import is_excluded
+from dataset.frames.frame_flags import is_excluded
+from dataset.frames.frames_file import read_frames
 from recorder import Log
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)

@@ -1,4 +1,4 @@
-"""What bc-index prints: the sessions, and the steering's distribution before and after balancing."""
+"""The tables that bc-index prints: the sessions, and the steering's distribution before and after balancing."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from common.command import DONE, warn
 from common.errors import printable
 from common.output import print_message
 from dataset.index.build import Indexed
-from dataset.index.samples import Balance
 from dataset.index.sessions import unfinished_recordings
 from dataset.preprocess import SIZE_PX
+from dataset.samples.samples_format import Balance
 
 BAR_CELLS = 13  # so that a line fits 80 columns
 _MOST_NAMES = 8
@@ -60,7 +60,7 @@ def balance_table(balance: Balance) -> Table:
     return table
 
 
-def tell_of_logs(indexed: Indexed, folder: Path, sessions: Sequence[str] = ()) -> int:
+def print_log_notices(indexed: Indexed, folder: Path, sessions: Sequence[str] = ()) -> int:
     """Print what a person should know of the logs of an index, and of recordings in `folder` that are not finished
     (with `sessions`, of these only); the exit code that says so."""
     code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])

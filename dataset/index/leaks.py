@@ -1,4 +1,4 @@
-"""Whether validation is honest: what is held out for it must not be, or nearly be, what training sees.
+"""The check for leaks: what is held out for validation must not be, or nearly be, what training sees.
 
 Reads the parquet files as anybody could, and computes anew what was promised: of what wrote them, only the rows
 and times of the frames are believed. (That two sessions share a picture is refused when an index is built.)
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.errors import DatasetError
+from dataset.frames.frame_flags import is_excluded
+from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
-from dataset.index.frames import read_metadata
-from dataset.index.pairing import moments
-from dataset.index.samples import is_excluded
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_leaks(index: Path | str) -> list[str]:
-    """What is wrong with the split of `index`; an empty list if nothing is.
+    """Everything that is wrong with the split of `index`, a line each; an empty list if nothing is.
 
     No row of a log may be on both sides (its cameras, mirror images and copies with it); no training sample may
     lie within the gap around a validation sample of its session; nothing that is altered, a copy, or tagged

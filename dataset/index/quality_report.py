@@ -1,4 +1,4 @@
-"""Where the frames of an index are odd: the stretches of each flag, by session."""
+"""The report on unusual frames of an index: the stretches of each flag, by session."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from common.errors import counted
 from common.output import print_table
 from common.stretches import stretches
 from dataset.errors import DatasetError
+from dataset.frames.distinct_rows import number_distinct
 from dataset.index.build_state import FRAMES_FOLDER
 
 _COLUMNS = ("session", "row", "log_time_ns", "flags")
@@ -25,7 +26,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True)
-class Reported:
+class FlaggedFrames:
     """Neighbouring rows of a session whose frames have a flag; a gap begins at the row before it."""
 
     session: str
@@ -38,8 +39,8 @@ class Reported:
     frames: int  # that have the flag
 
 
-def report(index: Path | str) -> list[Reported]:
-    """What is odd about the frames of `index`, by session and row; reads its frames files alone.
+def find_flagged_frames(index: Path | str) -> list[FlaggedFrames]:
+    """The flagged stretches of `index`, by session and row; reads its frames files alone.
 
     Raises DatasetError if there is no index, or if it is damaged.
     """
@@ -51,7 +52,7 @@ def report(index: Path | str) -> list[Reported]:
     return sorted(found, key=lambda reported: (reported.session, reported.first_row, reported.flag))
 
 
-def print_report(reported: Sequence[Reported]) -> None:
+def print_quality_report(reported: Sequence[FlaggedFrames]) -> None:
     """Print the stretches as a table, then how many frames each flag has."""
     if not reported:
         print_table("no frame has a flag")
@@ -70,7 +71,7 @@ def print_report(reported: Sequence[Reported]) -> None:
     print_table(", ".join(f"{counted(count, 'frame')} {escape(flag)}" for flag, count in sorted(frames.items())))
 
 
-def _stretches_of(file: Path) -> Iterator[Reported]:
+def _stretches_of(file: Path) -> Iterator[FlaggedFrames]:
     damaged = DatasetError(f"{file}: damaged, or not of an index; remove it and give `bc-index`")
     if file.is_symlink():
         raise damaged
@@ -88,17 +89,14 @@ def _stretches_of(file: Path) -> Iterator[Reported]:
     if not len(row):
         return
     # Frames of several cameras share a row; and a log that is still growing may hold late pictures behind others.
-    order = np.lexsort((time_ns, row))
-    is_new = np.concatenate([[True], (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)])
-    number = np.empty(len(order), np.int64)  # of each frame's row, in their order
-    number[order] = np.cumsum(is_new) - 1
-    row, time_ns = row[order][is_new], time_ns[order][is_new]
+    number, frame_of = number_distinct(time_ns, row)
+    row, time_ns = row[frame_of], time_ns[frame_of]
     for flag in pc.unique(names).to_pylist():
         of_flag = frame[pc.equal(names, flag).to_numpy(zero_copy_only=False)]
         frames = np.bincount(number[of_flag], minlength=len(row))
         for first, last in stretches(frames > 0):
             begin_ns = int(time_ns[max(first - 1, 0) if flag == "gap" else first])
-            yield Reported(
+            yield FlaggedFrames(
                 session[0].as_py(),
                 flag,
                 int(row[first]),

@@ -1,4 +1,4 @@
-"""Which sessions there are: logs by name, those that an index does not hold, and recordings without an end."""
+"""Finding sessions: logs by name, those that an index does not hold, and recordings without an end."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 
 from common.errors import did_you_mean, printable
 from dataset.errors import DatasetError
+from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state, sources_of
-from dataset.index.frames import read_metadata, session_name
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_logs(sessions: Sequence[Path | str], folder: Path | str) -> list[Path]:
@@ -55,7 +56,7 @@ def sessions_beside(logs: Sequence[Path], folder: Path) -> list[str]:
 def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
     """Names of the logs in `folder` that the index does not hold because they are newer, or have changed since.
 
-    Those that somebody chose not to have in it, and those that could not be read, were told when it was built.
+    Those that somebody chose not to have in it, and those that could not be read, were reported when it was built.
     """
     index = Path(index)
     held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
@@ -66,8 +67,8 @@ def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
     for log in sorted(Path(folder).glob("*.mcap")):
         name = session_name(log)
         entry = state.logs.get(name)
-        is_told = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index))
-        if name not in held and not is_told:
+        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index))
+        if name not in held and not is_reported:
             found.append(name)
     return found
 

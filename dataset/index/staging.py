@@ -20,10 +20,10 @@ from typing import Final
 
 from common.files import final_path, part_path, publish
 from common.interrupts import uninterrupted
-from dataset.errors import DatasetError, naming
+from dataset.errors import DatasetError, write_errors
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
-from dataset.index.frames import read_metadata
-from dataset.index.samples_format import SAMPLES_NAME
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
 
 _STAGE: Final = "new"
 _OLD: Final = "old"
@@ -38,19 +38,19 @@ def staged(index: Path) -> Iterator[Path]:
     """
     stage = part_path(index / _STAGE)
     try:
-        with naming(stage):
+        with write_errors(stage):
             (stage / FRAMES_FOLDER).mkdir(parents=True)
         yield stage
         with uninterrupted():
             if (stage / SAMPLES_NAME).exists():
-                _carry_through(stage, index)
+                _publish_all(stage, index)
     finally:
         with uninterrupted():
             if not (stage / _OLD).exists():
                 shutil.rmtree(stage, ignore_errors=True)
 
 
-def clear_up(index: Path) -> None:
+def finish_interrupted_build(index: Path) -> None:
     """Carry through what a killed build had decided on, and remove the rest. Call it with the index locked."""
     for path in sorted(index.iterdir()):
         name = final_path(path).name
@@ -60,13 +60,13 @@ def clear_up(index: Path) -> None:
             folders = (path / _OLD, path / FRAMES_FOLDER)
             with uninterrupted():
                 if all(folder.is_dir() and not folder.is_symlink() for folder in folders):
-                    _carry_through(path, index)
+                    _publish_all(path, index)
                 shutil.rmtree(path, ignore_errors=True)
         elif name in _LEFT_BY_OLDER_VERSIONS and path.is_file():
             path.unlink()
 
 
-def strangers_to(sessions: set[str], index: Path) -> list[Path]:
+def stale_frames_files(sessions: set[str], index: Path) -> list[Path]:
     """The frames files that were made by us, and are of none of these sessions; also the parts that older versions
     left there when they were killed."""
     try:
@@ -76,7 +76,7 @@ def strangers_to(sessions: set[str], index: Path) -> list[Path]:
     return [file for file in files if file.name.removesuffix(".parquet") not in sessions and _is_ours(file)]
 
 
-def _carry_through(stage: Path, index: Path) -> None:
+def _publish_all(stage: Path, index: Path) -> None:
     """Give the new files their names; as often as it was stopped half-way, it goes on where it was."""
     frames, old = index / FRAMES_FOLDER, stage / _OLD
     samples = stage / SAMPLES_NAME
@@ -84,7 +84,7 @@ def _carry_through(stage: Path, index: Path) -> None:
         old.mkdir(exist_ok=True)
         if samples.exists():
             sessions = set((read_metadata(samples) or {}).get("logs", {}))
-            gone = strangers_to(sessions, index)
+            gone = stale_frames_files(sessions, index)
             replaced = [frames / file.name for file in (stage / FRAMES_FOLDER).iterdir()]
             for file in [*gone, *filter(Path.exists, replaced)]:
                 file.replace(old / file.name)

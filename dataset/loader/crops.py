@@ -1,4 +1,4 @@
-"""What the samples show: pictures read out of the logs, decoded, mirrored, altered; crops are kept in memory.
+"""The crops of samples: pictures read out of the logs, decoded, mirrored, altered; crops are kept in memory.
 
 Any number of threads may ask at once; OpenCV releases Python's lock while it works.
 """
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from dataset.augment import alter
 from dataset.errors import DatasetError
-from dataset.index.samples_file import Rows
 from dataset.preprocess import CROP_BYTES, CROP_SHAPE, Image, decode, preprocess
+from dataset.samples.sample_rows import Rows
 from recorder import Log
 from recorder.log.topics import camera_topic
 
@@ -70,7 +70,7 @@ class Crops:
         return failed
 
     def name(self, number: int) -> str:
-        """What a person calls a picture: session, row and camera."""
+        """A picture's name for people: session, row and camera."""
         rows = self._rows
         log, offset, chunk = self._logs[rows.session[number]], int(rows.offset[number]), rows.chunk[number]
         for camera in CAMERAS:

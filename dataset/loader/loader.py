@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
-from dataset.index.samples_file import LOADED, Rows, Samples, Split
 from dataset.loader.crops import Crops
-from dataset.loader.prefetch import filled
+from dataset.loader.prefetch import prefetched
 from dataset.preprocess import Image
+from dataset.samples.sample_rows import Rows
+from dataset.samples.samples_reader import LOADED, Samples, Split
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 UNDECODED: Final = "pictures that do not decode"
@@ -94,7 +95,7 @@ class Loader(Closeable):
         return len(self.rows.session)
 
     def order(self, epoch: int) -> NDArray[np.int64]:
-        """Which sample comes when, in an epoch: every one once."""
+        """The order of the samples in an epoch: every one once."""
         return np.random.default_rng((self.seed, epoch)).permutation(len(self))
 
     def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:
@@ -124,7 +125,7 @@ class Loader(Closeable):
         """Of which samples (N,) the picture decodes, as far as they were asked for by now."""
         return ~np.isin(self.rows.picture, list(self._undecoded))
 
-    def look(self, samples: NDArray[np.int64]) -> Image:
+    def pictures_of(self, samples: NDArray[np.int64]) -> Image:
         """The pictures (N, 128, 128, 3) of N samples that decode, at most a batch of them."""
         ((_, pictures),) = self._decoded([samples], self._crops)
         return pictures
@@ -140,7 +141,7 @@ class Loader(Closeable):
         self, parts: Iterable[NDArray[np.int64]], crops: Crops
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The samples of each part that decode, and their pictures; the others are skipped."""
-        for part, pictures, failed in filled(parts, crops.fill, threads=self.threads, at_once=self._at_once):
+        for part, pictures, failed in prefetched(parts, crops.fill, threads=self.threads, at_once=self._at_once):
             if failed:
                 self._skip(self.rows.picture[failed].tolist())
                 is_decoded = ~np.isin(part, failed)

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from dataset.errors import DatasetError
-from dataset.index.frames import driven_states, session_name
-from dataset.index.pairing import paired_rows
-from dataset.index.samples_file import Rows
+from dataset.frames.frames_file import session_name
+from dataset.frames.frames_table import driven_states
+from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import Crops
 from dataset.loader.loader import UNDECODED
-from dataset.loader.prefetch import filled
+from dataset.loader.prefetch import prefetched
 from dataset.preprocess import Image
+from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
 from recorder.log.topics import camera_topic
 
@@ -55,7 +56,7 @@ class LogCrops(Closeable):
 
     @property
     def notice(self) -> str:
-        """What to tell a person of a log that was never finished; empty for a finished one."""
+        """A line about a log that was never finished; empty for a finished one."""
         return self._log.notice
 
     def _read(self, pictures: Pictures) -> None:
@@ -94,7 +95,7 @@ class LogCrops(Closeable):
         numbers = np.arange(len(self))
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
-        for part, crops, failed in filled(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
+        for part, crops, failed in prefetched(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
             for number in failed:
                 self.skipped.add(UNDECODED, self._crops.name(number))
             is_decoded = ~np.isin(part, failed)

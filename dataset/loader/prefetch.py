@@ -1,4 +1,4 @@
-"""Pictures for numbers, in threads, some of them before they are asked for."""
+"""Prefetching: threads decode batches before they are asked for."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Fill = Callable[[Image, Numbers], Failed]
 """Writes the pictures of some numbers into an array; returns those that have none, and why."""
 
 
-def filled(
+def prefetched(
     parts: Iterable[Numbers], fill: Fill, *, threads: int, at_once: int
 ) -> Iterator[tuple[Numbers, Image, list[int]]]:
     """Each part, what `fill` writes for it (N, 128, 128, 3), and its numbers that have no picture.

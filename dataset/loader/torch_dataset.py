@@ -14,9 +14,9 @@ from typing import Any, SupportsIndex
 
 import numpy as np
 
-from dataset.index.samples_file import LOADED, Samples, Split, open_logs
 from dataset.loader.crops import Crops
 from dataset.preprocess import CROP_SHAPE, Image
+from dataset.samples.samples_reader import LOADED, Samples, Split, open_logs
 
 
 class SamplesDataset:

@@ -18,8 +18,8 @@ import pyarrow as pa
 from common import Skipped
 from common.errors import counted
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
-from dataset.index.frames import session_name
-from dataset.index.samples_file import Split
+from dataset.frames.frames_file import session_name
+from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Measures, measure
 from model.runs.run_files import without_nan

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Samples
-from dataset.index.seen_frames import is_for_training
+from dataset.index.training_frames import is_for_training
 from model.runs.provenance import StoredData
 
 _SPLIT_SETTINGS: Final = ("block_s", "gap_s", "validation_share", "validation", "seed")

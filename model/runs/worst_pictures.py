@@ -67,7 +67,7 @@ def find_worst(
         ]
         for frame in worst
     ]
-    pictures = loader.look(np.array(samples, np.int64)) if samples else ()
+    pictures = loader.pictures_of(np.array(samples, np.int64)) if samples else ()
     return WorstPictures(epoch, tuple(worst), tuple(map(_jpeg, pictures)))
 
 

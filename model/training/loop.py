@@ -18,8 +18,8 @@ from torch import Tensor
 
 from common.errors import counted
 from dataset import Loader, Samples
-from dataset.index.samples_file import LOADED
 from dataset.preprocess import CROP_BYTES
+from dataset.samples.samples_reader import LOADED
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError

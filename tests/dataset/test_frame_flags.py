@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 from common.car import CAMERAS, Camera
 from dataset import DatasetError
-from dataset.index.frame_flags import FRAME_FLAGS, UNUSABLE, Looked, Paired, frame_flags, is_unusable
-from dataset.index.quality_report import Reported, print_report, report
+from dataset.frames.frame_flags import FRAME_FLAGS, UNUSABLE, ImageFindings, Paired, frame_flags, is_unusable
+from dataset.index.quality_report import FlaggedFrames, find_flagged_frames, print_quality_report
 from recorder.log.row_quality import States
 
 STEP_NS = 100_000_000
 START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 10**9
-NOTHING_FOUND = Looked(0, {}, {})
+NOTHING_FOUND = ImageFindings(0, {}, {})
 
 
 def states(rows: int, **columns: Any) -> States:
@@ -88,7 +88,7 @@ def test_pictures_are_flagged_by_their_place_among_those_of_their_camera() -> No
         "center": Paired(np.array([0, 1, 2, 3]), np.array([0, 2, 3, 5])),
         "left": Paired(np.array([0, 1, 2, 3]), np.array([3, 2, 1, 0])),
     }
-    looked = Looked(10, {"center": ((1, 2), (5, 9))}, {"center": ((2, 4),), "left": ((0, 1), (2, 2))})
+    looked = ImageFindings(10, {"center": ((1, 2), (5, 9))}, {"center": ((2, 4),), "left": ((0, 1), (2, 2))})
     assert frame_flags(states(4), frames, looked).to_pylist() == [
         *([], ["broken_picture", "frozen_picture"], ["frozen_picture"], ["broken_picture"]),
         *([], ["frozen_picture"], ["frozen_picture"], ["frozen_picture"]),
@@ -103,7 +103,7 @@ def test_lists_hold_each_flag_of_their_frame_once_and_in_one_order(odd: list[lis
     rows = len(odd)
     standing, wrong, broken = np.array(odd, np.bool_).reshape(rows, 3).T
     told = states(rows, speed_mph=np.where(standing, 0.0, 9.0), throttle=np.where(wrong, 7.0, 0.5))
-    looked = Looked(rows, {"center": tuple((int(at), int(at)) for at in np.flatnonzero(broken))}, {})
+    looked = ImageFindings(rows, {"center": tuple((int(at), int(at)) for at in np.flatnonzero(broken))}, {})
     in_order: list[str] = list(FRAME_FLAGS)
     names = ("standing_still", "out_of_range", "broken_picture")
     assert frame_flags(told, {"center": every(rows)}, looked).to_pylist() == [
@@ -153,11 +153,11 @@ def test_neighbouring_rows_with_a_flag_are_one_stretch(tmp_path: Path, encoded: 
     write_frames(tmp_path, "a", [["out_of_range"], []], encoded=encoded)
     write_frames(tmp_path, "quiet", [[], []], encoded=encoded)
     write_frames(tmp_path, "empty", [], encoded=encoded)
-    assert report(tmp_path) == [
-        Reported("a", "out_of_range", 0, 0, 0.0, 0.0, "2024-07-13T14:30:16.000+00:00", 1),
-        Reported("b", "standing_still", 1, 3, 0.1, 0.3, "2024-07-13T14:30:16.100+00:00", 3),
-        Reported("b", "frozen_picture", 2, 3, 0.2, 0.3, "2024-07-13T14:30:16.200+00:00", 2),
-        Reported("b", "standing_still", 5, 5, 0.5, 0.5, "2024-07-13T14:30:16.500+00:00", 1),
+    assert find_flagged_frames(tmp_path) == [
+        FlaggedFrames("a", "out_of_range", 0, 0, 0.0, 0.0, "2024-07-13T14:30:16.000+00:00", 1),
+        FlaggedFrames("b", "standing_still", 1, 3, 0.1, 0.3, "2024-07-13T14:30:16.100+00:00", 3),
+        FlaggedFrames("b", "frozen_picture", 2, 3, 0.2, 0.3, "2024-07-13T14:30:16.200+00:00", 2),
+        FlaggedFrames("b", "standing_still", 5, 5, 0.5, 0.5, "2024-07-13T14:30:16.500+00:00", 1),
     ]
 
 
@@ -165,7 +165,7 @@ def test_frames_of_several_cameras_are_one_row_and_late_ones_change_nothing(tmp_
     rows = [7, 7, 7, 8, 8, 10, 10, 10, 8]  # the last picture came late
     flags = [["frozen_picture"], [], [], ["frozen_picture"], [], ["frozen_picture"], [], [], ["frozen_picture"]]
     write_frames(tmp_path, "a", flags, row=rows)
-    [one] = report(tmp_path)
+    [one] = find_flagged_frames(tmp_path)
     assert (one.first_row, one.last_row, one.frames) == (7, 10, 4)
     assert (one.begin_s, one.end_s) == (0.0, 0.3)
 
@@ -173,12 +173,14 @@ def test_frames_of_several_cameras_are_one_row_and_late_ones_change_nothing(tmp_
 def test_a_gap_begins_at_the_row_before_it(tmp_path: Path) -> None:
     time_ns = [START_NS + tenths * STEP_NS for tenths in (0, 1, 91, 92)]
     write_frames(tmp_path, "a", [[], [], ["gap"], []], time_ns=time_ns)
-    assert report(tmp_path) == [Reported("a", "gap", 2, 2, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 1)]
+    assert find_flagged_frames(tmp_path) == [
+        FlaggedFrames("a", "gap", 2, 2, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 1)
+    ]
 
 
 def test_times_of_any_log_can_be_told(tmp_path: Path) -> None:
     write_frames(tmp_path, "a", [["gap"], ["gap"]], time_ns=[-(2**63), 2**63 - 1])
-    [one] = report(tmp_path)
+    [one] = find_flagged_frames(tmp_path)
     assert one.begin_utc == "1677-09-21T00:12:43.145+00:00"
     assert one.end_s == pytest.approx(2**64 / 1e9)
 
@@ -189,7 +191,7 @@ def test_the_report_of_frames_agrees_with_a_count_row_by_row(tmp_path: Path) -> 
     drawn = random.random((rows, 2)) < 0.4
     write_frames(tmp_path, "a", [[n for n, holds in zip("xy", row, strict=True) if holds] for row in drawn])
     covered = np.zeros((rows, 2), np.bool_)
-    for one in report(tmp_path):
+    for one in find_flagged_frames(tmp_path):
         which = "xy".index(one.flag)
         assert one.frames == one.last_row - one.first_row + 1
         assert not covered[one.first_row : one.last_row + 1, which].any()
@@ -199,7 +201,7 @@ def test_the_report_of_frames_agrees_with_a_count_row_by_row(tmp_path: Path) -> 
 
 def test_an_index_that_is_missing_or_damaged_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no index; build it with `bc-index`"):
-        report(tmp_path)
+        find_flagged_frames(tmp_path)
     (tmp_path / "frames").mkdir()
     path = tmp_path / "frames" / "a.parquet"
     for table in (
@@ -211,27 +213,27 @@ def test_an_index_that_is_missing_or_damaged_is_one_line(tmp_path: Path) -> None
     ):
         pq.write_table(table, path)
         with pytest.raises(DatasetError, match=r"a\.parquet: damaged"):
-            report(tmp_path)
+            find_flagged_frames(tmp_path)
     path.write_bytes(b"PAR1 no more")
     with pytest.raises(DatasetError, match=r"a\.parquet: damaged"):
-        report(tmp_path)
+        find_flagged_frames(tmp_path)
     path.unlink()
     write_frames(tmp_path / "elsewhere", "a", [["gap"]])
     path.symlink_to(tmp_path / "elsewhere" / "frames" / "a.parquet")
     with pytest.raises(DatasetError, match=r"a\.parquet: damaged"):
-        report(tmp_path)
+        find_flagged_frames(tmp_path)
 
 
 def test_the_printed_report_has_a_line_a_stretch_and_the_sums(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    print_report([])
+    print_quality_report([])
     assert capsys.readouterr().out == "no frame has a flag\n"
-    print_report(
+    print_quality_report(
         [
-            Reported("a[b]", "gap", 7, 7, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 3),
-            Reported("a[b]", "gap", 1200, 1300, 100, 110, "2024-07-13T14:32:16.100+00:00", 1500),
+            FlaggedFrames("a[b]", "gap", 7, 7, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 3),
+            FlaggedFrames("a[b]", "gap", 1200, 1300, 100, 110, "2024-07-13T14:32:16.100+00:00", 1500),
         ]
     )
     lines = capsys.readouterr().out.splitlines()

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from common.car import CAMERAS, Camera
 from dataset import DatasetError, IndexConfig, Indexed, Samples, build_index, find_logs
 from dataset.cli import main
-from dataset.index.balance import balance, bin_of
-from dataset.index.split import block_numbers, validation_blocks
+from dataset.frames.split import block_numbers, validation_blocks
+from dataset.samples.balance import balance
+from dataset.steering_bins import bin_of
 from logs import STEP_NS, plain_read, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState

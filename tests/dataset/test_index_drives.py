@@ -15,9 +15,9 @@ import pytest
 import dataset
 from dataset import DatasetError, IndexConfig, Indexed, build_index
 from dataset.cli import main
-from dataset.index.drivers import DRIVERS
+from dataset.frames.drivers import DRIVERS
 from dataset.index.leaks import find_leaks
-from dataset.index.seen_frames import is_for_training
+from dataset.index.training_frames import is_for_training
 from driving import road_jpeg
 from logs import START_NS, write_log
 from recorder import Log, LogWriter

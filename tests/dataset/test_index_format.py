@@ -20,10 +20,12 @@ import pytest
 
 from common.car import Camera
 from dataset import IndexConfig, build_index
-from dataset.index import frames, samples, samples_format
-from dataset.index.filter import Condition
-from dataset.index.frame_flags import FRAME_FLAGS
-from dataset.index.image_check_cache import look_at_all
+from dataset.frames import frames_file
+from dataset.frames.frame_flags import FRAME_FLAGS
+from dataset.frames.image_check_cache import check_all_images
+from dataset.samples import samples_format
+from dataset.samples.filter import Condition
+from dataset.samples.samples_writer import FROM_FRAMES
 from driving import PATIENCE_S, environment, road_jpeg
 from logs import START_NS, STEP_NS
 from recorder import Log, LogWriter
@@ -88,7 +90,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         fingerprint = opened.fingerprint
     add_tag(log, fingerprint, Tag(10, 15, "recovery"))
     add_tag(log, fingerprint, Tag(40, 70, "rain"))
-    look_at_all({"lake": log}, folder / "index")
+    check_all_images({"lake": log}, folder / "index")
     build_index([log], folder / "index", IndexConfig(block_s=2.0, gap_s=0.3))
     return folder
 
@@ -144,7 +146,9 @@ def test_the_example_for_a_picture_gives_its_bytes(folder: Path) -> None:
 # The columns
 
 
-@pytest.mark.parametrize(("title", "schema"), [("Frames", frames.SCHEMA), ("Samples", samples_format.SCHEMA)])
+@pytest.mark.parametrize(
+    ("title", "schema"), [("Frames", frames_file.FRAMES_SCHEMA), ("Samples", samples_format.SAMPLES_SCHEMA)]
+)
 def test_every_column_stands_on_the_page_with_its_type(title: str, schema: pa.Schema) -> None:
     table = columns_of(section(title))
     assert [name for names, _ in table for name in names] == schema.names
@@ -154,7 +158,7 @@ def test_every_column_stands_on_the_page_with_its_type(title: str, schema: pa.Sc
                 re.sub(r"list<.*: string>", "list of strings", str(schema.field(name).type)) for name in names
             }
             assert types == {kind}
-    assert {name for names, kind in table if not kind for name in names} <= set(samples.FROM_FRAMES)
+    assert {name for names, kind in table if not kind for name in names} <= set(FROM_FRAMES)
 
 
 def test_every_flag_stands_on_the_page() -> None:
@@ -186,7 +190,7 @@ def test_the_samples_are_what_the_page_says(folder: Path) -> None:
     seen = set()
     for row in pq.read_table(folder / "index" / "samples.parquet").to_pylist():
         frame = of_frames[row["row"], row["camera"]]
-        assert all(row[name] == frame[name] for name in samples.FROM_FRAMES)
+        assert all(row[name] == frame[name] for name in FROM_FRAMES)
         assert row["split"] in ("train", "validation")
         label = min(1.0, max(-1.0, frame["steering"] + correction[row["camera"]])) * (-1 if row["flip"] else 1)
         assert row["label"] == pytest.approx(label, abs=1e-6)
@@ -225,7 +229,7 @@ def test_a_condition_chooses_the_frames_that_the_page_says(condition: str, folde
     pytest.importorskip("duckdb", reason="DuckDB is not installed: --where was not tried")
     assert f"`{condition}`" in PAGE
     expected = CHOICES.get(condition, CHOICES["'recovery' in tags"])
-    table = frames.read_frames(folder / "index" / "frames" / "lake.parquet")
+    table = frames_file.read_frames(folder / "index" / "frames" / "lake.parquet")
     chosen = Condition(condition).holds(table).tolist()
     assert chosen == [expected(row) for row in table.to_pylist()]
     assert any(chosen)
@@ -233,6 +237,6 @@ def test_a_condition_chooses_the_frames_that_the_page_says(condition: str, folde
 
 def test_a_frame_for_which_a_condition_is_null_is_left_out(folder: Path) -> None:
     pytest.importorskip("duckdb", reason="DuckDB is not installed: --where was not tried")
-    table = frames.read_frames(folder / "index" / "frames" / "lake.parquet")
+    table = frames_file.read_frames(folder / "index" / "frames" / "lake.parquet")
     assert not Condition("null").holds(table).any()
     assert not Condition("speed_mph > null").holds(table).any()

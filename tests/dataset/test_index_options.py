@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main
-from dataset.index.balance import balance
+from dataset.frames.split import near_validation
 from dataset.index.leaks import find_leaks
-from dataset.index.split import near_validation
+from dataset.samples.balance import balance
 from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tag

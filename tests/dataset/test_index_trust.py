@@ -14,12 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import dataset.index.frames
 from common.car import CAMERAS, Camera
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs, load, sessions_not_indexed
 from dataset.cli import main
 from dataset.config import IndexConfig as Config
-from dataset.index.frames import frames_of
+from dataset.frames.frames_table import frames_of, frames_table
 from dataset.index.leaks import find_leaks
 from driving import environment
 from logs import write_log
@@ -59,11 +58,10 @@ def test_a_tag_that_comes_while_an_index_is_built_is_not_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = log_of(tmp_path / "a.mcap")
-    original = dataset.index.frames.frames_table
 
     def tagging(log: Log, *rest: Any) -> pa.Table:
         add_tag(path, log.fingerprint, Tag(0, 99, "exclude"))
-        return original(log, *rest)
+        return frames_table(log, *rest)
 
     monkeypatch.setattr("dataset.index.build.frames_table", tagging)
     build_index([path], tmp_path / "index")
@@ -84,16 +82,16 @@ def test_a_moved_index_finds_its_logs_again_or_says_so(tmp_path: Path) -> None:
     Samples(tmp_path / "deep" / "index").close()
 
 
-@pytest.mark.parametrize("what", ["dataset.index.build.SAMPLES_FORMAT", "dataset.index.build.FORMAT"])
+@pytest.mark.parametrize("what", ["SAMPLES_FORMAT", "FRAMES_FORMAT"])
 def test_an_index_of_an_older_toolkit_is_built_anew(
     tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = log_of(tmp_path / "a.mcap")
     build_index([path], tmp_path / "index")
     before = (tmp_path / "index" / "samples.parquet").stat().st_ino
-    monkeypatch.setattr(what, 99)
-    monkeypatch.setattr("dataset.index.frames.FORMAT", 99)
-    build_index([path], tmp_path / "index", IndexConfig(seed=1) if what.endswith("x.FORMAT") else None)
+    monkeypatch.setattr(f"dataset.index.build.{what}", 99)
+    monkeypatch.setattr("dataset.frames.frames_file.FRAMES_FORMAT", 99)
+    build_index([path], tmp_path / "index", IndexConfig(seed=1) if what == "FRAMES_FORMAT" else None)
     assert (tmp_path / "index" / "samples.parquet").stat().st_ino != before
 
 

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
-from dataset.index.balance import bin_of
-from dataset.index.labels import labels_of
+from dataset.samples.labels import labels_of
+from dataset.steering_bins import bin_of
 from logs import write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState

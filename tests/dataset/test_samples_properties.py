@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 from common.car import CAMERAS
 from dataset import DatasetError, IndexConfig
-from dataset.index.balance import bin_of
-from dataset.index.frames import frames_of, write_table
-from dataset.index.samples import write_samples
+from dataset.frames.frames_table import frames_of
+from dataset.parquet_file import write_table
+from dataset.samples.samples_writer import write_samples
+from dataset.steering_bins import bin_of
 from recorder import Pictures
 from recorder.log.row_quality import States
 

@@ -50,7 +50,7 @@ def without_crc(path: Path, number: int) -> Path:
     return path
 
 
-def place_of(path: Path, number: int) -> tuple[int, int]:
+def relative_log_path(path: Path, number: int) -> tuple[int, int]:
     with Log(path) as log:
         return log.chunks[number].start, log.chunks[number].end
 
@@ -97,7 +97,7 @@ def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
 
 
 def test_the_commands_say_so(forged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    start, end = place_of(forged, 3)
+    start, end = relative_log_path(forged, 3)
     assert call(bc_index, forged, "--index", tmp_path / "index") == 1
     assert "a.mcap: damaged" in capsys.readouterr().err
     assert not (tmp_path / "index" / "samples.parquet").exists()
@@ -108,7 +108,7 @@ def test_the_commands_say_so(forged: Path, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_recovering_gives_it_no_new_crc(forged: Path, tmp_path: Path) -> None:
-    start, end = place_of(forged, 3)
+    start, end = relative_log_path(forged, 3)
     written = recover(forged, tmp_path / "b.mcap")
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in list(written.skipped)
     whole = write_log(tmp_path / "whole.mcap", [0.0, 0.25] * 20, picture)
@@ -118,9 +118,9 @@ def test_recovering_gives_it_no_new_crc(forged: Path, tmp_path: Path) -> None:
 
 
 def test_a_killed_recording_is_read_without_it(forged: Path) -> None:
-    start, end = place_of(forged, 3)
+    start, end = relative_log_path(forged, 3)
     part = forged.with_name("a.mcap.0a1b2c.part")
-    part.write_bytes(forged.read_bytes()[: place_of(forged, -1)[1]])
+    part.write_bytes(forged.read_bytes()[: relative_log_path(forged, -1)[1]])
     with Log(part) as log:
         assert start not in [chunk.start for chunk in log.chunks]
         assert any(lost_from <= start and end <= lost_to for lost_from, lost_to in log.lost)

@@ -17,8 +17,8 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from common.car import CAMERAS, Camera
-from dataset.index.frame_flags import Looked
-from dataset.index.image_check_cache import look_at, look_at_all, read_look, write_look
+from dataset.frames.frame_flags import ImageFindings
+from dataset.frames.image_check_cache import check_all_images, check_images, read_image_check, write_image_check
 from logs import START_NS, STEP_NS
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -181,8 +181,8 @@ def test_looking_at_a_log_finds_what_was_put_into_it(tmp_path: Path) -> None:
 
     told: list[int] = []
     with Log(write_drive(tmp_path / "a.mcap", picture=pictures)) as log:
-        looked = look_at(log, told.append)
-    assert looked == Looked(
+        looked = check_images(log, told.append)
+    assert looked == ImageFindings(
         60,
         {"center": ((3, 3),), "left": ((0, 0), (7, 8)), "right": ((19, 19),)},
         {"right": ((4, 11),)},
@@ -193,7 +193,7 @@ def test_looking_at_a_log_finds_what_was_put_into_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("speed_mph", [[0.0] * 20, [float("nan")] * 20])
 def test_a_car_whose_speed_is_unknown_counts_as_moving(tmp_path: Path, speed_mph: list[float]) -> None:
     with Log(write_drive(tmp_path / "a.mcap", speed_mph, lambda camera, row: WHOLE[0])) as log:
-        frozen = look_at(log).frozen
+        frozen = check_images(log).frozen
     assert frozen == ({} if speed_mph[0] == 0 else dict.fromkeys(CAMERAS, ((0, 19),)))
 
 
@@ -217,32 +217,23 @@ def test_compressed_logs_with_some_plain_chunks_are_looked_at_in_their_order(tmp
         writer.finish()  # type: ignore[no-untyped-call]
     with Log(mixed) as log, Log(source) as original:
         assert {chunk.compression for chunk in log.chunks} == {"", "zstd"}
-        assert look_at(log) == look_at(original)
+        assert check_images(log) == check_images(original)
 
 
 def test_an_unchanged_log_is_looked_at_once(tmp_path: Path) -> None:
     logs = {name: write_drive(tmp_path / f"{name}.mcap") for name in ("a", "b")}
     index = tmp_path / "index"
-    assert look_at_all(logs, index) == ["a", "b"]
-    assert look_at_all(logs, index) == []
+    assert check_all_images(logs, index) == ["a", "b"]
+    assert check_all_images(logs, index) == []
     for name, path in logs.items():
         with Log(path) as log:
-            assert read_look(index, name, log.fingerprint) == _all_cameras(look_at(log))
+            assert read_image_check(index, name, log.fingerprint) == check_images(log)
     write_drive(logs["b"], picture=lambda camera, row: WHOLE[row])
-    assert read_look(index, "b", fingerprint(logs["b"])) is None
-    assert look_at_all(logs, index) == ["b"]
-    looked = read_look(index, "b", fingerprint(logs["b"]))
+    assert read_image_check(index, "b", fingerprint(logs["b"])) is None
+    assert check_all_images(logs, index) == ["b"]
+    looked = read_image_check(index, "b", fingerprint(logs["b"]))
     assert looked is not None
     assert not any(looked.broken.values())
-
-
-def _all_cameras(looked: Looked) -> Looked:
-    """A look that was read names every camera."""
-    return Looked(
-        looked.pictures,
-        {camera: looked.broken.get(camera, ()) for camera in CAMERAS},
-        {camera: looked.frozen.get(camera, ()) for camera in CAMERAS},
-    )
 
 
 def test_what_was_looked_at_stays_when_a_later_log_stops_the_work(tmp_path: Path) -> None:
@@ -251,8 +242,8 @@ def test_what_was_looked_at_stays_when_a_later_log_stops_the_work(tmp_path: Path
     data[data.index(WHOLE[5]) + 100] ^= 1
     logs["b"].write_bytes(data)
     with pytest.raises(LogError, match=r"b\.mcap: damaged"):
-        look_at_all(logs, tmp_path / "index")
-    assert read_look(tmp_path / "index", "a", fingerprint(logs["a"])) is not None
+        check_all_images(logs, tmp_path / "index")
+    assert read_image_check(tmp_path / "index", "a", fingerprint(logs["a"])) is not None
     assert os.listdir(tmp_path / "index" / "looks") == ["a.json"]  # noqa: PTH208
 
 
@@ -273,13 +264,13 @@ WRONG_STRETCHES = (
 
 
 def test_a_look_is_read_as_it_was_written(tmp_path: Path) -> None:
-    looked = Looked(10, {"center": (), "left": ((0, 2), (3, 3)), "right": ()}, dict.fromkeys(CAMERAS, ()))
-    write_look(tmp_path, "a", "f", looked)
-    assert read_look(tmp_path, "a", "f") == looked
-    assert read_look(tmp_path, "a", "another log") is None
-    assert read_look(tmp_path, "b", "f") is None
+    looked = ImageFindings(10, {"left": ((0, 2), (3, 3))}, {})
+    write_image_check(tmp_path, "a", "f", looked)
+    assert read_image_check(tmp_path, "a", "f") == looked
+    assert read_image_check(tmp_path, "a", "another log") is None
+    assert read_image_check(tmp_path, "b", "f") is None
     (tmp_path / "looks" / "a.json").write_text(json.dumps(SOUND))
-    assert read_look(tmp_path, "a", "f") == looked
+    assert read_image_check(tmp_path, "a", "f") == looked
 
 
 @pytest.mark.parametrize(
@@ -299,7 +290,7 @@ def test_a_look_is_read_as_it_was_written(tmp_path: Path) -> None:
 def test_a_damaged_look_counts_as_none(tmp_path: Path, text: str) -> None:
     (tmp_path / "looks").mkdir()
     (tmp_path / "looks" / "a.json").write_text(text, encoding="latin-1")
-    assert read_look(tmp_path, "a", "f") is None
+    assert read_image_check(tmp_path, "a", "f") is None
 
 
 def test_a_link_is_neither_read_nor_written_through(tmp_path: Path) -> None:
@@ -308,10 +299,10 @@ def test_a_link_is_neither_read_nor_written_through(tmp_path: Path) -> None:
     (tmp_path / "looks").mkdir()
     link = tmp_path / "looks" / "a.json"
     link.symlink_to(elsewhere)
-    assert read_look(tmp_path, "a", "f") is None
-    write_look(tmp_path, "a", "f", Looked(3, {}, {}))
+    assert read_image_check(tmp_path, "a", "f") is None
+    write_image_check(tmp_path, "a", "f", ImageFindings(3, {}, {}))
     assert json.loads(elsewhere.read_text()) == SOUND
     assert not link.is_symlink()
-    looked = read_look(tmp_path, "a", "f")
+    looked = read_image_check(tmp_path, "a", "f")
     assert looked is not None
     assert looked.pictures == 3

@@ -18,7 +18,7 @@ from rrd import contents, view_names
 from simulator.pose import Pose
 from udacity import call
 from viz.cli import main
-from viz.playback.along_track import along
+from viz.playback.along_track import distances_along
 from viz.playback.comparison import names_of
 
 ROWS = 30
@@ -172,7 +172,7 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.Capt
 def test_a_second_lap_goes_on_where_the_first_ended() -> None:
     angle = np.linspace(0, 4 * np.pi, 800)  # two laps
     laps = RADIUS_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    placed = along(laps[:400], laps)
+    placed = distances_along(laps[:400], laps)
     assert placed is not None
     assert placed == pytest.approx(RADIUS_M * angle, rel=0.02, abs=2)
 
@@ -182,7 +182,7 @@ def test_a_road_that_comes_near_itself_is_not_jumped_across() -> None:
     there = np.stack([np.arange(0.0, 200.0), np.zeros(200)], axis=1)
     back = np.stack([np.arange(199.0, -1.0, -1.0), np.full(200, 5.0)], axis=1)
     way = np.concatenate([there, back])
-    placed = along(way, way + np.array((0.0, 3.0)))  # nearer to the way back
+    placed = distances_along(way, way + np.array((0.0, 3.0)))  # nearer to the way back
     assert placed is not None
     assert np.all(np.diff(placed) >= 0)
     assert placed[150] == pytest.approx(150, abs=1)
@@ -194,5 +194,5 @@ def test_another_road_from_the_same_start_is_refused_however_soon_the_way_ends()
     angle = np.linspace(np.pi, 0, 300)
     bend = 150 * np.stack([1 + np.cos(angle), np.sin(angle)], axis=1)
     on = np.stack([np.arange(300.0, 1500.0), np.zeros(1200)], axis=1)
-    assert along(way, np.concatenate([bend, on])) is None
-    assert along(way, way + np.array((0.0, 4.0))) is not None  # the same road, on its other side
+    assert distances_along(way, np.concatenate([bend, on])) is None
+    assert distances_along(way, way + np.array((0.0, 4.0))) is not None  # the same road, on its other side

@@ -32,7 +32,7 @@ from rrd import arrived, contents, free_ports, listening, lives, view_names
 from udacity import call
 from viz import save_growing, save_rrd
 from viz.cli import main
-from viz.live.follow import LogFollower
+from viz.live.follow import LogFeed
 from viz.live.live_log import GrowingLog, find_log
 from viz.live.live_messages import LiveMessage
 from viz.viewer_process import viewer_program
@@ -357,7 +357,7 @@ def test_one_picture_that_was_not_shown_is_one_picture(
     monkeypatch.setattr("viz.live.picture_rate.PICTURES_PER_S", 0.0)
     writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
 
-    class Taking(LogFollower):
+    class Taking(LogFeed):
         def _connected(self, name: str) -> rr.RecordingStream:
             return rr.RecordingStream(name)
 
@@ -378,7 +378,7 @@ def test_pictures_too_many_to_be_shown_are_told_once(
     writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
     write_row(writer, 0)  # before there was a viewer: is shown
 
-    class Taking(LogFollower):
+    class Taking(LogFeed):
         """Its viewer takes all; the rest of the log is written when it has taken the first row."""
 
         def _connected(self, name: str) -> rr.RecordingStream:

@@ -29,12 +29,12 @@ from recorder.bc_pb2 import VehicleState
 from rrd import arrived, contents, free_ports, lives
 from udacity import call
 from viz.cli import main
-from viz.live.follow import Follower, ViewerGoneError, feed_viewer
 from viz.live.live_messages import LiveMessage
 from viz.live.picture_rate import PictureRate
 from viz.playback.rerun_recording import PreparedRecording
 from viz.targets import Destination, FinishedContent
 from viz.viewer_connection import viewer_url
+from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Ports, open_viewer, viewer_program, wait_until_it_listens
 from waiting import PATIENCE_S, wait_until
 
@@ -116,10 +116,10 @@ def test_of_a_viewer_that_is_closed_too_early_it_is_not_said_that_it_has_all(
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one thread alone")
 def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else its progress bar would still stand where the last line is printed."""
-    monkeypatch.setattr("viz.live.follow.LAST_DATA_S", PATIENCE_S)
+    monkeypatch.setattr("viz.viewer_feed.LAST_DATA_S", PATIENCE_S)
     ended = []
 
-    class Slow(Follower):
+    class Slow(ViewerFeed):
         def run(self) -> None:
             time.sleep(0.1)
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)

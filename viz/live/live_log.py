@@ -23,11 +23,11 @@ from viz.live.live_messages import SHOWN, LiveMessage
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
 QUIET_S: Final = 2.0
-"""Nothing new for so long, and nobody who writes (some file systems cannot tell): the recording was killed."""
+"""A log without a writer (some file systems cannot tell) that has not grown for so long was killed."""
 
 
 def find_log(path: Path) -> Path:
-    """Where a log is now that was at `path`, or will be: it has another name until its writer closes it."""
+    """The present path of a log that was or will be at `path`: it has another name until its writer closes it."""
     final = final_path(path)
     for place in (path, final):
         if place.exists():
@@ -40,7 +40,7 @@ def find_log(path: Path) -> Path:
 
 
 def is_finished(path: Path) -> bool:
-    """Whether there is a finished log at `path`. Raises LogError if it cannot be opened or is no log."""
+    """True if there is a finished log at `path`. Raises LogError if it cannot be opened or is no log."""
     if not _has_begun(path):
         return False
     file = McapFile(path)
@@ -53,7 +53,7 @@ def is_finished(path: Path) -> bool:
 class GrowingLog(Closeable):
     """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
 
-    Either `is_finished` or `notice` tells that nothing more will come: the recording was killed, says the notice.
+    When nothing more will come, either `is_finished` is true, or `notice` says that the recording was killed.
     Raises LogError if it cannot be opened, is no log, is deleted before it is finished, or nothing was written.
     """
 
@@ -69,7 +69,7 @@ class GrowingLog(Closeable):
 
     @property
     def has_crcs(self) -> bool:
-        """Whether all that was read of it has CRCs, without which damage is not noticed."""
+        """True if all that was read of it has CRCs, without which damage is not noticed."""
         return self._file is None or self._file.have_crcs(self._found.chunks)
 
     def close(self) -> None:
@@ -77,7 +77,7 @@ class GrowingLog(Closeable):
             self._file.close()
 
     def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[LiveMessage]]:
-        """What has been completed since the last call, a list for each chunk.
+        """Yield the messages completed since the last call, a list for each chunk.
 
         With `pictures_of_last_s`, pictures that are older than that before the newest message are skipped.
         """
@@ -108,14 +108,14 @@ class GrowingLog(Closeable):
         except LogError:
             if find_log(self.path).exists():
                 raise
-            told = "nothing more to show: whoever recorded it kept nothing, or it was deleted"
-            raise LogError(f"{final_path(self.path)}: {told}") from None
+            why = "nothing more to show: whoever recorded it kept nothing, or it was deleted"
+            raise LogError(f"{final_path(self.path)}: {why}") from None
 
     def _end_without_end(self, path: Path) -> None:
         if self._file is None:
             raise LogError(f"{path}: its recording was killed before anything of it was written")
-        told = "its recording was killed; all that is whole is shown"
-        self.notice = f"{path}: {told}; `bc-log recover {path}` makes a log of it"
+        state = "its recording was killed; all that is whole is shown"
+        self.notice = f"{path}: {state}; `bc-log recover {path}` makes a log of it"
         if self._position < self._file.size:
             self._found.lost.append((self._position, self._file.size))
 
@@ -178,4 +178,4 @@ def _has_begun(path: Path) -> bool:
     try:
         return not path.is_file() or path.stat().st_size >= len(MAGIC)
     except OSError:
-        return True  # opening it tells what is wrong
+        return True  # opening it raises the reason

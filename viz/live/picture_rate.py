@@ -1,4 +1,4 @@
-"""No more pictures than an eye can follow: a drive that is faster than the clock must not drown its viewer."""
+"""A limit on the rate of pictures: a drive that is faster than real time must not drown its viewer."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from recorder.log.topics import PICTURE_TOPICS
 from viz.live.live_messages import LiveMessage
 
 PICTURES_PER_S: Final = 30.0
-"""Of each camera, by the clock on the wall."""
+"""The limit for each camera, in real time."""
 THINNED: Final = f"pictures not shown, of more than {PICTURES_PER_S:g} a second (the log has them)"
 
 _SAVED_UP_S: Final = 1.0  # a log grows in bursts
@@ -28,16 +28,16 @@ class PictureRate:
         self._now_s = now_s
 
     def thin(self, messages: Sequence[LiveMessage]) -> tuple[list[LiveMessage], list[LiveMessage]]:
-        """What to show, in its order, and what not."""
+        """Split messages into those to show and those to drop, both in their order."""
         counts: dict[str, int] = {}
         for message in messages:
             counts[message.topic] = counts.get(message.topic, 0) + 1
         keep = {topic: self._take(topic, count) for topic, count in counts.items() if topic in PICTURE_TOPICS}
         shown: list[LiveMessage] = []
         thinned: list[LiveMessage] = []
-        seen: dict[str, int] = {}
+        numbers: dict[str, int] = {}
         for message in messages:
-            number = seen[message.topic] = seen.get(message.topic, 0) + 1
+            number = numbers[message.topic] = numbers.get(message.topic, 0) + 1
             is_shown = message.topic not in keep or _is_kept(number, counts[message.topic], keep[message.topic])
             (shown if is_shown else thinned).append(message)
         return shown, thinned
@@ -53,5 +53,5 @@ class PictureRate:
 
 
 def _is_kept(number: int, count: int, kept: int) -> bool:
-    """Whether the picture of this number (1..count) is one of `kept`, evenly spread, the last one among them."""
+    """True if the picture of this number (1..count) is one of `kept`, evenly spread, the last one among them."""
     return number * kept // count > (number - 1) * kept // count

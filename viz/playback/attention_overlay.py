@@ -1,4 +1,4 @@
-"""Where a network looks, drawn over what it sees."""
+"""A network's attention maps, drawn over its input pictures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def send_overlays(
     crops: Image,
     maps: NDArray[np.float32],
 ) -> None:
-    """Send where a network looks, as JPEGs at their log times."""
+    """Send attention maps over their crops, as JPEGs at their log times."""
     settings = (cv2.IMWRITE_JPEG_QUALITY, QUALITY)
     jpegs = [cv2.imencode(".jpg", picture, settings)[1].tobytes() for picture in overlay(crops, maps)]
     columns = rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * len(jpegs))

@@ -1,4 +1,4 @@
-"""How a log is laid out in the viewer. The layout is code, because it is a function of what the log holds."""
+"""The layout of a log in the viewer. It is code, because it is a function of what the log holds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from recorder.log.topics import (
 from viz.timelines import SINCE_START
 
 AROUND_S: Final = 1.0
-"""So long before and after the moment that is asked for is played, where the time cursor cannot be set."""
+"""Seconds before and after the requested moment that are played where the time cursor cannot be set."""
 
 CENTER: Final = camera_topic("center")
 ERRORS: Final = "/error_deg"
@@ -68,10 +68,10 @@ DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
     PilotCommand.EXPERT: ("expert", BLUE),
     PilotCommand.BRAKE: ("brake", RED),
 }
-"""Who drives: name and colour."""
+"""Names and colours of the drivers."""
 
 LOG_COLORS: Final = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY)
-"""Of logs beside each other."""
+"""Colours of logs beside each other."""
 
 WHO: Final = "who drives"
 ERROR: Final = "error in degrees: predicted - recorded"
@@ -105,11 +105,13 @@ def log_layout(
     `runs` are the names of those whose predictions are shown beside it, `attention` of those that show where they
     look. A log that grows is followed; another one opens at its start, or `at_s` seconds after it.
     """
-    looks = [rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention]
+    attention_views = [
+        rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention
+    ]
     plots = _plots(topics, has_errors=bool(runs) or _has_predictions(topics))
     if runs or EVENTS in topics or not topics:
         plots.append((rrb.TextLogView(origin=EVENTS, name=TOPICS[EVENTS].title), 1.0))
-    parts = _side_by_side([_pictures(topics, looks), _upright(plots)], shares=[2, 3])
+    parts = _side_by_side([_pictures(topics, attention_views), _upright(plots)], shares=[2, 3])
     return _blueprint(parts, _time_panel(SINCE_START, grows=grows, at_s=at_s))
 
 
@@ -133,12 +135,12 @@ def comparison_layout(
 
 
 def attention_entity(run: str) -> str:
-    """Where it is shown where a run's network looks."""
+    """The entity of a run's attention maps."""
     return f"/attention/{entity_part(run)}"
 
 
 def log_entity(name: str) -> str:
-    """Where all of one of several logs stands."""
+    """The entity above all those of one of several logs."""
     return f"/{entity_part(name)}"
 
 
@@ -147,7 +149,7 @@ def entity_part(name: str) -> str:
     return rr.escape_entity_path_part(name)
 
 
-def _pictures(topics: Collection[str], looks: Sequence[rrb.View]) -> Part | None:
+def _pictures(topics: Collection[str], attention_views: Sequence[rrb.View]) -> Part | None:
     parts: list[Shared] = []
     if CENTER in topics:
         parts.append((_view(TOPICS[CENTER]), 3.0))
@@ -155,7 +157,7 @@ def _pictures(topics: Collection[str], looks: Sequence[rrb.View]) -> Part | None
     if sides := [_view(topic) for topic in pictures if topic.camera is not None]:
         parts.append((rrb.Horizontal(*sides), 1.5))
     small: list[Part] = [_view(topic) for topic in pictures if topic.camera is None]
-    small.extend(looks)
+    small.extend(attention_views)
     if POSE in topics:
         small.append(rrb.Spatial2DView(origin="/path", name="path from above, m"))
     if small:

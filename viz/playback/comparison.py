@@ -16,7 +16,7 @@ from rerun.chunk import Chunk
 from common import UserError
 from recorder import Log
 from recorder.log.topics import POSE
-from viz.playback.along_track import along
+from viz.playback.along_track import distances_along
 from viz.playback.blueprint import LOG_COLORS, comparison_layout, log_entity
 from viz.playback.curves import Drawing
 from viz.playback.rerun_recording import (
@@ -36,7 +36,7 @@ from viz.timelines import SINCE_START, Clock, Times, on_clock, start_clock
 By = Literal["time", "place"]
 
 PLACE: Final = "place_cm"
-"""Centimetres along the way of the first log: of Rerun's time lines, only whole numbers may be no times."""
+"""Centimetres along the path of the first log: of Rerun's time lines, only whole numbers may be no times."""
 
 MAX_LOGS: Final = 6
 _LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture would have if its log were alone
@@ -101,7 +101,7 @@ def _by_place(paths: Sequence[Path], drawn: Sequence[DrawnMessages]) -> list[Clo
     first = ways[0][1]
     clocks = []
     for path, (time_ns, way) in zip(paths, ways, strict=True):
-        placed_m = along(first, way)
+        placed_m = distances_along(first, way)
         if placed_m is None:
             raise UserError(f"{path}: not on the road of {paths[0]}: compare them by time, without --by place")
         clocks.append(_place_clock(time_ns, placed_m))
@@ -138,7 +138,7 @@ def _send(logs: Sequence[_ComparedLog], recording: rr.RecordingStream, flush: Ca
 
 
 def _moved(one: _ComparedLog) -> Generator[Chunk]:
-    """What Rerun's reader makes of a log, under the log's own entity and on the time line of all of them."""
+    """Chunks of Rerun's reader for one log, under its own entity and on the common time line."""
     chunks = read_chunks(one.log)
     with contextlib.closing(chunks):
         for chunk in on_clock((chunk for chunk in chunks if not chunk.is_static), one.clock, left_out=_LEFT_OUT):

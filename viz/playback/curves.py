@@ -1,4 +1,4 @@
-"""What is drawn of a log beside its pictures: curves, arcs over the frame, histogram, path, who drives."""
+"""Drawings of a log beside its pictures: curves, arcs over the frame, histogram, path, who drives."""
 
 from __future__ import annotations
 
@@ -11,10 +11,22 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from dataset.index.balance import bin_of
+from dataset.steering_bins import bin_of
 from recorder.log.topics import PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from recorder.pictures.picture_size import can_be_decoded, width_and_height
-from viz.playback.blueprint import ARCS, CAR, CENTER, COLORS, DRIVEN_SPEED, DRIVER, DRIVERS, HISTOGRAM, PATH, Curve
+from viz.playback.blueprint import (
+    ARCS,
+    BLUE,
+    CAR,
+    CENTER,
+    COLORS,
+    DRIVEN_SPEED,
+    DRIVER,
+    DRIVERS,
+    HISTOGRAM,
+    PATH,
+    Curve,
+)
 from viz.playback.trail import Trail
 from viz.timelines import Clock, Times
 
@@ -110,7 +122,7 @@ class Drawing:
         self._has_new = True
 
     def _drivers(self, time_ns: Times, drivers: Times) -> None:
-        """Who drives, where that changes."""
+        """Send the driver at each change."""
         before = np.concatenate([[-1 if self._driver is None else self._driver], drivers[:-1]])
         changes = np.flatnonzero(drivers != before)
         entity = self._prefix + DRIVER
@@ -161,9 +173,9 @@ def curve_values(topic: str, time_ns: Times, contents: Sequence[Any]) -> Iterato
 
 
 def arcs(steering: Values, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Where a car with this steering (N,) goes, as an arc over its picture of `size` (width, height): N times nine
-    points x, y in pixels. Not to scale: from the middle of the bottom, half a picture up, aside by as much as half
-    its width at full lock."""
+    """Arcs along which a car with this steering (N,) goes, over its picture of `size` (width, height): N times
+    nine points x, y in pixels. Not to scale: from the middle of the bottom, half a picture up, aside by as much as
+    half its width at full lock."""
     width, height = size
     bend = np.clip(np.nan_to_num(steering), -1.0, 1.0)[:, None] * (_ALONG**2)
     x = width * (0.5 + 0.45 * bend)
@@ -188,7 +200,7 @@ def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
     bins = len(counts)
     middles = (np.arange(bins) + 0.5) * 2 / bins - 1
     widths = np.full(bins, 0.9 * 2 / bins, np.float32)
-    return rr.BarChart(counts, abscissa=middles, widths=widths, color=(120, 160, 255))
+    return rr.BarChart(counts, abscissa=middles, widths=widths, color=BLUE)
 
 
 def _place(pose: Any) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""A log with what networks say of it, as a Rerun recording."""
+"""A log with the predictions of networks, as a Rerun recording."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def prepare_predictions(
     attention: bool = False,
     at_s: float | None = None,
 ) -> Iterator[PreparedRecording]:
-    """The log at `path` and, when that is sent, what the networks of `runs` say of it: steering, errors, the worst
-    moments as events, and with `attention` where they look. `on_found` is told all that they say.
+    """Prepare the log at `path` with predictions of the networks of `runs`, made when it is sent: steering,
+    errors, the worst moments as events, and with `attention` their attention maps. `on_found` receives them.
 
     `at_s` is as in `prepare_log`. Raises LogError if the log cannot be read, RunError if a run is given twice;
     sending raises what `predict_log` does.

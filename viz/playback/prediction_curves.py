@@ -1,4 +1,4 @@
-"""What networks say of a log, as lines: their steering beside what happened, and how far that is off."""
+"""Curves of the predictions of networks: their steering, and its error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What networks say of a recorded log, kept as a log of its own, with a topic for each run."""
+"""Predictions of networks for a recorded log, kept as a log of its own, with a topic for each run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.index.frames import session_name
+from dataset.frames.frames_file import session_name
 from dataset.preprocess import DESCRIPTION
 from model.evaluation.log_predictions import LogPredictions
 from recorder import Log, LogWriter

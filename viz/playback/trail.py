@@ -1,4 +1,4 @@
-"""A way that was driven, seen from above, in a bounded number of points."""
+"""A driven path, seen from above, in a bounded number of points."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_POINTS: Final = 2000  # of longer ways, every second one
+MAX_POINTS: Final = 2000  # of longer paths, every second one
 
 
 class Trail:
-    """The points of a way, as far apart as needed for it to have at most `MAX_POINTS`."""
+    """The points of a path, as far apart as needed for it to have at most `MAX_POINTS`."""
 
     def __init__(self) -> None:
         self.points: list[tuple[float, float]] = []

@@ -1,11 +1,12 @@
-"""What is odd about the frames of a session, as names in the column `flags` of its frames table."""
+"""Flags of unusual frames: names in the column `flags` of a session's frames table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -13,23 +14,25 @@ from numpy.typing import NDArray
 
 from common.car import Camera
 from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, row_flags
+from recorder.log.tags import EXCLUDE
 
 PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture"]
 FrameFlag = RowFlag | PictureFlag
 FRAME_FLAGS: Final[tuple[FrameFlag, ...]] = (*ROW_FLAGS, *get_args(PictureFlag))
 
 UNUSABLE: Final[tuple[FrameFlag, ...]] = ("out_of_range", "broken_picture")
-"""What keeps a frame out of the samples, `out_of_range` only where it is the steering; the rest is only told."""
+"""Flags that keep a frame out of the samples, `out_of_range` only where it is the steering."""
 
-Stretches = tuple[tuple[int, int], ...]
+Position = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
+Stretches = tuple[tuple[Position, Position], ...]
 """First and last position of each stretch, in their order and without overlap."""
 
 
 @dataclass(frozen=True)
-class Looked:
-    """What looking at the pictures of a log has found, as positions among a camera's pictures (`Log.pictures`)."""
+class ImageFindings:
+    """What decoding all pictures of a log has found, as positions among a camera's pictures (`Log.pictures`)."""
 
-    pictures: int  # that were looked at
+    pictures: int  # that were checked
     broken: Mapping[Camera, Stretches]
     frozen: Mapping[Camera, Stretches]
 
@@ -42,11 +45,11 @@ class Paired:
     picture: NDArray[np.int64]
 
 
-def frame_flags(states: States, frames: Mapping[Camera, Paired], looked: Looked | None) -> pa.ListArray:
+def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: ImageFindings | None) -> pa.ListArray:
     """The flags of each frame, as lists of strings, for the frames of all cameras one after the other.
 
     Those of `recorder.log.row_quality.row_flags`, and `missing_picture`: its row lacks the picture of another
-    camera that the session has. Only with `looked`: `broken_picture`, which does not decode, and
+    camera that the session has. Only with `findings`: `broken_picture`, which does not decode, and
     `frozen_picture`, one of three or more equal ones in a row from a moving car.
     """
     flags: dict[FrameFlag, NDArray[np.bool_]] = {
@@ -54,10 +57,10 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], looked: Looked 
     }
     lacks = _lacks_a_picture(len(states.row), frames)
     flags["missing_picture"] = _joined(lacks[paired.state] for paired in frames.values())
-    if looked is not None:
+    if findings is not None:
         found: dict[PictureFlag, Mapping[Camera, Stretches]] = {
-            "broken_picture": looked.broken,
-            "frozen_picture": looked.frozen,
+            "broken_picture": findings.broken,
+            "frozen_picture": findings.frozen,
         }
         for flag, stretches in found.items():
             flags[flag] = _joined(
@@ -67,12 +70,9 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], looked: Looked 
 
 
 def is_unusable(frames: pa.Table) -> NDArray[np.bool_]:
-    """Which rows of a frames table cannot be used: steering outside -1..1, or a picture that does not decode."""
+    """A mask of the frames that cannot be used: steering outside -1..1, or a picture that does not decode."""
     unusable: NDArray[np.bool_] = frames["bin"].to_numpy() < 0
-    flags = frames["flags"].combine_chunks()
-    is_broken = pc.equal(pc.list_flatten(flags).cast(pa.string()), "broken_picture")
-    unusable[pc.list_parent_indices(flags).filter(is_broken).to_numpy()] = True
-    return unusable
+    return unusable | lists_with(frames["flags"], "broken_picture")
 
 
 def _lacks_a_picture(rows: int, frames: Mapping[Camera, Paired]) -> NDArray[np.bool_]:
@@ -108,3 +108,17 @@ def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.List
     np.cumsum(np.bincount(frame, minlength=frames), out=offsets[1:])
     names: Any = pa.DictionaryArray.from_arrays(name, pa.array(flags, pa.string()))
     return pa.ListArray.from_arrays(offsets, names.cast(pa.string()))
+
+
+def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
+    """A mask of the frames that are tagged `exclude`."""
+    return lists_with(frames["tags"], EXCLUDE)
+
+
+def lists_with(lists: pa.ChunkedArray, name: str) -> NDArray[np.bool_]:
+    """A mask of the lists of strings that hold `name`."""
+    combined = lists.combine_chunks()
+    mask = np.zeros(len(combined), np.bool_)
+    at = pc.list_parent_indices(combined).filter(pc.equal(pc.list_flatten(combined), name))
+    mask[at.to_numpy()] = True
+    return mask

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.index.pairing import Moments, paired_rows
+from dataset.frames.pairing import Moments, paired_rows
 from recorder import Log
 from recorder.log.row_quality import States
 from recorder.log.topics import TOPICS, VEHICLE

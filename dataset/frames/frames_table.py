@@ -1,146 +1,42 @@
-"""`index/frames/SESSION.parquet`: one row a camera picture, with where in the log its bytes lie."""
+"""The frames of a log: its pictures, paired with the vehicle states and with who drove at each."""
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from common import atomic_file
 from common.car import CAMERAS, Camera
-from common.files import final_path
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError
-from dataset.index.balance import bin_of
-from dataset.index.drivers import DRIVERS, EXPERT, is_taken, read_commands
-from dataset.index.frame_flags import Looked, Paired, frame_flags
-from dataset.index.image_check_cache import read_look
-from dataset.index.pairing import paired_rows
-from dataset.index.samples_format import METADATA_KEY
-from dataset.index.split import block_numbers, near_validation, validation_blocks
-from dataset.index.topic_columns import TOPIC_COLUMNS, topic_columns
+from dataset.frames.drivers import DRIVERS, EXPERT, is_taken, read_commands
+from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
+from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
+from dataset.frames.image_check_cache import read_image_check
+from dataset.frames.pairing import paired_rows
+from dataset.frames.split import block_numbers, near_validation, validation_blocks
+from dataset.frames.topic_columns import TOPIC_COLUMNS, topic_columns
+from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
 from recorder.log.row_quality import States, drive_numbers
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE_COLUMNS, camera_topic
 
-FORMAT: Final = 6
-
-SCHEMA: Final = pa.schema(
-    [
-        pa.field("session", pa.string()),
-        pa.field("row", pa.int64()),  # the frame's number in its log
-        pa.field("camera", pa.string()),
-        pa.field("log_time_ns", pa.int64()),
-        # of the JPEG, in bytes from the start of the log (or of its chunk, unpacked)
-        pa.field("offset", pa.int64()),
-        pa.field("length", pa.int64()),  # of the JPEG, in bytes
-        pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
-        # steering: where an expert drove, what he commanded
-        *(pa.field(name, pa.float64()) for name in (*VEHICLE_COLUMNS, *TOPIC_COLUMNS)),
-        pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" where nobody says
-        pa.field("drive", pa.int64()),
-        pa.field("block", pa.int64()),
-        pa.field("split", pa.string()),  # "train", "validation", or "gap": left out between the two
-        pa.field("bin", pa.int64()),  # of the recorded steering; -1 where that is not in -1..1
-        pa.field("flags", pa.list_(pa.string())),
-        pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
-    ]
-)
-
-
-class FramesError(DatasetError):
-    """A frames file that is missing or damaged."""
-
-
-REPEATING: Final = ("session", "camera", "driver", "split")
-"""Columns of few values, which are read as dictionaries: a fraction of the memory."""
-
-
-def session_name(log: Path) -> str:
-    """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part, whose recording was killed."""
-    return final_path(log).name.removesuffix(".mcap")
-
-
-def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:
-    """What a frames file depends on: it is up to date as long as this has not changed."""
-    fingerprint = log.fingerprint
-    return {
-        "format": FORMAT,
-        "log": place_of(log.path, index),
-        "fingerprint": fingerprint,
-        "tags": [[tag.name, tag.first_row, tag.last_row] for tag in tags],
-        "looked": read_look(index, session_name(log.path), fingerprint) is not None,
-        "settings": frames_settings(config, session_name(log.path)),
-    }
-
-
-def place_of(log: Path, index: Path) -> str:
-    """Where a log is, seen from the index: both can be moved together."""
-    return Path(os.path.relpath(log.resolve(), index.resolve())).as_posix()
-
-
-def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
-    """The part of the settings that changes the frames of a session."""
-    return {
-        "bins": config.bins,
-        "block_s": config.block_s,
-        "gap_s": config.gap_s,
-        "validation": session in config.validation if config.validation else config.validation_share,
-        "seed": config.seed,
-        "drives": config.drives,
-        **({"columns": list(TOPIC_COLUMNS)} if TOPIC_COLUMNS else {}),
-    }
-
-
-def read_metadata(path: Path) -> dict[str, Any] | None:
-    """The metadata that one of our parquet files carries; None if it is missing, damaged or not ours."""
-    try:
-        stored = pq.read_schema(path).metadata or {}
-        loaded = json.loads(stored[METADATA_KEY])
-    except (OSError, ValueError, KeyError, pa.ArrowException, RecursionError):
-        return None
-    return loaded if isinstance(loaded, dict) else None
-
-
-def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
-    """Write a parquet file whole, or leave the old one. Same table and metadata: same bytes."""
-    stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
-    with atomic_file(path, overwrite=True) as part:
-        pq.write_table(table.replace_schema_metadata(stored), part, compression="zstd", write_page_checksum=True)
-
-
-def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """A frames file, or some columns of it. Raises FramesError if it is missing or damaged."""
-    repeating = [name for name in REPEATING if columns is None or name in columns]
-    try:
-        return pq.read_table(
-            path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True
-        )
-    except (OSError, pa.ArrowException) as error:
-        raise FramesError(
-            f"{path}: damaged ({' '.join(str(error).split())}); remove it and give `bc-index`"
-        ) from None
-
 
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:
     """One row for each camera picture that has a vehicle state, in the order of the log.
 
-    `index` is the index's folder, which holds what was seen when its pictures were looked at.
+    `index` is the index's folder, which holds the findings of a check of its pictures.
     """
     states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
-    looked = read_look(index, session, log.fingerprint)
-    return frames_of(states, pictures, session, config, tags, looked, driver, topic_columns(log, states))
+    findings = read_image_check(index, session, log.fingerprint)
+    return frames_of(states, pictures, session, config, tags, findings, driver, topic_columns(log, states))
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
@@ -166,7 +62,7 @@ def frames_of(
     session: str,
     config: IndexConfig,
     tags: Sequence[Tag] = (),
-    looked: Looked | None = None,
+    findings: ImageFindings | None = None,
     driver: NDArray[np.int8] | None = None,
     others: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> pa.Table:
@@ -217,10 +113,10 @@ def frames_of(
         "block": block[state],
         "split": pa.DictionaryArray.from_arrays(split[state], ["train", "validation", "gap"]),
         "bin": bins[state],
-        "flags": frame_flags(states, paired, looked).take(pa.array(order)),
+        "flags": frame_flags(states, paired, findings).take(pa.array(order)),
         "tags": _tags_of(states.row[state], tags),
     }
-    return pa.table({name: pa.array(column) for name, column in columns.items()}).cast(SCHEMA)
+    return pa.table({name: pa.array(column) for name, column in columns.items()}).cast(FRAMES_SCHEMA)
 
 
 def _split_of(

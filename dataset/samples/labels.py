@@ -1,4 +1,4 @@
-"""What a network is to learn of each frame: the steering as recorded, or smoothed, or that of a little later.
+"""Labels: the steering that a network is to learn of each frame, as recorded, smoothed, or of a little later.
 
 People with keyboards steer in steps, and after the road has turned: the picture comes before the steering that it
 calls for.
@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from dataset.frames.distinct_rows import number_distinct
 from recorder.log.row_quality import GAP_S
 
 _ONE: Final = 1 << 40
@@ -37,7 +38,8 @@ def labels_of(
     steering: Steering = frames["steering"].to_numpy()
     if (smooth_s == 0 and shift_s == 0) or not len(frames):
         return steering
-    rows, number = _rows(frames)
+    # the cameras' frames share a row; a log that was still growing may hold late pictures behind others
+    number, rows = number_distinct(*(frames[name].to_numpy() for name in ("log_time_ns", "row")))
     row_is_usable = np.bincount(number, is_usable, len(rows)) > 0
     steering, split = steering[rows], split[rows]
     drive = frames["drive"].to_numpy()[rows]
@@ -102,17 +104,3 @@ def _shifted(steering: Steering, stretches: _Stretches, shift_ns: int) -> Steeri
     share = (time_ns[after] - wanted_ns) / apart_ns
     between = steering[after] - share * (steering[after] - steering[before])
     return np.where(is_within, between, np.nan)
-
-
-def _rows(frames: pa.Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The rows of a session in their order: (the first frame of each, each frame's row as a position among them).
-
-    The cameras' frames share a row; a log that was still growing may hold late pictures behind others.
-    """
-    row, time_ns = (frames[name].to_numpy() for name in ("row", "log_time_ns"))
-    order = np.lexsort((time_ns, row))
-    is_new = np.ones(len(order), np.bool_)
-    is_new[1:] = (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)
-    number = np.empty(len(order), np.int64)
-    number[order] = np.cumsum(is_new) - 1
-    return order[is_new], number

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -22,60 +22,18 @@ from common import atomic_file
 from common.car import CAMERAS
 from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
-from dataset.index.balance import balance, bin_of, unbalanced
-from dataset.index.drivers import DRIVERS, is_taken
-from dataset.index.filter import Condition
-from dataset.index.frame_flags import is_unusable
-from dataset.index.frames import read_frames
-from dataset.index.labels import labels_of
-from dataset.index.samples_format import FORMAT, METADATA_KEY, SCHEMA
+from dataset.frames.drivers import DRIVERS, is_taken
+from dataset.frames.frame_flags import is_excluded, is_unusable
+from dataset.frames.frames_file import read_frames
+from dataset.parquet_file import METADATA_KEY
+from dataset.samples.filter import Condition
+from dataset.samples.labels import labels_of
+from dataset.samples.sample_choice import ChosenSamples, choose_samples
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts
+from dataset.steering_bins import bin_of
 from recorder.log.tags import EXCLUDE
 
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
-
-
-@dataclass(frozen=True)
-class Balance:
-    """Samples per steering bin of the training split, before and after balancing."""
-
-    before: NDArray[np.int64]
-    after: NDArray[np.int64]
-    per_bin: int  # what the bins were brought to; 0 where nothing was balanced
-    short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
-
-    def as_dict(self) -> dict[str, Any]:
-        return {**asdict(self), "before": self.before.tolist(), "after": self.after.tolist()}
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
-        """Raises KeyError, TypeError or ValueError if it is none."""
-        before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
-        if before.ndim != 1 or before.shape != after.shape or not len(before):
-            raise ValueError("not two counts of the same bins")
-        short = {int(key): int(value) for key, value in stored["short"].items()}
-        return cls(before, after, int(stored["per_bin"]), short)
-
-
-@dataclass(frozen=True)
-class SessionCounts:
-    """Frames of a session, by what becomes of them."""
-
-    frames: int
-    training: int
-    validation: int
-    gap: int  # between the two
-    excluded: int  # tagged so
-    unusable: int  # steering out of range, or a broken picture
-    unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
-    not_asked_for: int  # another camera, or not what --where chooses
-    not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> SessionCounts:
-        """Raises TypeError or ValueError if it is none."""
-        if not all(isinstance(value, int) for value in stored.values()):
-            raise ValueError("a count is no number")
-        return cls(**stored)
 
 
 @dataclass(frozen=True)
@@ -113,10 +71,10 @@ def write_samples(
         )
     label = np.concatenate([session.label for session in sessions])
     is_training = np.concatenate([session.is_training for session in sessions])
-    chosen, balanced = _choose(label, is_training, config)
+    chosen, balanced = choose_samples(label, is_training, config)
     del label, is_training
     metadata = {
-        "format": FORMAT,
+        "format": SAMPLES_FORMAT,
         "settings": config.as_dict(),
         "logs": {name: dict(source) for name, source in logs.items()},
         "balance": balanced.as_dict(),
@@ -128,7 +86,7 @@ def write_samples(
     with (
         atomic_file(path, overwrite=True) as part,
         pq.ParquetWriter(
-            part, SCHEMA.with_metadata(stored), compression="zstd", write_page_checksum=True
+            part, SAMPLES_SCHEMA.with_metadata(stored), compression="zstd", write_page_checksum=True
         ) as writer,
     ):
         for file, session, first_frame, start, end in zip(
@@ -140,20 +98,6 @@ def write_samples(
                 taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
                 writer.write_table(_table(taken, session.label[frame], session.recorded[frame], part_of, config))
     return balanced, counts
-
-
-def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
-    """Which frames somebody has tagged `exclude`."""
-    return lists_with(frames["tags"], EXCLUDE)
-
-
-def lists_with(lists: pa.ChunkedArray, name: str) -> NDArray[np.bool_]:
-    """Which lists of strings hold `name`."""
-    combined = lists.combine_chunks()
-    mask = np.zeros(len(combined), np.bool_)
-    at = pc.list_parent_indices(combined).filter(pc.equal(pc.list_flatten(combined), name))
-    mask[at.to_numpy()] = True
-    return mask
 
 
 def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) -> tuple[_Session, SessionCounts]:
@@ -193,7 +137,7 @@ def _usable(frames: pa.Table, config: IndexConfig, condition: Condition | None) 
 def _of_camera(
     steering: NDArray[np.float64], camera: NDArray[np.int8], config: IndexConfig
 ) -> NDArray[np.float64]:
-    """What the pictures of each camera call for: -1..1, never -0.0."""
+    """The steering that the pictures of each camera call for: -1..1, never -0.0."""
     signs = np.array([CORRECTION_SIGNS.get(name, 0.0) for name in CAMERAS])
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
@@ -205,79 +149,11 @@ def _codes(column: pa.ChunkedArray, names: tuple[str, ...]) -> NDArray[np.int8]:
     return codes
 
 
-@dataclass(frozen=True)
-class _Chosen:
-    """Samples in the order of the file; arrays of one length."""
-
-    frame: NDArray[np.int64]  # among the usable frames of all sessions
-    flip: NDArray[np.bool_]
-    is_copy: NDArray[np.bool_]
-    alteration: NDArray[np.int8]  # a bit for each of the config's
-    seed: NDArray[np.int64]
-
-    def between(self, start: int, end: int) -> _Chosen:
-        return _Chosen(
-            self.frame[start:end],
-            self.flip[start:end],
-            self.is_copy[start:end],
-            self.alteration[start:end],
-            self.seed[start:end],
-        )
-
-
-def _choose(
-    label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
-) -> tuple[_Chosen, Balance]:
-    """Which frames become samples, how often, and what the copies get.
-
-    A candidate is a frame, or its mirror image: number frame + flip * frames.
-    """
-    frames = len(label)
-    straight = bin_of(label, config.bins).astype(np.int16)
-    bins = np.concatenate([straight, config.bins - 1 - straight]) if config.flip else straight
-    if config.flip:
-        is_training = np.concatenate([is_training, is_training])
-        middle = np.concatenate([label == 0, label == 0])
-        bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
-    random = np.random.default_rng(config.seed)
-    training = np.flatnonzero(is_training)
-    if config.balance:
-        balanced = balance(bins[training], config.bins, config.max_uses, random, config.per_bin)
-    else:
-        balanced = unbalanced(len(training))
-    before = np.bincount(bins[training], minlength=config.bins)
-    candidate = training[balanced.chosen]
-    after = np.bincount(bins[candidate], minlength=config.bins)
-    validation = np.flatnonzero(~is_training)
-    candidate = np.concatenate([candidate, validation])
-    is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
-    # by frame, then original before mirror image, then copies
-    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy
-    order = np.argsort(key, kind="stable")
-    key = key[order]
-    alteration, seed = _alterations(is_copy[order], config, random)
-    chosen = _Chosen(key >> 2, (key & 2) > 0, (key & 1) > 0, alteration, seed)
-    return chosen, Balance(before, after, balanced.per_bin, balanced.short)
-
-
-def _alterations(
-    is_copy: NDArray[np.bool_], config: IndexConfig, random: np.random.Generator
-) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-    """For each sample the bits of its alterations, and their seed; an original has none."""
-    copies = np.flatnonzero(is_copy)
-    alteration = np.zeros(len(is_copy), np.int8)
-    for bit in range(len(config.alterations)):
-        alteration[copies[random.random(len(copies)) < 0.5]] |= 1 << bit
-    seed = np.zeros(len(is_copy), np.int64)
-    seed[copies] = random.integers(0, 2**32, len(copies))
-    return alteration, seed
-
-
 def _table(
     frames: pa.Table,
     label: NDArray[np.float64],
     recorded: NDArray[np.float64],
-    chosen: _Chosen,
+    chosen: ChosenSamples,
     config: IndexConfig,
 ) -> pa.Table:
     """The samples of one session: `frames`, `label` and `recorded` are those of each sample."""
@@ -296,4 +172,4 @@ def _table(
         "bin": bin_of(label, config.bins),
         "copy": chosen.is_copy,
     }
-    return pa.table({field.name: columns[field.name] for field in SCHEMA}).cast(SCHEMA)
+    return pa.table({field.name: columns[field.name] for field in SAMPLES_SCHEMA}).cast(SAMPLES_SCHEMA)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -17,23 +16,28 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from common.open_file_limit import allow_open_files
-from dataset.augment import ALTERATIONS
 from dataset.errors import DatasetError
-from dataset.index.samples_format import FORMAT, METADATA_KEY, SAMPLES_NAME, SCHEMA
+from dataset.parquet_file import METADATA_KEY
+from dataset.samples.sample_rows import Rows, numbers, rows_of, words_as_numbers
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
 from recorder import Log, LogError
 
 Split = Literal["train", "validation"]
 
+
 LOADED: Final = ("session", "offset", "length", "chunk", "flip", "alteration", "seed", "label", "split")
 """The columns that a loader needs."""
+
 
 FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
 """The columns that training and validation depend on."""
 
+
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
+
+
 _UNREADABLE: Final = (
     OSError,
     ValueError,
@@ -44,26 +48,6 @@ _UNREADABLE: Final = (
     RecursionError,
     pa.ArrowException,
 )
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Samples, and the pictures that they show. Mirror images and copies show the same picture."""
-
-    picture: NDArray[np.int32]  # of each sample: which of the pictures
-    flip: NDArray[np.bool_]
-    alteration: NDArray[np.uint8]  # which of `alterations`
-    seed: NDArray[np.int64]  # of the alteration
-    label: NDArray[np.float32]  # steering, -1..1
-    session: NDArray[np.int32]  # of each picture: which of `sessions`
-    offset: NDArray[np.int64]  # of each picture: for Log.read, as the next two
-    length: NDArray[np.int32]
-    chunk: NDArray[np.int64]
-    alterations: tuple[str, ...]  # "" or names joined by "+"
-    sessions: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.label)
 
 
 class Samples:
@@ -86,8 +70,8 @@ class Samples:
             raise DatasetError(f"{self.path}: no index; build it with `bc-index`") from None
         except _UNREADABLE as error:
             raise self._damaged(error) from None
-        if version != FORMAT:
-            raise DatasetError(f"{self.path}: of format {version}, not {FORMAT}; run `bc-index` again")
+        if version != SAMPLES_FORMAT:
+            raise DatasetError(f"{self.path}: of format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
         self.logs = open_logs(index, self.sources)
 
     def close(self) -> None:
@@ -104,7 +88,7 @@ class Samples:
         return self._table(columns, split=_known(split))
 
     def driving_view(self, split: Split) -> pa.Table:
-        """What the car itself sees: the centre camera, unmirrored and unaltered, each picture once.
+        """Samples as the car itself sees them: the centre camera, unmirrored and unaltered, each picture once.
 
         Without pictures of the centre camera, those of the others. `label` is as recorded, whatever was learnt:
         a network is always measured against what was driven.
@@ -128,17 +112,17 @@ class Samples:
             for part in self._groups(FINGERPRINTED):
                 for name, digest in digests.items():
                     digest.update(
-                        _hashable(part[name], SCHEMA.field(name).type, logs if name == "session" else {})
+                        _hashable(part[name], SAMPLES_SCHEMA.field(name).type, logs if name == "session" else {})
                     )
         except _UNREADABLE as error:
             raise self._damaged(error) from None
-        told = [sorted(logs.values()), {name: digest.hexdigest() for name, digest in digests.items()}]
-        return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+        content = [sorted(logs.values()), {name: digest.hexdigest() for name, digest in digests.items()}]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     def rows(self, table: pa.Table) -> Rows:
         """Samples of this index as arrays. Raises DatasetError for what no index holds."""
         try:
-            return _rows(table, self.sources)
+            return rows_of(table, self.sources)
         except _UNREADABLE as error:
             raise self._damaged(error) from None
 
@@ -204,88 +188,11 @@ def _known(split: Split) -> str:
     return split
 
 
-def _rows(table: pa.Table, sources: Mapping[str, object]) -> Rows:
-    """Raises ValueError, TypeError or KeyError for values that do not make sense."""
-    session, sessions = _codes(table["session"])
-    alteration, alterations = _codes(table["alteration"])
-    if unknown := set(sessions) - sources.keys():
-        raise ValueError(f"its session {min(unknown)!r} has no log")
-    known = {"", *ALTERATIONS}
-    if len(alterations) > 255 or any(not known.issuperset(names.split("+")) for names in alterations):
-        raise ValueError("an unknown alteration")
-    offset, length, chunk = (_numbers(table[name], np.int64) for name in ("offset", "length", "chunk"))
-    seed, label = _numbers(table["seed"], np.int64), _numbers(table["label"], np.float64)
-    if len(table) and (min(length.min(), seed.min()) < 0 or length.max() > 2**31 - 1):
-        raise ValueError("a length or a seed out of range")
-    if not (np.abs(label) <= 1).all():
-        raise ValueError("a label that is not in -1..1")
-    picture, first = _distinct(length, offset, chunk, session)
-    return Rows(
-        picture,
-        _numbers(table["flip"], np.bool_),
-        alteration.astype(np.uint8),
-        seed,
-        label.astype(np.float32),
-        session[first],
-        offset[first],
-        length[first].astype(np.int32),
-        chunk[first],
-        alterations,
-        sessions,
-    )
-
-
 def _hashable(column: pa.ChunkedArray, kind: pa.DataType, stands_for: Mapping[str, str]) -> bytes:
     """The values of a column as bytes, the same however the file stores them; those of a word are the hash of
     itself, or of what it stands for."""
     if kind != pa.string():
-        return _numbers(column, kind.to_pandas_dtype()).tobytes()
-    number, words = _codes(column)
+        return numbers(column, kind.to_pandas_dtype()).tobytes()
+    number, words = words_as_numbers(column)
     hashes = [hashlib.sha256(stands_for.get(word, word).encode()).digest()[:8] for word in words]
     return np.array(hashes, "V8")[number].tobytes()
-
-
-def _distinct(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Number the different rows of some columns, sorted by the last: (each row's number, where a number is met).
-
-    The samples of one picture mostly follow one another, so that only few of the rows have to be sorted.
-    """
-    count = len(columns[0])
-    if not count:
-        return np.zeros(0, np.int32), np.zeros(0, np.int64)
-    head = _changes(columns)
-    heads = np.flatnonzero(head)
-    order = np.lexsort([column[heads] for column in columns])
-    ranked = heads[order]
-    is_new = _changes([column[ranked] for column in columns])
-    number = np.empty(len(heads), np.int32)
-    number[order] = np.cumsum(is_new, dtype=np.int32) - 1
-    return np.repeat(number, np.diff(np.append(heads, count))), ranked[is_new]
-
-
-def _changes(columns: Any) -> NDArray[np.bool_]:
-    """Where a row differs from the one before it; the first does."""
-    change = np.ones(len(columns[0]), np.bool_)
-    change[1:] = False
-    for column in columns:
-        change[1:] |= column[1:] != column[:-1]
-    return change
-
-
-def _codes(column: pa.ChunkedArray) -> tuple[NDArray[np.int32], tuple[str, ...]]:
-    """A column of words as numbers, and the words that they stand for."""
-    if not pa.types.is_dictionary(column.type):
-        column = column.dictionary_encode()
-    column = column.unify_dictionaries()
-    words = column.chunk(0).dictionary.to_pylist() if column.num_chunks else []
-    if not all(isinstance(word, str) for word in words):
-        raise TypeError("a column of words has other values")
-    parts = [_numbers(chunk.indices, np.int32) for chunk in column.chunks]
-    return np.concatenate([*parts, np.zeros(0, np.int32)]), tuple(words)
-
-
-def _numbers(column: pa.Array | pa.ChunkedArray, kind: Any) -> NDArray[Any]:
-    if column.null_count:
-        raise ValueError("a value is missing")
-    values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
-    return values.astype(kind, casting="same_kind", copy=False)

@@ -1,4 +1,4 @@
-"""Which frames of a log were for training: a network must not be measured by what it has learnt."""
+"""The frames of a log that were for training: a network must not be measured by what it has learnt."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from dataset.config import IndexConfig
-from dataset.index.frames import driven_states, frames_of
-from dataset.index.pairing import moments
+from dataset.frames.frames_table import driven_states, frames_of
+from dataset.frames.pairing import moments
 from recorder import Log
 from recorder.log.topics import camera_topic
 
 
 def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfig) -> NDArray[np.bool_]:
-    """Which `frames` of a log (N,) are on the training side of an index that was made with `config`, and in which
-    the log was called `session`. `frames` needs the columns row and log_time_ns.
+    """A mask of the `frames` of a log (N,) that are on the training side of an index which was made with `config`
+    and called the log `session`. `frames` needs the columns row and log_time_ns.
 
     The split is computed anew from the log. It depends on neither tags nor cameras nor --where: frames that these
     kept from training count as for it.

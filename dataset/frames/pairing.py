@@ -1,4 +1,4 @@
-"""Which messages of a log belong to which of its vehicle states."""
+"""Pairing of a log's messages with its vehicle states."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from dataset.index.drivers import Commands
+from dataset.frames.distinct_rows import number_distinct
+from dataset.frames.drivers import Commands
 from recorder import Pictures
 from recorder.log.row_quality import States
 
@@ -26,15 +27,10 @@ def paired_rows(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs messages with vehicle states by row number and log time: (positions of states, of messages)."""
     count = len(states.row)
-    row = np.concatenate([states.row, messages.sequence])
-    time_ns = np.concatenate([states.time_ns, messages.log_time_ns])
-    order = np.lexsort((time_ns, row))  # stable: of what is alike, states come before messages
-    is_new = np.ones(len(order), np.bool_)
-    is_new[1:] = (np.diff(row[order]) != 0) | (np.diff(time_ns[order]) != 0)
-    first = order[np.maximum.accumulate(np.where(is_new, np.arange(len(order)), 0))]
-    state = np.empty(len(order), np.int64)
-    state[order] = first  # the first of those alike; a message's is a state, if there is one
-    state = state[count:]
+    number, first = number_distinct(
+        np.concatenate([states.time_ns, messages.log_time_ns]), np.concatenate([states.row, messages.sequence])
+    )
+    state = first[number[count:]]  # the first of those alike: a state, if there is one
     found = np.flatnonzero(state < count)
     return state[found], found
 

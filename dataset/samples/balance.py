@@ -1,4 +1,4 @@
-"""Steering bins, and how many samples each may have.
+"""Balancing: how many samples each steering bin may have.
 
 Most driving is straight on: without balancing, a network that always predicts 0 is nearly right.
 """
@@ -14,18 +14,9 @@ from numpy.typing import NDArray
 PerBin = Literal["mean", "median"] | int
 
 
-def bin_of(steering: NDArray[np.float64], bins: int) -> NDArray[np.int64]:
-    """Which of `bins` equal bins over -1..1 each steering falls into: 0 (left) .. bins - 1 (right).
-
-    An edge belongs to the bin farther from zero, on both sides: a mirrored distribution has mirrored counts.
-    """
-    outward = np.minimum(np.floor((np.abs(steering) + 1.0) * (bins / 2.0)).astype(np.int64), bins - 1)
-    return np.where(steering >= 0, outward, bins - 1 - outward)
-
-
 @dataclass(frozen=True)
 class Balanced:
-    """Which candidates to use. `chosen` are positions in what was balanced; a copy repeats an original."""
+    """The candidates to use. `chosen` are positions in what was balanced; a copy repeats an original."""
 
     chosen: NDArray[np.int64]
     is_copy: NDArray[np.bool_]

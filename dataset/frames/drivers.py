@@ -1,4 +1,4 @@
-"""Who drove, frame by frame: in a drive, the network (the pilot), an expert or a human."""
+"""The driver of each frame: in a drive, the network (the pilot), an expert or a human."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TAKEOVERS: Final = (EXPERT, DRIVERS.index("human"))
 
 @dataclass(frozen=True)
 class Commands:
-    """What was commanded in a drive; arrays of one length, in the order of writing, empty for other sessions."""
+    """The commands of a drive; arrays of one length, in the order of writing, empty for other sessions."""
 
     sequence: NDArray[np.int64]
     log_time_ns: NDArray[np.int64]
@@ -43,8 +43,7 @@ def read_commands(log: Log) -> Commands:
 
 
 def is_taken(driver: NDArray[np.int8], drives: Drives) -> NDArray[np.bool_]:
-    """Which rows of a session (N,) are to be used, by who drove (positions in `DRIVERS`); all of a session that
-    does not say."""
+    """A mask (N,) of the rows to use, by their drivers (positions in `DRIVERS`); all, if no driver is known."""
     if drives == "all" or not driver.any():
         return np.ones(len(driver), np.bool_)
     return np.isin(driver, _TAKEOVERS)

@@ -1,0 +1,102 @@
+"""`index/frames/SESSION.parquet`: one row a camera picture, with where in the log its bytes lie."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from common.files import final_path
+from dataset.config import IndexConfig
+from dataset.errors import DatasetError
+from dataset.frames.image_check_cache import read_image_check
+from dataset.frames.topic_columns import TOPIC_COLUMNS
+from recorder import Log
+from recorder.log.tags import Tag
+from recorder.log.topics import VEHICLE_COLUMNS
+
+FRAMES_FORMAT: Final = 6
+
+
+FRAMES_SCHEMA: Final = pa.schema(
+    [
+        pa.field("session", pa.string()),
+        pa.field("row", pa.int64()),  # the frame's number in its log
+        pa.field("camera", pa.string()),
+        pa.field("log_time_ns", pa.int64()),
+        # of the JPEG, in bytes from the start of the log (or of its chunk, unpacked)
+        pa.field("offset", pa.int64()),
+        pa.field("length", pa.int64()),  # of the JPEG, in bytes
+        pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
+        # steering: where an expert drove, what he commanded
+        *(pa.field(name, pa.float64()) for name in (*VEHICLE_COLUMNS, *TOPIC_COLUMNS)),
+        pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" where nobody says
+        pa.field("drive", pa.int64()),
+        pa.field("block", pa.int64()),
+        pa.field("split", pa.string()),  # "train", "validation", or "gap": left out between the two
+        pa.field("bin", pa.int64()),  # of the recorded steering; -1 where that is not in -1..1
+        pa.field("flags", pa.list_(pa.string())),
+        pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
+    ]
+)
+
+
+class FramesError(DatasetError):
+    """A frames file that is missing or damaged."""
+
+
+REPEATING: Final = ("session", "camera", "driver", "split")
+"""Columns of few values, which are read as dictionaries: a fraction of the memory."""
+
+
+def session_name(log: Path) -> str:
+    """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part, whose recording was killed."""
+    return final_path(log).name.removesuffix(".mcap")
+
+
+def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:
+    """Everything that a frames file depends on: it is up to date as long as this has not changed."""
+    fingerprint = log.fingerprint
+    return {
+        "format": FRAMES_FORMAT,
+        "log": relative_log_path(log.path, index),
+        "fingerprint": fingerprint,
+        "tags": [[tag.name, tag.first_row, tag.last_row] for tag in tags],
+        "looked": read_image_check(index, session_name(log.path), fingerprint) is not None,
+        "settings": frames_settings(config, session_name(log.path)),
+    }
+
+
+def relative_log_path(log: Path, index: Path) -> str:
+    """The path of a log from the index: both can be moved together."""
+    return Path(os.path.relpath(log.resolve(), index.resolve())).as_posix()
+
+
+def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
+    """The part of the settings that changes the frames of a session."""
+    return {
+        "bins": config.bins,
+        "block_s": config.block_s,
+        "gap_s": config.gap_s,
+        "validation": session in config.validation if config.validation else config.validation_share,
+        "seed": config.seed,
+        "drives": config.drives,
+        **({"columns": list(TOPIC_COLUMNS)} if TOPIC_COLUMNS else {}),
+    }
+
+
+def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """A frames file, or some columns of it. Raises FramesError if it is missing or damaged."""
+    repeating = [name for name in REPEATING if columns is None or name in columns]
+    try:
+        return pq.read_table(
+            path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True
+        )
+    except (OSError, pa.ArrowException) as error:
+        raise FramesError(
+            f"{path}: damaged ({' '.join(str(error).split())}); remove it and give `bc-index`"
+        ) from None

@@ -1,0 +1,32 @@
+"""Parquet files that say what they were made from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from common import atomic_file
+
+METADATA_KEY: Final = b"bc.index"
+"""Under it, each parquet file of an index says what it was made from."""
+
+
+def read_metadata(path: Path) -> dict[str, Any] | None:
+    """The metadata that one of our parquet files carries; None if it is missing, damaged or not ours."""
+    try:
+        stored = pq.read_schema(path).metadata or {}
+        loaded = json.loads(stored[METADATA_KEY])
+    except (OSError, ValueError, KeyError, pa.ArrowException, RecursionError):
+        return None
+    return loaded if isinstance(loaded, dict) else None
+
+
+def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:
+    """Write a parquet file whole, or leave the old one. Same table and metadata: same bytes."""
+    stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
+    with atomic_file(path, overwrite=True) as part:
+        pq.write_table(table.replace_schema_metadata(stored), part, compression="zstd", write_page_checksum=True)

@@ -1,0 +1,81 @@
+"""The choice of samples: frames and their mirror images, balanced, and what their copies get."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.config import IndexConfig
+from dataset.samples.balance import balance, unbalanced
+from dataset.samples.samples_format import Balance
+from dataset.steering_bins import bin_of
+
+
+@dataclass(frozen=True)
+class ChosenSamples:
+    """Samples in the order of the file; arrays of one length."""
+
+    frame: NDArray[np.int64]  # among the usable frames of all sessions
+    flip: NDArray[np.bool_]
+    is_copy: NDArray[np.bool_]
+    alteration: NDArray[np.int8]  # a bit for each of the config's
+    seed: NDArray[np.int64]
+
+    def between(self, start: int, end: int) -> ChosenSamples:
+        return ChosenSamples(
+            self.frame[start:end],
+            self.flip[start:end],
+            self.is_copy[start:end],
+            self.alteration[start:end],
+            self.seed[start:end],
+        )
+
+
+def choose_samples(
+    label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
+) -> tuple[ChosenSamples, Balance]:
+    """Choose the frames that become samples, how often, and what the copies get.
+
+    A candidate is a frame, or its mirror image: number frame + flip * frames.
+    """
+    frames = len(label)
+    straight = bin_of(label, config.bins).astype(np.int16)
+    bins = np.concatenate([straight, config.bins - 1 - straight]) if config.flip else straight
+    if config.flip:
+        is_training = np.concatenate([is_training, is_training])
+        middle = np.concatenate([label == 0, label == 0])
+        bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
+    random = np.random.default_rng(config.seed)
+    training = np.flatnonzero(is_training)
+    if config.balance:
+        balanced = balance(bins[training], config.bins, config.max_uses, random, config.per_bin)
+    else:
+        balanced = unbalanced(len(training))
+    before = np.bincount(bins[training], minlength=config.bins)
+    candidate = training[balanced.chosen]
+    after = np.bincount(bins[candidate], minlength=config.bins)
+    validation = np.flatnonzero(~is_training)
+    candidate = np.concatenate([candidate, validation])
+    is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
+    # by frame, then original before mirror image, then copies
+    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    alteration, seed = _alterations(is_copy[order], config, random)
+    chosen = ChosenSamples(key >> 2, (key & 2) > 0, (key & 1) > 0, alteration, seed)
+    return chosen, Balance(before, after, balanced.per_bin, balanced.short)
+
+
+def _alterations(
+    is_copy: NDArray[np.bool_], config: IndexConfig, random: np.random.Generator
+) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+    """For each sample the bits of its alterations, and their seed; an original has none."""
+    copies = np.flatnonzero(is_copy)
+    alteration = np.zeros(len(is_copy), np.int8)
+    for bit in range(len(config.alterations)):
+        alteration[copies[random.random(len(copies)) < 0.5]] |= 1 << bit
+    seed = np.zeros(len(is_copy), np.int64)
+    seed[copies] = random.integers(0, 2**32, len(copies))
+    return alteration, seed

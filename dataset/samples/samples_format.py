@@ -1,0 +1,74 @@
+"""`index/samples.parquet`: its name, version, columns and metadata, on which its writer and its readers agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+SAMPLES_NAME: Final = "samples.parquet"
+
+
+SAMPLES_FORMAT: Final = 4
+
+
+SAMPLES_SCHEMA: Final = pa.schema(
+    [
+        pa.field("session", pa.string()),
+        pa.field("row", pa.int64()),
+        pa.field("camera", pa.string()),
+        pa.field("log_time_ns", pa.int64()),
+        pa.field("offset", pa.int64()),
+        pa.field("length", pa.int64()),
+        pa.field("chunk", pa.int64()),
+        pa.field("flip", pa.bool_()),
+        pa.field("alteration", pa.string()),  # "", or names joined by "+"
+        pa.field("seed", pa.int64()),  # of the alteration
+        pa.field("label", pa.float64()),  # steering to be learnt, of this camera and this side: -1..1
+        pa.field("recorded", pa.float64()),  # the same as it was driven
+        pa.field("bin", pa.int64()),
+        pa.field("split", pa.string()),
+        pa.field("copy", pa.bool_()),  # added to fill up its bin
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Samples per steering bin of the training split, before and after balancing."""
+
+    before: NDArray[np.int64]
+    after: NDArray[np.int64]
+    per_bin: int  # what the bins were brought to; 0 where nothing was balanced
+    short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
+
+    def as_dict(self) -> dict[str, Any]:
+        return {**asdict(self), "before": self.before.tolist(), "after": self.after.tolist()}
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
+        """Raises KeyError, TypeError or ValueError if it is none."""
+        before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
+        if before.ndim != 1 or before.shape != after.shape or not len(before):
+            raise ValueError("not two counts of the same bins")
+        short = {int(key): int(value) for key, value in stored["short"].items()}
+        return cls(before, after, int(stored["per_bin"]), short)
+
+
+@dataclass(frozen=True)
+class SessionCounts:
+    """Frames of a session, by what becomes of them."""
+
+    frames: int
+    training: int
+    validation: int
+    gap: int  # between the two
+    excluded: int  # tagged so
+    unusable: int  # steering out of range, or a broken picture
+    unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
+    not_asked_for: int  # another camera, or not what --where chooses
+    not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers

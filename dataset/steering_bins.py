@@ -1,0 +1,15 @@
+"""Steering bins: equal parts of -1..1."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def bin_of(steering: NDArray[np.float64], bins: int) -> NDArray[np.int64]:
+    """The one of `bins` equal bins over -1..1 that each steering falls into: 0 (left) .. bins - 1 (right).
+
+    An edge belongs to the bin farther from zero, on both sides: a mirrored distribution has mirrored counts.
+    """
+    outward = np.minimum(np.floor((np.abs(steering) + 1.0) * (bins / 2.0)).astype(np.int64), bins - 1)
+    return np.where(steering >= 0, outward, bins - 1 - outward)

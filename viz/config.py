@@ -1,0 +1,157 @@
+"""The flags of `bc-play`, and which of them go together."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from common import UserError
+from common.command import check_port, flags_given
+from common.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Play:
+    """Open logs in the Rerun viewer: cameras, the network's crop, steering, speed. Several are compared.
+
+    Of a run's folder, it shows how training went: losses, errors beside those of constant predictors, and by bin.
+    Without a display, the viewer is served to browsers on this machine.
+    """
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    """The log to open, finished or not, or several to compare, or the folder of a run (runs/NAME)."""
+    at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
+        None
+    )
+    """Open it so many seconds after its start."""
+    by: Literal["time", "place"] = "time"
+    """Compare logs by time since each one's start, or by place along the way of the first one (needs poses)."""
+    follow: bool = False
+    """Show a log that is being written, or a run that is being trained, as it grows."""
+    save: Path | None = None
+    """Write an .rrd file for the Rerun viewer, and open nothing."""
+    connect: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
+    """Show it in a viewer that runs: at HOST:PORT or PORT; without an address, on Rerun's own port here."""
+    web: bool = False
+    """Serve the viewer to browsers on this machine, also where there is a display."""
+    web_port: int = 9090
+    """Port of the page."""
+    port: int = 9876
+    """Port from which the page gets its data."""
+    video: Path | None = None
+    """Write the centre camera's pictures as a video, an .mp4, and open nothing."""
+    speed: float = 1.0
+    """How many times as fast as it was driven the video plays."""
+    overlay: bool = False
+    """Put a steering wheel, speed, pedals, clock and who drives below the video's pictures."""
+    run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
+    """Show what the network of this run would have steered, by name or folder; give it again for another run."""
+    attention: bool = False
+    """Show where these networks look, over what they see (VisualBackProp)."""
+    write: Path | None = None
+    """Keep what these networks say as a new log, and open nothing."""
+    runs: Path = Path("runs")
+    """Where runs are kept, for --run."""
+    force: bool = False
+    """Replace the file given to --save, --video or --write."""
+
+    @property
+    def log(self) -> Path:
+        """The only log, or the first of several."""
+        return self.logs[0]
+
+    @property
+    def is_run(self) -> bool:
+        """True for a run's folder, existing or to come: --follow waits for a run, but not for a log."""
+        if self.log.is_dir():
+            return True
+        is_awaited = self.follow and self.save is None and not os.path.lexists(self.log)
+        return is_awaited and ".mcap" not in self.log.suffixes
+
+
+def check_files(config: Play) -> None:
+    """Raise UserError or UsageError for files that may not be written, and for logs taken for addresses."""
+    _refuse_overwriting_logs(config)
+    _refuse_other_suffixes(config)
+    _refuse_logs_as_addresses(config)
+
+
+def check_video_flags(config: Play) -> None:
+    """Raise UsageError for flags that do not go together with --video."""
+    if len(config.logs) != 1:
+        raise UsageError("--video is made of one log: give one")
+    unfit = flags_given(config, "save", "follow", "web", "connect", "run", "attention", "write", "by", "at")
+    if unfit:
+        raise UsageError(f"--video writes a file and opens nothing: give it without {unfit}")
+
+
+def check_viewer_flags(config: Play) -> None:
+    """Raise UsageError for flags that do not go together where logs or a run are shown, or written by --save."""
+    if not config.run and (flags := flags_given(config, "attention", "write")):
+        raise UsageError(f"{flags}: only of networks: give --run NAME as well")
+    if flags := flags_given(config, "speed", "overlay"):
+        raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
+    if not config.logs:
+        raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
+    if len(config.logs) > 1 and (flags := flags_given(config, "follow", "run")):
+        raise UsageError(f"{flags}: only with one log; several are compared as they are")
+    if len(config.logs) == 1 and config.by != "time":
+        raise UsageError("--by place compares several logs: give more than one")
+    if config.connect is not None and (config.web or config.save is not None):
+        raise UsageError("--connect shows it in a viewer that runs: give it without --web, --save")
+    if config.at is not None:
+        _check_moment(config)
+    if config.save is not None and config.web:
+        raise UsageError("--save writes a file and opens nothing: give it without --web")
+    check_port("--port", config.port)
+    check_port("--web-port", config.web_port)
+
+
+def _check_moment(config: Play) -> None:
+    """Raise UsageError for an impossible --at."""
+    if not 0 <= (config.at or 0) < math.inf:
+        raise UsageError(f"--at {config.at}: seconds since the log's start, from 0 on")
+    if config.follow or config.by != "time":
+        raise UsageError("--at is a moment of logs that are shown by time: give it without --follow, --by place")
+    if config.is_run:
+        raise UserError(f"--at is a moment of a log, and {config.log} is a folder: give a log, or leave it out")
+
+
+def _refuse_overwriting_logs(config: Play) -> None:
+    """Raise UserError for a file that would be written over a log that is read, or over another one."""
+    flags = (("--save", config.save), ("--video", config.video), ("--write", config.write))
+    written = [(flag, path) for flag, path in flags if path is not None]
+    for at, (flag, path) in enumerate(written):
+        if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
+            raise UserError(f"{flag} {path}: the log itself, which stays as it is; give another name")
+        if any(path.resolve() == other.resolve() for _, other in written[:at]):
+            raise UsageError(f"{flag} {path}: two files of one name; give another one")
+
+
+def _refuse_other_suffixes(config: Play) -> None:
+    """Raise UsageError for a file whose name has not the suffix of its format."""
+    for flag, path, suffix in (
+        ("--save", config.save, ".rrd"),
+        ("--video", config.video, ".mp4"),
+        ("--write", config.write, ".mcap"),
+    ):
+        if path is not None and path.suffix.lower() != suffix:
+            raise UsageError(f"{flag} {path}: it writes an {suffix} file; give it such a name")
+
+
+def _refuse_logs_as_addresses(config: Play) -> None:
+    """Raise UsageError for logs behind --connect, which takes them for addresses."""
+    given = config.connect or ()
+    swallowed = [name for name in given if os.path.lexists(name)]
+    if len(given) < 2 and (config.logs or not swallowed):
+        return
+    logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *swallowed)) or "LOG"
+    addresses = [name for name in given if name not in swallowed]
+    line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
+    raise UsageError(f"--connect takes one address, and stands behind the logs: {line}")

@@ -1,0 +1,107 @@
+"""Sending to a Rerun viewer from a thread, so that a viewer that freezes or dies cannot block the process."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import Final
+
+import rerun as rr
+
+from common import UserError
+from common.command import DONE, INTERRUPTED
+from common.interrupts import stop_signals
+from common.output import clear_live_displays
+from common.streams import end_process
+from viz.console import print_notice
+from viz.rrd_file import APPLICATION
+from viz.viewer_process import Viewer, end_viewer, wait_until_closed, wait_until_it_listens
+
+POLL_S: Final = 0.1
+LAST_DATA_S: Final = 1.5  # for a viewer that ran before to take what is on its way
+
+_GRACE_S: Final = 0.5
+_FLUSH_S: Final = 0.5  # how long a viewer may take until it is checked whether anybody still waits for it
+
+
+class ViewerFeed(threading.Thread):
+    """A thread that sends content to a viewer: sending to a frozen viewer blocks."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__(name="feed", daemon=True)
+        self.url = url
+        self.stop = threading.Event()
+        self.has_unsent = False
+        """True while data is on its way that the viewer has not taken."""
+        self.code = DONE
+
+    def _connected(self, name: str) -> rr.RecordingStream:
+        """A new recording of this name in the viewer."""
+        recording = rr.RecordingStream(APPLICATION)
+        recording.connect_grpc(self.url)
+        recording.send_recording_name(name)
+        return recording
+
+    def _flush(self, recording: rr.RecordingStream) -> None:
+        """Wait until the viewer has taken what was sent. Raises ViewerGoneError if it is closed, or will be."""
+        while not self.stop.is_set():
+            try:
+                recording.flush(timeout_sec=_FLUSH_S)
+            except RuntimeError as error:
+                self.has_unsent = "timed out" in str(error)
+                if not self.has_unsent:
+                    raise ViewerGoneError from None
+            else:
+                self.has_unsent = False
+                return
+        raise ViewerGoneError
+
+    def _disconnect(self, recording: rr.RecordingStream) -> None:
+        with contextlib.suppress(RuntimeError):  # the viewer may be gone before its data is
+            recording.disconnect()
+
+    def _raise_if_not_closed(self) -> None:
+        """Raise UserError unless the viewer, which takes nothing any more, is about to be closed."""
+        if not self.stop.wait(_GRACE_S):
+            raise UserError("the viewer has lost its connection and shows nothing new; open it again")
+
+
+class ViewerGoneError(Exception):
+    """The viewer is closed, or about to be closed."""
+
+
+def feed_viewer(feed: ViewerFeed, viewer: Viewer | None) -> int:
+    """Run `feed` until its viewer is closed, or a viewer that ran before (`viewer` is None) has all; return the
+    exit code. Raises UserError if the viewer does not start, or dies."""
+    if viewer is None:
+        return _feed_running_viewer(feed)
+    wait_until_it_listens(viewer, feed.url)
+    feed.start()
+    try:
+        wait_until_closed(viewer)
+    finally:
+        feed.stop.set()
+        feed.join(_GRACE_S)
+        # A frozen viewer holds it up until that is killed. Python must not end before the thread has: one that
+        # comes back from Rerun into an interpreter that is ending aborts the process.
+        end_viewer(viewer)
+        feed.join()
+    return feed.code
+
+
+def _feed_running_viewer(feed: ViewerFeed) -> int:
+    """Run `feed` for a viewer that ran before."""
+    with stop_signals() as stopped:  # raised within join(), Ctrl-C makes Python 3.11 take the thread for ended
+        feed.start()
+        while feed.is_alive() and not stopped.is_set():
+            feed.join(POLL_S)  # without a time, no Ctrl-C would be heard
+        if not stopped.is_set():
+            return feed.code
+        feed.stop.set()
+        feed.join(LAST_DATA_S)
+    # Held up by Rerun for a viewer that is frozen, now or when Python ends: nothing else ends it.
+    if feed.is_alive() or feed.has_unsent:
+        clear_live_displays()
+        print_notice("stopped; the viewer has not taken all that was sent to it")
+        end_process(INTERRUPTED)
+    raise KeyboardInterrupt
