@@ -44,10 +44,7 @@ class Batches(Protocol):
 
 
 def make_batches(
-    loader: Loader,
-    device: torch.device,
-    budget_bytes: int | None = None,
-    advance: Advance = lambda pictures: None,
+    loader: Loader, device: torch.device, budget_bytes: int | None = None, advance: Advance = lambda pictures: None
 ) -> Batches:
     """The batches of a loader on a device.
 

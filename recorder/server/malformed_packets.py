@@ -29,10 +29,7 @@ NOTICE_REFUSED: Final = (
     "a client was refused ({}): it needs python-socketio 5, or Socket.IO 3 or newer, at this address"
 )
 
-_RESERVED_EVENTS = (
-    "connect",
-    "disconnect",
-)  # python-socketio raises them itself; a client may not
+_RESERVED_EVENTS = ("connect", "disconnect")  # python-socketio raises them itself; a client may not
 _TELEMETRY = re.compile(r'(?:2|5(?:(\d{1,9})-)?)\d*\[\s*"telemetry"')  # and its attachments
 
 Application = Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]

@@ -29,12 +29,7 @@ from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE, udacity_metadata, vehicle_state
 from recorder.sources.udacity_csv import CSV_CAMERAS, MOST_LINE_BYTES, RowReader
-from recorder.sources.udacity_recording import (
-    CSV_NAME,
-    MOST_PICTURE_BYTES,
-    PictureFiles,
-    check_csv,
-)
+from recorder.sources.udacity_recording import CSV_NAME, MOST_PICTURE_BYTES, PictureFiles, check_csv
 
 POLL_S: Final = 0.25
 _PICTURES_A_ROUND: Final = 500  # so that signals, new rows and the status line are not kept waiting
