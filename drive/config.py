@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drive.control.speed_controller import check_set_speed
 from drive.errors import DriveError
 
 
@@ -20,7 +19,10 @@ class DriveConfig:
     takeover: bool = False  # the simulator's expert drives where the network leaves the lane
 
     def __post_init__(self) -> None:
-        check_set_speed(self.set_speed_mph)
+        if not 0 < self.set_speed_mph <= 100:
+            raise DriveError(
+                f"--speed {self.set_speed_mph:g}: give a speed above 0 mph and up to 100 (the car reaches 30)"
+            )
         if not 0 <= self.smooth_s < math.inf:
             raise DriveError(f"--smooth {self.smooth_s:g}: give a time constant in seconds; 0 is off")
         if not 0 <= self.max_steering_per_s < math.inf:

@@ -6,19 +6,12 @@ import math
 from typing import Final
 
 from drive.control.braking import WALKING_MPH
-from drive.errors import DriveError
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import MAX_WHEEL_RAD, MPS_PER_MPH, WHEELBASE_M
 
 KP: Final = 0.1  # throttle for each mph too slow
 KI: Final = 0.002  # throttle for each mph too slow, summed over telemetries
 MAX_INTEGRAL_THROTTLE: Final = 0.5  # without a bound, a long climb winds up a throttle that outlasts it
-
-
-def check_set_speed(set_speed_mph: float) -> None:
-    """Raises DriveError for a set speed that the simulator's car cannot hold."""
-    if not 0 < set_speed_mph <= 100:
-        raise DriveError(f"--speed {set_speed_mph:g}: give a speed above 0 mph and up to 100 (the car reaches 30)")
 
 
 class SpeedController:

@@ -158,9 +158,8 @@ class _GrowingRecording:
             self._rate_from = (now_s, self.pictures)
         return (
             f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
-            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s,"
-            f" waiting for {counted(len(self._awaited), 'picture')},"
-            f" {len(self.skipped):,} skipped"
+            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s, waiting for"
+            f" {counted(len(self._awaited), 'picture')}, {len(self.skipped):,} skipped"
         )
 
     def why_nothing(self) -> str:
