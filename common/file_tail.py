@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
+from stat import S_ISREG
 from typing import Final
 
 from common.text_lines import LineSplitter
@@ -66,6 +68,8 @@ class FileTail:
         status = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
         if status == self._status:
             return b""
+        if not S_ISREG(stat.st_mode):  # opened and closed, a pipe would kill its writer
+            raise OSError(errno.EINVAL, "not a regular file", str(self.path))
         with open_regular(self.path) as stream:
             is_same = status[:2] == self._status[:2] and stat.st_size >= self._offset
             stream.seek(max(self._offset - len(self._end), 0))

@@ -10,13 +10,13 @@ from typing import Any
 from common.files import refuse_existing
 from drive.config import DriveConfig
 from drive.errors import DriveError
-from drive.evaluation.simulator_process import BuiltInSimulator, drive_in_lock_step
+from drive.evaluation.simulator_process import BuiltInSimulator, drive_and_log
 from model import Pilot
 
 
 @dataclass(frozen=True)
 class DriveResult:
-    """The result of one drive: the simulator's own report (`simulator.protocol.autonomous_mode.Driven`)."""
+    """The result of one drive, with the simulator's own report (an `AutonomousDrive`)."""
 
     simulator: BuiltInSimulator
     config: DriveConfig
@@ -48,7 +48,7 @@ def evaluate(
     for (simulator, config), path in zip(drives, paths, strict=True):
         laps = f"{simulator.laps:g} lap{'' if simulator.laps == 1 else 's'}"
         notify(f"{pilot.run} on {simulator.track} at {config.set_speed_mph:g} mph, {laps}")
-        report, _ = drive_in_lock_step(pilot, simulator, config, path, overwrite=overwrite)
+        report, _ = drive_and_log(pilot, simulator, config, path, overwrite=overwrite)
         yield DriveResult(simulator, config, path, report)
 
 

@@ -60,8 +60,8 @@ class BuiltInSimulator:
         return self.track
 
     def drive(self, pilot: Pilot, config: DriveConfig, log: Path, mode: ServerMode) -> DriveSummary:
-        """Drive it in lock-step, and log that; the summary of the log."""
-        return drive_in_lock_step(pilot, self, config, log, mode=mode)[1]
+        """Drive it, in lock-step unless it keeps real time, and log that; the summary of the log."""
+        return drive_and_log(pilot, self, config, log, mode=mode)[1]
 
 
 def check_laps(laps: float) -> None:
@@ -70,7 +70,7 @@ def check_laps(laps: float) -> None:
         raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0")
 
 
-def drive_in_lock_step(
+def drive_and_log(
     pilot: Pilot,
     simulator: BuiltInSimulator,
     config: DriveConfig,

@@ -16,8 +16,8 @@ from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
+from recorder.log.pose_message import pose_message
 from recorder.log.writer import EventLevel
-from recorder.server.pose_message import pose_message
 from recorder.server.telemetry import Telemetry
 
 if TYPE_CHECKING:

@@ -122,16 +122,16 @@ class _Search:
             stored_at = CHUNK_HEADER.size + _LENGTH.size + len(name) + _SIZE.size
             if len(head) < stored_at:
                 break
-            _, told_length, _, _, told_size, crc = CHUNK_HEADER.unpack_from(head)
+            _, stated_length, _, _, stated_size, crc = CHUNK_HEADER.unpack_from(head)
             (stored_size,) = _SIZE.unpack_from(head, stored_at - _SIZE.size)
             indexed_end = min(self._indexed_ends.get(start, end), end)
-            lengths = [RECORD.size + told_length, stored_at + stored_size, indexed_end - start]
+            lengths = [RECORD.size + stated_length, stored_at + stored_size, indexed_end - start]
             if not name:
-                lengths.append(stored_at + told_size)
+                lengths.append(stored_at + stated_size)
             for length in dict.fromkeys(lengths):
                 if not stored_at <= length <= min(end - start, MAX_CHUNK_BYTES):
                     continue
-                for size in self._sizes(start, length, stored_at, name, told_size):
+                for size in self._sizes(start, length, stored_at, name, stated_size):
                     self._budget -= length + (size if name else 0)
                     mended = _mended(head, length, name, size, length - stored_at)
                     if head.startswith(mended):

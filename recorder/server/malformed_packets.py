@@ -17,7 +17,7 @@ from recorder.server.connection_guard import Notify, landing_page
 
 BROKEN_PACKET: Final = "broken packet"
 MAX_ATTACHMENTS: Final = 1  # of a packet, which is kept until they have come: a telemetry has one picture
-MAX_NAMESPACE_CHARACTERS: Final = 100  # characters
+MAX_NAMESPACE_CHARACTERS: Final = 100
 NOT_JSON: Final = "not JSON"
 """The data of a telemetry that is not JSON: it is answered like any other."""
 
@@ -25,11 +25,12 @@ NOTICE_BROKEN: Final = (
     "hung up on a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other clients"
     " need python-socketio 5 or its like"
 )
-NOTICE_REFUSED: Final = (
+NOTICE_MALFORMED: Final = (
     "a client was refused ({}): it needs python-socketio 5, or Socket.IO 3 or newer, at this address"
 )
 
-_RESERVED_EVENTS = ("connect", "disconnect")  # python-socketio raises them itself; a client may not
+# python-socketio raises them itself; a client may not
+_RESERVED_EVENTS = ("connect", "disconnect")
 _TELEMETRY = re.compile(r'(?:2|5(?:(\d{1,9})-)?)\d*\[\s*"telemetry"')  # and its attachments
 
 Application = Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]
@@ -133,4 +134,4 @@ class _NoticeHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage().partition(" (further occurrences")[0]
-        self._notify(NOTICE_REFUSED.format("".join(c if c.isprintable() else "?" for c in text[:200])))
+        self._notify(NOTICE_MALFORMED.format("".join(c if c.isprintable() else "?" for c in text[:200])))

@@ -219,8 +219,8 @@ class TelemetryServer:
                 self._notify_once(NOTICE_REFUSED.format(printable(what[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
-        # a websocket is a connection, which the host counts; who polls leaves none
         if not _is_for_websocket(environ) and len(self._engine.sockets) > MAX_CONNECTIONS:
+            # a websocket is a connection, which the host counts; who polls leaves none
             self._notify_once(NOTICE_TOO_MANY)
             return False
         Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._notify_once)

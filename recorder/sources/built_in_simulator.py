@@ -15,8 +15,8 @@ from common.files import refuse_existing
 from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.log.pose_message import pose_message
 from recorder.log.writer import LogWriter
-from recorder.server.pose_message import pose_message
 from recorder.sources.import_result import Imported
 from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import MOST_RECOVERY, drive_for_recording, steps_each

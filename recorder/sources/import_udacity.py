@@ -14,11 +14,12 @@ from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.frame_rate import describe_clock
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.udacity_csv import CSV_CAMERAS, Row
+from recorder.sources.udacity_csv import Row
 from recorder.sources.udacity_recording import MOST_PICTURE_BYTES, UdacityRecording
+from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 NOT_WHOLE = "pictures that are not whole JPEG files"
-UNREADABLE = "pictures that cannot be read"
+UNREADABLE_PICTURES = "pictures that cannot be read"
 
 
 def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, overwrite: bool = False) -> Imported:
@@ -61,7 +62,7 @@ def _jpeg(path: str, skipped: Skipped) -> bytes | None:
     try:
         jpeg = read_bounded(path, MOST_PICTURE_BYTES)
     except OSError:
-        skipped.add(UNREADABLE, name)
+        skipped.add(UNREADABLE_PICTURES, name)
         return None
     if not is_whole_jpeg(jpeg):
         skipped.add(NOT_WHOLE, name)

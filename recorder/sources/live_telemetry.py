@@ -17,8 +17,8 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
+from recorder.log.pose_message import pose_message
 from recorder.log.writer import EventLevel, LogWriter
-from recorder.server.pose_message import pose_message
 from recorder.server.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices

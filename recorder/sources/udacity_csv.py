@@ -21,7 +21,6 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from common import Skipped
-from common.car import Camera
 from recorder.errors import RecordingError
 from recorder.sources.frame_rate import check_rate
 
@@ -48,9 +47,6 @@ _TRAILING_MINUS = re.compile(r"([0-9.]+)-")  # 0.5-: Arabic and Persian, with a 
 _WHOLE = re.compile(r"-?(0|[1-9][0-9]*)")
 _FRACTION = re.compile(r"[0-9]*[1-9]([eE][+-]?[0-9]+)?")  # the simulator prints no trailing zeros
 
-CSV_CAMERAS: Final[tuple[Camera, Camera, Camera]] = ("center", "left", "right")
-"""The cameras of a line's three paths."""
-
 _Values = tuple[float, float, float, float]
 
 
@@ -64,7 +60,7 @@ class Row:
     throttle: float
     brake: float
     speed_mph: float
-    names: tuple[str, str, str]  # of its pictures' files, in the order of CSV_CAMERAS; "" where it names none
+    names: tuple[str, str, str]  # of the pictures' files, in the order of `CSV_CAMERAS`; "" where it names none
 
 
 class RowReader:

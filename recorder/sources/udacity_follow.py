@@ -27,9 +27,10 @@ from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE, udacity_metadata, vehicle_state
-from recorder.sources.udacity_csv import CSV_CAMERAS, MOST_LINE_BYTES, RowReader
+from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, udacity_metadata, vehicle_state
+from recorder.sources.udacity_csv import MOST_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import CSV_NAME, MOST_PICTURE_BYTES, PictureFiles, check_csv
+from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 POLL_S: Final = 0.25
 _PICTURES_A_ROUND: Final = 500  # so that signals, new rows and the status line are not kept waiting
@@ -239,7 +240,7 @@ class _GrowingRecording:
         if path is None:
             self._files.skip_missing(name, places)
         else:
-            self.skipped.add(UNREADABLE if self._read(path) is None else NOT_WHOLE, name)
+            self.skipped.add(UNREADABLE_PICTURES if self._read(path) is None else NOT_WHOLE, name)
 
     def _read(self, path: str) -> bytes | None:
         """The bytes of a picture, or None if it cannot be read now, or has become something else."""

@@ -111,7 +111,7 @@ class PictureFiles:
 
 
 class UdacityRecording:
-    """A recording, read from its first line to its last without ever being held as a whole."""
+    """A recording, read from its first line to its last. Only the names of its pictures are kept, in memory."""
 
     def __init__(self, folder: Path, skipped: Skipped, rate_hz: float | None = None) -> None:
         """Raises RecordingError if there is no csv in `folder`, or for a rate that no camera has."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,3 +74,22 @@ def test_of_a_file_that_begins_again_only_new_lines_are_given(tmp_path: Path, te
     lines = text.splitlines()
     assert tail.new_lines() == [(lines.index(line) + 1, line) for line in lines if line not in (b"a", b"b", b"c")]
     assert tail.rest() == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_is_not_opened_so_that_its_writer_does_not_die_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipe = tmp_path / "driving_log.csv"
+    os.mkfifo(pipe)
+    opened: list[object] = []
+
+    def recording_open(path: Any, *flags: Any) -> int:
+        opened.append(path)
+        return really_open(path, *flags)
+
+    really_open = os.open
+    monkeypatch.setattr(os, "open", recording_open)
+    with pytest.raises(OSError, match="not a regular file"):
+        FileTail(pipe, 1000).new_lines()
+    assert opened == []
