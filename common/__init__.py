@@ -1,7 +1,11 @@
 """The floor under the six rooms of behavioural_cloning_toolkit: errors, commands, progress, whole files.
 
-It imports nothing of ours, and every room may import it.
+It imports no other room, and every room may import it.
 """
+
+from behavioural_cloning_toolkit import refuse_hidden
+
+refuse_hidden(__name__)
 
 from common.errors import Skipped, UserError
 from common.files import atomic_file

@@ -67,13 +67,10 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
     """
     check_figures(folder, overwrite)
     paths = _paths(folder)
-    samples = Samples(index)
-    try:
+    with Samples(index) as samples:
         config = settings_of(samples)
         moments = find_moments(samples, seed)
         distribution = steering_distribution(samples, config)
-    finally:
-        samples.close()
     turn = max(moments, key=lambda moment: abs(moment.steering))
     draw: dict[str, Callable[[], Figure]] = {
         "preprocessing": lambda: draw_preprocessing(moments),

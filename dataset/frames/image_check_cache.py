@@ -93,13 +93,14 @@ class _Stored(msgspec.Struct):
     format: Literal[1]
     fingerprint: str
     pictures: Position
-    broken: dict[Camera, Stretches]
-    frozen: dict[Camera, Stretches]
+    broken: dict[str, Stretches]
+    frozen: dict[str, Stretches]
 
 
 def write_image_check(index: Path, session: str, fingerprint: str, found: ImageFindings) -> None:
     """Keep what was found in the log with this fingerprint."""
-    stored = _Stored(1, fingerprint, found.pictures, dict(found.broken), dict(found.frozen))
+    broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
+    stored = _Stored(1, fingerprint, found.pictures, broken, frozen)
     path = _path(index, session)
     with index_write_errors(path), atomic_file(path, overwrite=True) as part:
         part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
@@ -111,13 +112,18 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     try:
         if path.is_symlink() or path.stat().st_size > _MOST_BYTES:
             return None
-        stored = msgspec.json.decode(path.read_bytes(), type=_Stored)
+        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
     except (OSError, ValueError, RecursionError):
         return None
     stretches = itertools.chain(stored.broken.values(), stored.frozen.values())
     if stored.fingerprint != fingerprint or not all(map(_are_ascending, stretches)):
         return None
-    return ImageFindings(stored.pictures, stored.broken, stored.frozen)
+    return ImageFindings(stored.pictures, _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen))
+
+
+def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:
+    """Without cameras that a later version has added."""
+    return {camera: stored[camera] for camera in CAMERAS if camera in stored}
 
 
 def _path(index: Path, session: str) -> Path:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import filecmp
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -257,7 +257,7 @@ def _up_to_date(
         return None
     samples = index / SAMPLES_NAME
     stored = read_metadata(samples) or {}
-    expected = {"format": SAMPLES_FORMAT, "logs": places, "settings": json.loads(json.dumps(config.as_dict()))}
+    expected = {"format": SAMPLES_FORMAT, "logs": places, "settings": json.loads(json.dumps(asdict(config)))}
     if state.samples != stat_of(samples) or any(stored.get(key) != value for key, value in expected.items()):
         return None
     try:

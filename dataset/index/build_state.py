@@ -63,7 +63,8 @@ def stat_of(path: Path) -> Stat:
 def read_state(index: Path) -> BuildState:
     """The state of the last build; an empty one if it is missing, damaged, or of an older version."""
     try:
-        return msgspec.json.decode((index / STATE_NAME).read_bytes(), type=BuildState)
+        stored = json.loads((index / STATE_NAME).read_bytes())  # msgspec.json reads no names that are not UTF-8
+        return msgspec.convert(stored, BuildState)
     except (OSError, ValueError, RecursionError):
         return BuildState.nothing()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import cv2
@@ -27,10 +29,11 @@ def log_of(name: str, width: int = 0, height: int = 0) -> Path:
     """A log whose pictures are no other session's: of this size, or else none at all."""
 
     def picture(camera: Camera, row: int) -> bytes:
+        of_its_own = os.fsencode(f"{name} {camera} {row}")
         if not width:
-            return f"{name} {camera} {row}".encode()
+            return of_its_own
         encoded = cv2.imencode(".jpg", np.full((height, width, 3), 3 * row + 60, np.uint8))[1]
-        return encoded.tobytes() + f"{name} {camera} {row}".encode()
+        return encoded.tobytes() + of_its_own
 
     return write_log(Path("sessions") / f"{name}.mcap", STEERING[:60] if width else STEERING, picture)
 
@@ -94,3 +97,11 @@ def test_paths_may_be_text() -> None:
     indexed = build_index(["sessions/lake.mcap"], "index")
     assert (indexed.path, indexed.sessions) == (Path("index"), ["lake"])
     assert find_logs((), "sessions") == find_logs([Path("sessions/lake.mcap")], "sessions")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere file names are text")
+def test_the_state_is_remembered_also_where_a_name_is_not_utf_8(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("lake", "caf\udce9"):
+        log_of(name)
+    assert call(main, "lake") == 0
+    assert sessions_not_indexed("index", "sessions") == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
@@ -270,6 +271,9 @@ def test_a_look_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert read_image_check(tmp_path, "a", "another log") is None
     assert read_image_check(tmp_path, "b", "f") is None
     (tmp_path / "looks" / "a.json").write_text(json.dumps(SOUND))
+    assert read_image_check(tmp_path, "a", "f") == looked
+    of_a_later_version = {**SOUND, "broken": {**SOUND["broken"], "rear": [[0, 2]]}, "more": math.nan}
+    (tmp_path / "looks" / "a.json").write_text(json.dumps(of_a_later_version))
     assert read_image_check(tmp_path, "a", "f") == looked
 
 
