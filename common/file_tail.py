@@ -17,9 +17,8 @@ _MOST_AT_ONCE: Final = 1 << 20
 class FileTail:
     """Reads on where it stopped; a file that was made shorter or replaced is read again from its start.
 
-    Lines of such a file that were there before are not given a second time; those within one file are, as often
-    as they are in it. Lines end with \\n, \\r\\n or \\r. Of a line that is longer than
-    `most_line_bytes`, so much and a byte more is given.
+    Lines end with \\n, \\r\\n or \\r. Of a line that is longer than `most_line_bytes`, so much and a byte more is
+    given.
     """
 
     def __init__(self, path: Path, most_line_bytes: int) -> None:
@@ -32,37 +31,34 @@ class FileTail:
         """True if the file was ever replaced, or made shorter, after it was first read."""
         self._most_line_bytes = most_line_bytes
         self._status: tuple[int, ...] = ()  # of the file, when it was last read
-        self._earlier_lines = set[int]()  # hashes of the lines of the file that was replaced
-        self._lines = set[int]()
         self._offset = 0
         self._end = b""  # of what was read: still there, unless the file was replaced
         self._splitter = LineSplitter(most_line_bytes)
 
-    def new_lines(self) -> list[tuple[int, bytes]]:
+    def new_lines(self, end: int | None = None) -> list[tuple[int, bytes]]:
         """The lines that were completed since the last call, with their numbers in the file, from 1.
 
-        A file that is not there has none. Raises OSError for one that cannot be read now.
+        Nothing beyond the file's first `end` bytes is read. A file that is not there has no lines. Raises OSError
+        for one that cannot be read now.
         """
         self.is_behind = False
         try:
-            data = self._read_on()
+            data = self._read_on(end)
         except FileNotFoundError:
             return []
-        return [line for line in map(self._take, self._splitter.feed(data)) if line is not None]
+        return self._numbered(self._splitter.feed(data))
 
     def rest(self) -> list[tuple[int, bytes]]:
         """The last line, if it has no end: for when nothing more will come."""
         content = self._splitter.rest()
-        last = self._take(content) if content else None
-        return [] if last is None else [last]
+        return self._numbered([content] if content else [])
 
-    def _take(self, content: bytes) -> tuple[int, bytes] | None:
-        self.line_count += 1
-        key = hash(content)  # a day's drive has hundreds of thousands of lines
-        self._lines.add(key)
-        return None if key in self._earlier_lines else (self.line_count, content)
+    def _numbered(self, lines: list[bytes]) -> list[tuple[int, bytes]]:
+        first = self.line_count + 1
+        self.line_count += len(lines)
+        return list(enumerate(lines, first))
 
-    def _read_on(self) -> bytes:
+    def _read_on(self, end: int | None) -> bytes:
         """The bytes that were appended; b"" if the file is as it was."""
         stat = self.path.stat()
         status = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
@@ -76,17 +72,16 @@ class FileTail:
             if not is_same or stream.read(len(self._end)) != self._end:
                 self._start_again()
                 stream.seek(0)
-            data = stream.read(_MOST_AT_ONCE)
+            wanted = _MOST_AT_ONCE if end is None else min(_MOST_AT_ONCE, max(end - self._offset, 0))
+            data = stream.read(wanted)
         self.is_behind = len(data) == _MOST_AT_ONCE
-        self._status = (*status[:2], -1, -1) if self.is_behind else status
         self._offset += len(data)
+        self._status = status if self._offset >= stat.st_size else (*status[:2], -1, -1)
         self._end = (self._end + data)[-_COMPARED_BYTES:]
         return data
 
     def _start_again(self) -> None:
         self.was_replaced = bool(self._status)
-        self._earlier_lines |= self._lines
-        self._lines = set()
         self._offset = self.line_count = 0
         self._end = b""
         self._splitter = LineSplitter(self._most_line_bytes)

@@ -116,7 +116,7 @@ class _HistoryFile(Generic[Line]):
         for number, content in lines:
             try:
                 found.append(self._next(content))
-            except (ValueError, RecursionError):
+            except (ValueError, KeyError, TypeError, RecursionError):
                 self._skipped.add("lines that no training writes", f"{self._tail.path.name} line {number}")
         return found
 
@@ -142,9 +142,9 @@ class _HistoryFile(Generic[Line]):
                 raise RunError(f"{file.path}: a link; a run's files lie in its folder, copy it there")
             if status.st_size > _MOST_BYTES:
                 raise RunError(f"{file.path}: larger than {_MOST_BYTES >> 20} MiB, no training writes so much")
-            found = file.new_lines()
+            found = file.new_lines(status.st_size)
             while file.is_behind:
-                found += file.new_lines()
+                found += file.new_lines(status.st_size)
         except FileNotFoundError:
             return None if file.line_count else []
         except OSError as error:

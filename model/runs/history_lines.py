@@ -1,14 +1,15 @@
 """Lines of a run's metrics.jsonl, steps.jsonl and worst.jsonl, checked: a run may come from somebody else.
 
-Each function raises ValueError or RecursionError for a line that no training writes.
+Each function raises ValueError, KeyError, TypeError or RecursionError for a line that no training writes. Fields
+that it does not read, such as those of later versions, may hold anything.
 """
 
 from __future__ import annotations
 
+import base64
+import json
 import math
 from typing import Any, Final
-
-import msgspec
 
 from dataset.preprocess import decode, is_crop
 from model.metrics import BinErrors, Errors, Measures
@@ -16,100 +17,98 @@ from model.runs.training_progress import Epoch, Step
 from model.runs.worst_pictures import WORST_COUNT, WorstPictures
 from model.worst_moments import WorstFrame
 
-_LARGEST_INT: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever trained
-_LARGEST_FLOAT: Final = 1e100  # its square is still a number
+_LARGEST_COUNT: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever trained
+_LARGEST_NUMBER: Final = 1e100  # its square is still a number
 _MOST_CHARACTERS: Final = 1000  # of a session's name
 
 
-class _EpochLine(msgspec.Struct):
-    epoch: int
-    training_loss: float
-    validation_loss: float
-    validation: Errors
-    zero: Errors
-    mean: Errors
-    bins: tuple[BinErrors, ...]
-    is_best: bool
-    seconds: float
-    samples_per_s: float
-
-
-class _WorstLine(msgspec.Struct):
-    epoch: int
-    frames: tuple[WorstFrame, ...]
-
-
-class _Jpeg(msgspec.Struct):
-    jpeg: bytes
-
-
 def parse_epoch(line: bytes) -> Epoch:
-    values = _parsed(line)
-    stored = msgspec.convert(values, _EpochLine)
-    if stored.epoch < 1:
-        raise ValueError("epochs are counted from 1")
-    for part in stored.bins:
-        if not -1.001 <= part.low < part.high <= 1.001 or part.bin < 0 or part.frames < 1:
-            raise ValueError("no bin of steering")
-    mean_balanced_rmse_deg = values["mean"].get("balanced_rmse_deg", math.nan)  # earlier versions have none
-    measures = Measures(
-        sum(part.frames for part in stored.bins),
-        stored.validation,
-        stored.zero,
-        stored.mean,
-        stored.bins,
-        msgspec.convert(mean_balanced_rmse_deg, float),
-    )
+    values = json.loads(line)
+    bins = tuple(_bin_errors(part) for part in values["bins"])
+    network, zero, mean = (_errors(values[name]) for name in ("validation", "zero", "mean"))
+    mean_balanced_rmse_deg = _number(values["mean"].get("balanced_rmse_deg"))  # earlier versions have none
     return Epoch(
-        stored.epoch,
-        stored.training_loss,
-        stored.validation_loss,
-        measures,
-        stored.is_best,
-        stored.seconds,
-        stored.samples_per_s,
+        _count(values["epoch"], least=1),
+        _number(values["training_loss"]),
+        _number(values["validation_loss"]),
+        Measures(sum(part.frames for part in bins), network, zero, mean, bins, mean_balanced_rmse_deg),
+        values["is_best"] is True,
+        _number(values["seconds"]),
+        _number(values["samples_per_s"]),
     )
 
 
 def parse_step(line: bytes) -> Step:
-    step = msgspec.convert(_parsed(line), Step)
-    if step.epoch < 1 or not 0 < step.batch <= step.batches:
+    values = json.loads(line)
+    step = Step(
+        *(_count(values[name], least=1) for name in ("epoch", "batch", "batches", "samples")),
+        *(_number(values[name]) for name in ("training_loss", "samples_per_s")),
+    )
+    if step.batch > step.batches:
         raise ValueError("no batch of an epoch")
     return step
 
 
 def parse_worst_pictures(line: bytes) -> WorstPictures:
-    values = _parsed(line)
-    stored = msgspec.convert(values, _WorstLine)
-    if stored.epoch < 1 or len(stored.frames) > WORST_COUNT:
-        raise ValueError("no worst frames of an epoch")
-    for frame in stored.frames:
-        if min(frame.row, frame.log_time_ns) < 0 or len(frame.session + frame.log_time_utc) > _MOST_CHARACTERS:
-            raise ValueError("no frame of a session")
-        if not math.isfinite(frame.predicted_deg + frame.recorded_deg + frame.error_deg):
-            raise ValueError("no steering of a frame")
-    jpegs = tuple(picture.jpeg for picture in msgspec.convert(values["frames"], tuple[_Jpeg, ...]))
+    values = json.loads(line)
+    epoch = _count(values["epoch"], least=1)
+    if len(values["frames"]) > WORST_COUNT:
+        raise ValueError("more frames than a training keeps")
+    frames = tuple(_worst_frame(frame) for frame in values["frames"])
+    jpegs = tuple(base64.b64decode(frame["jpeg"], validate=True) for frame in values["frames"])
     for jpeg in jpegs:
         if not is_crop(jpeg):
             raise ValueError("no crop that a network sees")
         decode(jpeg)  # a ValueError for what is none
-    return WorstPictures(stored.epoch, stored.frames, jpegs)
+    return WorstPictures(epoch, frames, jpegs)
 
 
-def _parsed(line: bytes) -> Any:
-    """The JSON of a line, in which null is NaN: JSON has no other way to say that a number does not exist."""
-    return _without_null(msgspec.json.decode(line))
+def _errors(values: Any) -> Errors:
+    return Errors(*(_number(values[name]) for name in ("mae_deg", "rmse_deg", "turning_mae_deg", "correlation")))
 
 
-def _without_null(value: Any) -> Any:
+def _bin_errors(values: Any) -> BinErrors:
+    part = BinErrors(
+        _count(values["bin"]),
+        _number(values["low"]),
+        _number(values["high"]),
+        _count(values["frames"], least=1),
+        *(_number(values[name]) for name in ("mae_deg", "rmse_deg", "bias_deg")),
+    )
+    if not -1.001 <= part.low < part.high <= 1.001:
+        raise ValueError("no bin of steering")
+    return part
+
+
+def _worst_frame(values: Any) -> WorstFrame:
+    frame = WorstFrame(
+        _text(values["session"]),
+        _count(values["row"]),
+        _count(values["log_time_ns"]),
+        _text(values["log_time_utc"]),
+        *(_number(values[name]) for name in ("predicted_deg", "recorded_deg", "error_deg")),
+    )
+    if math.isnan(frame.predicted_deg + frame.recorded_deg + frame.error_deg):
+        raise ValueError("no steering of a frame")
+    return frame
+
+
+def _count(value: Any, least: int = 0) -> int:
+    if type(value) is not int or not least <= value <= _LARGEST_COUNT:
+        raise ValueError("not a count")
+    return value
+
+
+def _number(value: Any) -> float:
+    """NaN for null: JSON has no other way to say that a number does not exist."""
     if value is None:
         return math.nan
-    if isinstance(value, dict):
-        return {name: _without_null(each) for name, each in value.items()}
-    if isinstance(value, list):
-        return [_without_null(each) for each in value]
-    if isinstance(value, int | float) and abs(value) > (
-        _LARGEST_INT if isinstance(value, int) else _LARGEST_FLOAT
-    ):
-        raise ValueError("a number beyond those of a training")
+    if type(value) not in (int, float) or not abs(value) <= _LARGEST_NUMBER:
+        raise ValueError("not a number")
+    return float(value)
+
+
+def _text(value: Any) -> str:
+    if type(value) is not str or len(value) > _MOST_CHARACTERS:
+        raise ValueError("not a name")
     return value

@@ -89,6 +89,29 @@ def watch_udacity(
     return Imported(log, recording.rows, recording.pictures, recording.skipped, writer.notices)
 
 
+class CsvTail(FileTail):
+    """The lines of a growing csv. Of one that begins again, those that were there before are not given a second
+    time; those within one file are, as often as they are in it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, MOST_LINE_BYTES)
+        self._lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
+        self._earlier_lines = set[int]()
+
+    def new_lines(self, end: int | None = None) -> list[tuple[int, bytes]]:
+        return self._not_given_before(super().new_lines(end))
+
+    def rest(self) -> list[tuple[int, bytes]]:
+        return self._not_given_before(super().rest())
+
+    def _not_given_before(self, lines: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+        if lines and lines[0][0] == 1:  # the first line of another file
+            self._earlier_lines |= self._lines
+            self._lines = set()
+        self._lines.update(hash(content) for _, content in lines)
+        return [(number, content) for number, content in lines if hash(content) not in self._earlier_lines]
+
+
 class _GrowingRecording:
     """A recording that grows: counts what is in the log by now, and knows which pictures are still awaited."""
 
@@ -99,7 +122,7 @@ class _GrowingRecording:
         self.skipped = self._events.skipped
         self._folder = folder
         self._writer = writer
-        self._csv = FileTail(folder / CSV_NAME, MOST_LINE_BYTES)
+        self._csv = CsvTail(folder / CSV_NAME)
         self._reader = RowReader(self.skipped, rate_hz)
         self._files = PictureFiles(folder, self.skipped)
         self._scanned: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new

@@ -53,12 +53,33 @@ def test_a_long_file_that_was_replaced_is_read_again(tmp_path: Path) -> None:
     assert len(tail.new_lines()) == 1000
     (tmp_path / "other").write_bytes(b"".join([b"LINE 0\n", *lines[1:], b"the last\n"]))
     (tmp_path / "other").replace(csv)
-    assert tail.new_lines() == [(1, b"LINE 0"), (1001, b"the last")]
+    given = tail.new_lines()
+    assert (len(given), given[0], given[1], given[-1]) == (
+        1001,
+        (1, b"LINE 0"),
+        (2, b"line 1"),
+        (1001, b"the last"),
+    )
+    assert tail.was_replaced
+
+
+def test_nothing_is_read_beyond_the_end_that_is_given(tmp_path: Path) -> None:
+    csv = tmp_path / "driving_log.csv"
+    csv.write_bytes(b"one\ntwo\nthree\n")
+    tail = FileTail(csv, 1000)
+    assert tail.new_lines(10) == [(1, b"one"), (2, b"two")]
+    assert not tail.is_behind
+    assert tail.new_lines(10) == tail.new_lines(3) == []
+    assert tail.new_lines(13) == []
+    assert tail.new_lines(14) == [(3, b"three")]
+    csv.write_bytes(b"one\nten\n")
+    assert tail.new_lines(5) == [(1, b"one")]
+    assert tail.new_lines() == [(2, b"ten")]
 
 
 @pytest.mark.parametrize("text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n"])
 @pytest.mark.parametrize("way", ["written anew", "another file", "deleted first"])
-def test_of_a_file_that_begins_again_only_new_lines_are_given(tmp_path: Path, text: bytes, way: str) -> None:
+def test_a_file_that_begins_again_is_given_from_its_start(tmp_path: Path, text: bytes, way: str) -> None:
     csv = tmp_path / "driving_log.csv"
     csv.write_bytes(b"a\nb\nc\npart")
     tail = FileTail(csv, 1000)
@@ -71,8 +92,7 @@ def test_of_a_file_that_begins_again_only_new_lines_are_given(tmp_path: Path, te
             csv.unlink()
             assert tail.new_lines() == []
         csv.write_bytes(text)
-    lines = text.splitlines()
-    assert tail.new_lines() == [(lines.index(line) + 1, line) for line in lines if line not in (b"a", b"b", b"c")]
+    assert tail.new_lines() == list(enumerate(text.splitlines(), 1))
     assert tail.rest() == []
 
 

@@ -22,7 +22,7 @@ from common.car import CAMERAS
 from driving import PATIENCE_S, Process
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
-from recorder.sources.udacity_follow import watch_udacity
+from recorder.sources.udacity_follow import CsvTail, watch_udacity
 from udacity import jpeg, make_recording, paths, picture_name
 
 Found = dict[str, set[tuple[int, int, object]]]
@@ -191,6 +191,42 @@ def test_a_csv_that_begins_again_adds_only_what_is_new(tmp_path: Path) -> None:
     done = watch(drive, tmp_path / "watched.mcap", steps)
     assert [name for reason, name in done.skipped if reason.startswith("rows")] == ["line 3"]
     assert (done.rows, done.pictures) == (3, 3)
+
+
+@pytest.mark.parametrize(
+    "text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n", b"d\nd\nb\nd\n"]
+)
+@pytest.mark.parametrize("way", ["written anew", "another file", "deleted first"])
+def test_of_a_csv_that_begins_again_only_new_lines_are_given(tmp_path: Path, text: bytes, way: str) -> None:
+    csv = tmp_path / "driving_log.csv"
+    csv.write_bytes(b"a\nb\nc\npart")
+    tail = CsvTail(csv)
+    assert tail.new_lines() == [(1, b"a"), (2, b"b"), (3, b"c")]
+    if way == "another file":
+        (tmp_path / "other").write_bytes(text)
+        (tmp_path / "other").replace(csv)
+    else:
+        if way == "deleted first":
+            csv.unlink()
+            assert tail.new_lines() == []
+        csv.write_bytes(text)
+    lines = list(enumerate(text.splitlines(), 1))
+    assert tail.new_lines() == [(number, line) for number, line in lines if line not in (b"a", b"b", b"c")]
+    with csv.open("ab") as stream:
+        stream.write(b"c\nd\ne\nb")
+    assert tail.new_lines() == [(len(lines) + 2, b"d"), (len(lines) + 3, b"e")]
+    assert tail.rest() == []
+
+
+def test_a_long_csv_that_was_replaced_adds_only_what_is_new(tmp_path: Path) -> None:
+    csv = tmp_path / "driving_log.csv"
+    lines = [b"line %d\n" % number for number in range(1000)]
+    csv.write_bytes(b"".join(lines))
+    tail = CsvTail(csv)
+    assert len(tail.new_lines()) == 1000
+    (tmp_path / "other").write_bytes(b"".join([b"LINE 0\n", *lines[1:], b"the last\n"]))
+    (tmp_path / "other").replace(csv)
+    assert tail.new_lines() == [(1, b"LINE 0"), (1001, b"the last")]
 
 
 def test_what_never_came_is_named_and_in_the_log(tmp_path: Path) -> None:

@@ -181,6 +181,37 @@ def test_lines_that_no_training_writes_are_named_and_the_others_are_shown(
     )
 
 
+def test_fields_that_nobody_reads_may_hold_anything(tmp_path: Path) -> None:
+    """Those of a later version, or of somebody else's tools."""
+    run = write_run(tmp_path / "first", 1)
+    before, _ = read_history(run)
+    anything: list[Any] = [10**40, 1e200, float("nan"), None, True, "\ud800", [], {"deep": -(10**400)}]
+    for number, value in enumerate(anything, 2):
+        good, step = epoch_line(number), step_lines(number)[0]
+        changed = {name: {**good[name], "balanced_rmse_deg": value} for name in ("validation", "zero")}
+        bins = [{**part, "later": value} for part in good["bins"]]
+        write_lines(
+            run / "metrics.jsonl", [{**good, **changed, "bins": bins, "balanced_rmse_deg": value, "x": value}]
+        )
+        write_lines(run / "steps.jsonl", [{**step, "later": value}])
+    history, skipped = read_history(run)
+    assert list(skipped) == []
+    assert [epoch.epoch for epoch in history.epochs] == list(range(1, 2 + len(anything)))
+    assert len(history.steps) == len(before.steps) + len(anything)
+
+
+def test_numbers_are_taken_as_any_json_has_them(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 1)
+    wide: dict[str, Any] = {"training_loss": 10**30, "validation_loss": None, "is_best": 1, "bins": {}}
+    line = json.dumps({**epoch_line(2), **wide}).encode()
+    with (run / "metrics.jsonl").open("ab") as stream:
+        stream.write(b"\xef\xbb\xbf" + line + b"\n")  # a mark of its encoding, as some editors write it
+    history, skipped = read_history(run)
+    assert list(skipped) == []
+    epoch = history.epochs[-1]
+    assert (epoch.training_loss, epoch.is_best, epoch.measures.frames) == (1e30, False, 0)
+
+
 def test_steps_that_no_training_writes_are_named(tmp_path: Path) -> None:
     run = write_run(tmp_path / "first", 1)
     good = step_lines(2)[0]
