@@ -12,7 +12,6 @@ those of its best epoch, which is chosen by the recorded steering of these block
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 import statistics
 import sys
@@ -75,7 +74,7 @@ def main() -> None:
 
 def held_out(index: Path) -> Steering:
     """The labels of the held-out frames of the centre camera."""
-    with contextlib.closing(Samples(index)) as samples:
+    with Samples(index) as samples:
         table = samples.of_split("validation")
     is_plain = pc.and_(pc.equal(table["camera"], "center"), pc.invert(table["flip"]))
     return steering_of(table.filter(is_plain), "label")

@@ -14,6 +14,7 @@ import time
 import cv2
 import numpy as np
 
+from common.car import CAMERAS
 from simulator.pose import Pose
 from simulator.rendering.camera import Renderer
 from simulator.rendering.world_maps import WorldMaps, build_world
@@ -48,7 +49,8 @@ def _steps_per_s(track: Track, world: WorldMaps) -> float:
     poses = [Pose(p.x_m, p.y_m, p.z_m, p.heading_rad, float(np.arctan(p.slope))) for p in places]
     start = time.perf_counter()
     for pose in poses:
-        renderer.render_all(pose)
+        for camera in CAMERAS:
+            renderer.render(pose, camera)
     return STEPS / (time.perf_counter() - start)
 
 

@@ -18,7 +18,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final
@@ -102,7 +102,7 @@ def main() -> None:
 def write_pictures(index: Path, folder: Path, count: int) -> int:
     """Some training samples of `index` in `folder`: as an index, and as JPEG files with a list; how many."""
     (folder / "index").mkdir()
-    with closing(Samples(index)) as samples, (folder / "samples.csv").open("w", newline="") as stream:
+    with Samples(index) as samples, (folder / "samples.csv").open("w", newline="") as stream:
         table = samples.of_split("train")
         table = table.take(np.sort(np.random.default_rng(0).permutation(len(table))[:count]))
         logs = {

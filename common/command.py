@@ -47,10 +47,10 @@ def print_error(prog: str, error: UserError) -> int:
     return BAD_USAGE if isinstance(error, UsageError) else FAILED
 
 
-def warn_skipped(skipped: Skipped) -> int:
+def warn_skipped(skipped: Skipped, heading: str = "skipped") -> int:
     """Print what was left out, if anything; return the exit code, 0 or 3."""
     for line in skipped.lines():
-        print_message(line, heading="skipped", style="yellow")
+        print_message(line, heading=heading, style="yellow")
     return DONE_BUT_SKIPPED if len(skipped) else DONE
 
 

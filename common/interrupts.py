@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from enum import Enum
 from queue import Empty, SimpleQueue
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import ClassVar, Final, Self
 
 SIGHUP: Final = getattr(signal, "SIGHUP", None)  # None on Windows
@@ -101,9 +101,7 @@ class GracefulStop:
         threading.Thread(target=self._watch, name="stopping", daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         GracefulStop.current = None
         sys.unraisablehook = self._unraisable
         self._events.put(_Event.ENDED)

@@ -100,7 +100,7 @@ def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Po
             stdin=subprocess.PIPE,
             stdout=sys.stderr,
             start_new_session=True,
-            creationflags=_low_priority_on_windows(),
+            creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # on Windows
         )
     except OSError as error:  # no memory, too many processes
         notify(f"viewer: cannot be started ({error.strerror}); all else goes on without it")
@@ -178,9 +178,3 @@ def _set_group_niceness(process: int, niceness: int) -> None:
     (autogroup), a process's own priority counts only within its session, and the viewer has one to itself."""
     with contextlib.suppress(OSError):  # there are no such groups here
         Path(f"/proc/{process}/autogroup").write_text(f"{niceness}\n", encoding="ascii")
-
-
-def _low_priority_on_windows() -> int:
-    if sys.platform == "win32":
-        return subprocess.BELOW_NORMAL_PRIORITY_CLASS
-    return 0

@@ -7,26 +7,17 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable, Iterator
-from types import TracebackType
 from typing import Final, Self, TypeVar
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.status import Status
 
 from common.errors import printable
 from common.output import add_live_display, message_console, print_message, remove_live_display
 
 Item = TypeVar("Item")
-
 
 LINE_EVERY_S: Final = 30.0
 
@@ -112,8 +103,6 @@ class StatusLine:
             add_live_display(self._status.console)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         remove_live_display(self._status.console)
         self._status.stop()

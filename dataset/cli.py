@@ -64,9 +64,8 @@ def index(config: Index) -> int:
         from dataset.index_figures import check_figures, write_figures
 
         check_figures(config.figures, config.force)
-    is_any = (
-        not config.sessions
-    )  # named by nobody, one damaged log must not keep all the others from being indexed
+    # named by nobody, one damaged log must not keep all the others from being indexed
+    is_any = not config.sessions
     if config.look:
         check_all_images({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
     others = [] if is_any else sessions_beside(logs, config.folder)
@@ -74,8 +73,11 @@ def index(config: Index) -> int:
     code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config.config):
         code = warn(notice)
-    for line in _left_out(others, config):
-        print_message(line)
+    if others:  # said here, so that training need not
+        names = ", ".join(map(printable, others))
+        print_message(
+            f"{config.index}: does not hold {names}; `bc-index` without names takes in all of {config.folder}"
+        )
     print_table(sessions_table(indexed))
     print_table(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
@@ -104,14 +106,6 @@ def _refuse_contradictions(config: Index) -> None:
         condition = Condition(config.config.where)
         with usage_errors(DatasetError):
             condition.check(FRAMES_SCHEMA.empty_table())
-
-
-def _left_out(others: list[str], config: Index) -> list[str]:
-    """A line for the sessions that were not named, so that training need not tell of them."""
-    if not others:
-        return []
-    which = ", ".join(map(printable, others))
-    return [f"{config.index}: does not hold {which}; `bc-index` without names takes in all of {config.folder}"]
 
 
 def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:

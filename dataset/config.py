@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Final, Literal
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal
 
 from tyro.conf import arg
 
@@ -91,6 +91,3 @@ class IndexConfig:
     @property
     def alterations(self) -> tuple[Alteration, ...]:
         return tuple(name for name in self.alter if name != "none")
-
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)

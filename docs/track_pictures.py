@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import Camera
 from simulator.driving.course import Course
 from simulator.rendering.camera import Renderer
 from simulator.rendering.world_maps import build_world
@@ -71,8 +72,9 @@ def layout_sheet() -> Picture:
         world = build_world(track)
         course = Course(track, world.height_m)
         course.start(0.06 * track.line.length_m)
-        pictures = Renderer(world).render_all(course.pose)
-        rows.append(np.hstack([with_lines(pictures[camera]) for camera in ("left", "center", "right")]))
+        renderer = Renderer(world)
+        cameras: tuple[Camera, ...] = ("left", "center", "right")
+        rows.append(np.hstack([with_lines(renderer.render(course.pose, camera)) for camera in cameras]))
     plan = np.hstack([with_lines(plan_of_real(shift)) for shift in (1, 0, -1)])
     return np.vstack([plan, *rows]).astype(np.uint8)
 

@@ -13,15 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from rich.table import Table
 
-from common.command import (
-    DONE,
-    DONE_BUT_SKIPPED,
-    check_port,
-    flags_given,
-    run_command,
-    usage_errors,
-    warn,
-)
+from common.command import DONE, DONE_BUT_SKIPPED, check_port, flags_given, run_command, usage_errors, warn
 from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Self
 
 from common.errors import counted
@@ -158,13 +157,11 @@ class DriveSession:
         self.writer.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.log.close()
-        failure = None if error is not None else self.log.failure
+        failure = None if kind is not None else self.log.failure
         if failure is not None:
-            kind, error = type(failure), failure
+            kind = type(failure)
         elif self.log.failure is None:
             if self.is_empty:
                 self.writer.discard()
@@ -174,7 +171,7 @@ class DriveSession:
             self.add_metadata(DRIVE_METADATA, self.summary.as_metadata())
             for record, values in self._metadata.items():
                 self.writer.add_metadata(record, values)
-        self.writer.__exit__(kind, error, trace)
+        self.writer.__exit__(kind)
         if failure is not None:
             raise failure
 

@@ -84,7 +84,7 @@ def train(config: Train) -> int:
         epochs = counted(settings.epochs, "epoch")
         print_result(
             f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}"
-            f"{_going_on(run) if config.resume is not None else ''}",
+            f"{_going_on(run) if config.resume is not None else ''}"
         )
     try:
         with _viewer(config, run) if is_first else contextlib.nullcontext():

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from dataclasses import dataclass
+from typing import Final, Literal
 
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
@@ -58,6 +58,3 @@ class TrainConfig:
             raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"--dropout {self.dropout:g}: a number from 0 to 1 (excluded) was expected")
-
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)

@@ -25,11 +25,7 @@ class Pilot:
     """Predicts steering from what the car sees, on the processor. The same picture gives the same number."""
 
     def __init__(
-        self,
-        network: SteeringNetwork,
-        run: str = "",
-        weights_sha256: str = "",
-        dtype: torch.dtype = torch.float32,
+        self, network: SteeringNetwork, run: str = "", weights_sha256: str = "", dtype: torch.dtype = torch.float32
     ) -> None:
         """Takes the network over: its weights are rounded to `dtype`, float32 or bfloat16, once and for all."""
         self.run = run

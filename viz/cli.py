@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -86,7 +85,7 @@ def _check_logs(paths: Sequence[Path]) -> None:
     from recorder.log.mcap_file import WITHOUT_CRCS, McapFile
 
     for path in dict.fromkeys(paths):
-        with contextlib.closing(McapFile(path)) as file:
+        with McapFile(path) as file:
             if file.promises_crcs:  # a log that was never finished would be read through for it
                 continue
         with Log(path) as log:

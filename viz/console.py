@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from common import Skipped, UserError, command
-from common.command import DONE, DONE_BUT_SKIPPED
 from common.output import print_message
 
 
@@ -33,6 +32,4 @@ def print_error(error: UserError) -> int:
 
 def print_skipped(skipped: Skipped) -> int:
     """Print what was left out of what is shown, if anything; return the exit code."""
-    for line in skipped.lines():
-        print_message(line, heading=f"{_Program.name}: skipped", style="yellow")
-    return DONE_BUT_SKIPPED if len(skipped) else DONE
+    return command.warn_skipped(skipped, f"{_Program.name}: skipped")

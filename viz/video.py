@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import cv2
@@ -79,8 +78,7 @@ class Schedule:
     def shown(self) -> Iterator[tuple[int, int, int]]:
         """Number, begin and end of each."""
         ends = np.append(self.ticks[1:], self.end)
-        for i in range(len(self.numbers)):
-            yield int(self.numbers[i]), int(self.ticks[i]), int(ends[i])
+        return zip(self.numbers.tolist(), self.ticks.tolist(), ends.tolist(), strict=True)
 
 
 def check_speed(speed: float) -> None:
@@ -231,10 +229,8 @@ class _Mp4:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is not None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
             with contextlib.suppress(self._error):
                 self._container.close()
             return

@@ -96,11 +96,7 @@ class Viewer(subprocess.Popen[bytes]):
 
 @contextlib.contextmanager
 def open_viewer(
-    ports: Ports,
-    *,
-    web: bool,
-    memory: str | None = None,
-    server_memory: str | None = None,
+    ports: Ports, *, web: bool, memory: str | None = None, server_memory: str | None = None
 ) -> Iterator[Viewer]:
     """Open an empty viewer in a window, or serve it to browsers on this machine.
 

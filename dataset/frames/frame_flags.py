@@ -20,9 +20,6 @@ PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture"]
 FrameFlag = RowFlag | PictureFlag
 FRAME_FLAGS: Final[tuple[FrameFlag, ...]] = (*ROW_FLAGS, *get_args(PictureFlag))
 
-UNUSABLE: Final[tuple[FrameFlag, ...]] = ("out_of_range", "broken_picture")
-"""Flags that keep a frame out of the samples, `out_of_range` only where it is the steering."""
-
 Position = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Stretches = tuple[tuple[Position, Position], ...]
 """First and last position of each stretch, in their order and without overlap."""

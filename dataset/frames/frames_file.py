@@ -21,7 +21,6 @@ from recorder.log.topics import VEHICLE_COLUMNS
 
 FRAMES_FORMAT: Final = 6
 
-
 FRAMES_SCHEMA: Final = pa.schema(
     [
         pa.field("session", pa.string()),

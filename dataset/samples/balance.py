@@ -25,11 +25,7 @@ class Balanced:
 
 
 def balance(
-    bin_index: NDArray[Any],
-    bins: int,
-    max_uses: int,
-    random: np.random.Generator,
-    per_bin: PerBin = "mean",
+    bin_index: NDArray[Any], bins: int, max_uses: int, random: np.random.Generator, per_bin: PerBin = "mean"
 ) -> Balanced:
     """Bring every bin that is not empty to one count: their mean, their median, or a number.
 

@@ -24,13 +24,7 @@ class ChosenSamples:
     seed: NDArray[np.int64]
 
     def between(self, start: int, end: int) -> ChosenSamples:
-        return ChosenSamples(
-            self.frame[start:end],
-            self.flip[start:end],
-            self.is_copy[start:end],
-            self.alteration[start:end],
-            self.seed[start:end],
-        )
+        return ChosenSamples(*(column[start:end] for column in vars(self).values()))
 
 
 def choose_samples(

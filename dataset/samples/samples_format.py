@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 SAMPLES_NAME: Final = "samples.parquet"
 
-
 SAMPLES_FORMAT: Final = 4
-
 
 SAMPLES_SCHEMA: Final = pa.schema(
     [

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from common.closeable import Closeable
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.parquet_file import METADATA_KEY
@@ -26,17 +27,13 @@ from recorder import Log, LogError
 
 Split = Literal["train", "validation"]
 
-
 LOADED: Final = ("session", "offset", "length", "chunk", "flip", "alteration", "seed", "label", "split")
 """The columns that a loader needs."""
-
 
 FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
 """The columns that training and validation depend on."""
 
-
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
-
 
 _UNREADABLE: Final = (
     OSError,
@@ -50,8 +47,9 @@ _UNREADABLE: Final = (
 )
 
 
-class Samples:
-    """The samples of one index, and the logs that hold their pictures. Use it as one does a file: close it.
+class Samples(Closeable):
+    """The samples of one index, and the logs that hold their pictures. Use it as a context manager, or call
+    `close()`.
 
     Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed.
     """

@@ -75,7 +75,7 @@ def write_samples(
     del label, is_training
     metadata = {
         "format": SAMPLES_FORMAT,
-        "settings": config.as_dict(),
+        "settings": asdict(config),
         "logs": {name: dict(source) for name, source in logs.items()},
         "balance": balanced.as_dict(),
         "counts": {name: asdict(count) for name, count in counts.items()},

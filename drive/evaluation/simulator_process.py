@@ -131,10 +131,7 @@ def _process(
     ]
     # In a session of its own: Ctrl-C reaches only us, and the drive ends between two telemetries.
     process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=None if shows_progress else subprocess.PIPE,
-        start_new_session=True,
+        command, stdout=subprocess.PIPE, stderr=None if shows_progress else subprocess.PIPE, start_new_session=True
     )
     try:
         yield process

@@ -93,8 +93,7 @@ def evaluate(run: Path | str, index: Path | str, split: Split = "validation") ->
     Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
     LogError for a damaged log.
     """
-    samples = Samples(Path(index))
-    try:
+    with Samples(Path(index)) as samples:
         seen = samples.driving_view(split)
         if not len(seen):
             raise DatasetError(
@@ -102,8 +101,6 @@ def evaluate(run: Path | str, index: Path | str, split: Split = "validation") ->
                 " --session NAME"
             )
         return _evaluate(Path(run), samples, seen)
-    finally:
-        samples.close()
 
 
 def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation:

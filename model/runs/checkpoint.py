@@ -30,7 +30,6 @@ CHECKPOINT: Final = "checkpoint.safetensors"
 _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
 _MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what torch.optim.Adam keeps of each parameter
 
-
 Count = Annotated[int, Meta(ge=0, lt=2**53)]
 Sum = Annotated[float, Meta(ge=0)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def provenance(samples: Samples, config: TrainConfig, machine: Machine, ranks: i
     return {
         "network": "bojarski2016-modified",
         "parameters": PARAMETERS,
-        "training": config.as_dict(),
+        "training": asdict(config),
         "machine": machine_settings(machine, ranks),
         "data": {"fingerprint": samples.fingerprint, **samples.metadata},
         "versions": versions(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,7 +41,7 @@ def index_of_run(
     ]
     for notice in build_index(find_logs(logs, sessions), own, settings).notices:
         on_notice(notice)
-    with contextlib.closing(Samples(own)) as samples:
+    with Samples(own) as samples:
         changed = [name for name, (_, now) in samples.sources.items() if now != fingerprints[name]]
         if changed:
             raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
@@ -65,7 +64,7 @@ def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
 def _fingerprint(index: Path) -> str:
     """Of an index's samples; empty if it cannot be used."""
     try:
-        with contextlib.closing(Samples(index)) as samples:
+        with Samples(index) as samples:
             return samples.fingerprint
     except DatasetError:
         return ""

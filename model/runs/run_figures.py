@@ -17,16 +17,7 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset import MAX_STEERING_DEG
-from dataset.figure_style import (
-    BLUE,
-    DPI,
-    GREEN,
-    GREY,
-    ORANGE,
-    figure_style,
-    new_figure,
-    require_matplotlib,
-)
+from dataset.figure_style import BLUE, DPI, GREEN, GREY, ORANGE, figure_style, new_figure, require_matplotlib
 from model.errors import RunError
 from model.metrics import BinErrors, Measures, measure
 from model.runs.history import History, read_history

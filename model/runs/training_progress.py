@@ -10,7 +10,7 @@ from model.metrics import Measures
 METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
 STEPS_FILE: Final = "steps.jsonl"
-"""One line every few batches: `Step.as_dict`."""
+"""One line every few batches: `a `Step``."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,6 @@ class Step:
     samples: int  # learnt from since the run began, repeated ones included
     training_loss: float  # mean squared error of steering, -1..1, since the step before
     samples_per_s: float
-
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ the one before it is learnt. All give the same samples in the same order, so tha
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -24,30 +24,34 @@ from model.evaluation.predict import as_input
 Advance = Callable[[int], object]
 
 
-class Batches(Protocol):
-    """Where training gets its samples from."""
+class Batches(ABC):
+    """The batches of a loader, brought to a device."""
+
+    def __init__(self, loader: Loader) -> None:
+        self._loader = loader
 
     def __len__(self) -> int:
         """Samples in an epoch, those of all ranks together."""
+        return len(self._loader)
 
     @property
     def batches(self) -> int:
         """Batches in an epoch, for every rank the same number."""
+        return self._loader.batches
 
     @property
     def skipped(self) -> Skipped:
         """Pictures that do not decode, as far as they were met: they are left out of their batches."""
+        return self._loader.skipped
 
+    @abstractmethod
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         """The batches of an epoch from `start_batch` on: pictures (N, 3, 128, 128) uint8 in channels_last memory,
         and steering (N,) float32, both on the device. Any may be smaller than the others, or empty."""
 
 
 def make_batches(
-    loader: Loader,
-    device: torch.device,
-    budget_bytes: int | None = None,
-    advance: Advance = lambda pictures: None,
+    loader: Loader, device: torch.device, budget_bytes: int | None = None, advance: Advance = lambda pictures: None
 ) -> Batches:
     """The batches of a loader on a device.
 
@@ -69,25 +73,7 @@ def needed_bytes(loader: Loader) -> int:
     return len(samples) * CROP_BYTES + len(loader) * 16
 
 
-class _OfLoader:
-    """What all batches take from their loader."""
-
-    def __init__(self, loader: Loader) -> None:
-        self._loader = loader
-
-    def __len__(self) -> int:
-        return len(self._loader)
-
-    @property
-    def batches(self) -> int:
-        return self._loader.batches
-
-    @property
-    def skipped(self) -> Skipped:
-        return self._loader.skipped
-
-
-class HostBatches(_OfLoader):
+class HostBatches(Batches):
     """The loader's own memory, nothing copied."""
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
@@ -95,7 +81,7 @@ class HostBatches(_OfLoader):
         return ((as_input(batch.pictures), torch.from_numpy(batch.steering)) for batch in batches)
 
 
-class PinnedBatches(_OfLoader):
+class PinnedBatches(Batches):
     """Each batch is copied to the device while the one before it is learnt; nothing else is kept there."""
 
     def __init__(self, loader: Loader, device: torch.device) -> None:
@@ -123,7 +109,9 @@ class _Copy:
     def __init__(self, batch: Batch, device: torch.device, stream: torch.cuda.Stream | None) -> None:
         pictures, steering = as_input(batch.pictures), torch.from_numpy(batch.steering)
         self._event: torch.cuda.Event | None = None
-        if stream is not None:  # only out of pinned memory does a GPU copy by itself
+        # Only out of pinned memory does a GPU copy by itself. PyTorch keeps that memory, though its tensors are
+        # gone after this, until the stream that reads it has passed the copy.
+        if stream is not None:
             pictures, steering = pictures.pin_memory(), steering.pin_memory()
         with torch.cuda.stream(stream):  # without a stream, this does nothing
             self._steering = steering.to(device, non_blocking=True)
@@ -139,7 +127,7 @@ class _Copy:
         return self._pictures, self._steering
 
 
-class DeviceBatches(_OfLoader):
+class DeviceBatches(Batches):
     """Every crop, altered or not, lies on the device, once; a batch is picked out of them, and mirrored there."""
 
     def __init__(self, loader: Loader, device: torch.device, advance: Advance = lambda pictures: None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,8 +26,8 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
     before = training_of(stored, str(run / CONFIG))
     if config is None:
         return before
-    wanted = config.as_dict()
-    for name, value in before.as_dict().items():
+    wanted = asdict(config)
+    for name, value in asdict(before).items():
         if name not in MAY_CHANGE and wanted[name] != value:
             flag = f"--{name.replace('_', '-')}"
             raise RunError(

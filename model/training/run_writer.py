@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -34,7 +35,7 @@ class RunWriter:
         keep_json_lines(self.run / STEPS_FILE, lambda line: line["samples"] <= samples)
 
     def add_step(self, step: Step) -> None:
-        append_json_line(self.run / STEPS_FILE, step.as_dict())
+        append_json_line(self.run / STEPS_FILE, asdict(step))
 
     def add_epoch(self, epoch: Epoch, worst: WorstPictures | None) -> None:
         if worst is not None:  # before the epoch's own line: who reads that finds them

@@ -131,9 +131,11 @@ class _EventFile:
     """
 
     def __init__(self, folder: Path) -> None:
-        from tensorboard.compat.proto.event_pb2 import SessionLog
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
         from tensorboard.summary.writer.record_writer import RecordWriter
+        from torch.utils.tensorboard import summary
 
+        self._event, self._summary = Event, summary
         folder.mkdir(exist_ok=True)
         s, ns = divmod(time.time_ns(), 10**9)
         name = f"events.out.tfevents.{s:010d}.{ns:09d}.{os.getpid()}"  # read in the order of their names
@@ -144,30 +146,22 @@ class _EventFile:
 
     def add_scalars(self, values: Mapping[str, float], samples: int) -> None:
         """Add those of the values, by tag, that exist."""
-        from torch.utils.tensorboard.summary import scalar
-
         for tag, value in values.items():
             if math.isfinite(value):
-                self._add(summary=scalar(tag, value), step=samples)
+                self._add(step=samples, summary=self._summary.scalar(tag, value))
 
     def add_text(self, tag: str, markdown: str, samples: int) -> None:
-        from torch.utils.tensorboard.summary import text
-
-        self._add(summary=text(tag, markdown), step=samples)
+        self._add(step=samples, summary=self._summary.text(tag, markdown))
 
     def add_plots(self, plots: Mapping[str, Mapping[str, Sequence[object]]]) -> None:
-        from torch.utils.tensorboard.summary import custom_scalars
-
-        self._add(summary=custom_scalars(plots))
+        self._add(summary=self._summary.custom_scalars(plots))
 
     def close(self) -> None:
         with contextlib.suppress(OSError):  # of what could not be written when it was added
             self._stream.close()
 
     def _add(self, **content: object) -> None:
-        from tensorboard.compat.proto.event_pb2 import Event
-
-        self._records.write(Event(wall_time=time.time(), **content).SerializeToString())
+        self._records.write(self._event(wall_time=time.time(), **content).SerializeToString())
         self._stream.flush()
 
 

@@ -87,7 +87,7 @@ def train(
     config = config or TrainConfig()
     machine = choose_machine(config, local_rank_of_process())
     with (
-        contextlib.closing(Samples(index)) as samples,
+        Samples(index) as samples,
         group_of_processes(machine.device) as group,
         open_bar(is_shown=show_progress and group.is_first) as bar,
         contextlib.ExitStack() as stack,
@@ -128,13 +128,7 @@ def train(
         if group.is_first and figures:
             _draw_figures(loop, notices, remarks)
         return Trained(
-            run,
-            loop.history,
-            loop.skipped,
-            notices,
-            remarks,
-            loop.position.best_epoch,
-            loop.is_stopped_early,
+            run, loop.history, loop.skipped, notices, remarks, loop.position.best_epoch, loop.is_stopped_early
         )
 
 

@@ -16,9 +16,8 @@ from recorder.log.scan import read_structure
 
 def is_whole(path: Path) -> bool:
     """True for a file that is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
-    file = McapFile(path)
     findings: list[Finding] = []
-    try:
+    with McapFile(path) as file:
         structure = read_structure(file)
         if structure.problem:
             return False
@@ -26,8 +25,6 @@ def is_whole(path: Path) -> bool:
         for _ in track(chunks, f"checking {path.name}", len(structure.chunks)):
             if findings:
                 break
-    finally:
-        file.close()
     return not findings
 
 
@@ -49,9 +46,8 @@ def check(path: Path, *, look: bool = True) -> Checked:
     do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
     of range. Raises LogError if it is no MCAP file.
     """
-    file = McapFile(path)
     findings: list[Finding] = []
-    try:
+    with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             contents = Contents(structure, findings, pool if look else None)
@@ -61,6 +57,4 @@ def check(path: Path, *, look: bool = True) -> Checked:
                     contents.add(records, message)
             contents.finish()
         has_crcs = file.have_crcs(structure.chunks)
-    finally:
-        file.close()
     return Checked(path, sum(contents.counts.values()), contents.pictures, findings, has_crcs)

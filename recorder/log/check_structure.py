@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
 from mcap.opcode import Opcode
@@ -27,14 +28,16 @@ def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) 
     return (_without_end if structure.problem else _walk)(file, structure, findings)
 
 
-def is_damaged_beside_chunks(file: McapFile) -> bool:
+def is_damaged_beside_chunks(path: Path) -> bool:
     """True if the CRC of all data of a finished file does not hold though every chunk and index is sound: then
     metadata, or what describes topics, is damaged, and nothing shows where. Reads the whole file."""
-    structure, findings = read_structure(file), list[Finding]()
-    if structure.problem:
-        return False
-    for _ in sound_chunks(file, structure, findings):
-        pass
+    findings: list[Finding] = []
+    with McapFile(path) as file:
+        structure = read_structure(file)
+        if structure.problem:
+            return False
+        for _ in sound_chunks(file, structure, findings):
+            pass
     return {finding.kind for finding in findings} == {DATA_CRC}
 
 

@@ -25,6 +25,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment
 from mcap.records import Metadata as MetadataRecord
 
+from common.closeable import Closeable
 from common.errors import counted
 from common.untrusted import open_regular
 from recorder.errors import LogError
@@ -89,7 +90,7 @@ class Parts(NamedTuple):
     definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
 
 
-class McapFile:
+class McapFile(Closeable):
     """A file open for reading at any place, from any thread."""
 
     def __init__(self, path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import contextlib
 import hashlib
 import itertools
 from collections.abc import Sequence
@@ -27,7 +26,7 @@ from recorder.log.derived_log import (
     refuse_taken,
     tags_of_rows,
 )
-from recorder.log.mcap_file import Chunk, McapFile
+from recorder.log.mcap_file import Chunk
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, read_tags
 from recorder.log.topics import CAMERA_TOPICS, ROW_TOPICS
@@ -89,7 +88,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     lost = (log.message_count or 0) - count - left_out
     if lost > 0:
         notices.append(f"{path}: lost in all: {lost:,} of {counted(log.message_count or 0, 'message')}")
-    if not len(skipped) and _is_doubtful(path):
+    if not len(skipped) and is_damaged_beside_chunks(path):
         notices.append(
             f"{path}: metadata, or what describes topics, may be wrong: the CRC of all data does not hold,"
             " and every chunk is whole"
@@ -97,11 +96,6 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     if goes_on:
         notices.append(f"{path}: its recording still goes on, and its end is not in {to.name}")
     return Written(to, count, len(rows), skipped, notices)
-
-
-def _is_doubtful(path: Path) -> bool:
-    with contextlib.closing(McapFile(path)) as file:
-        return is_damaged_beside_chunks(file)
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,7 @@ from mcap.opcode import Opcode
 
 from recorder.errors import LogError
 from recorder.log.compression import NOT_UNPACKED, unpack
-from recorder.log.mcap_file import (
-    CHUNK_HEADER,
-    MAGIC,
-    MAX_CHUNK_BYTES,
-    RECORD,
-    Chunk,
-    McapFile,
-)
+from recorder.log.mcap_file import CHUNK_HEADER, MAGIC, MAX_CHUNK_BYTES, RECORD, Chunk, McapFile
 from recorder.log.scan import Structure, add_definitions, add_record, next_chunk, search_budget
 
 _COMPRESSIONS: Final = (b"", b"zstd", b"lz4")

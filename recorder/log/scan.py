@@ -75,7 +75,7 @@ class Structure:
 
 def read_structure(file: McapFile) -> Structure:
     """The structure of the file: from its end if that is sound, else by walking through it."""
-    found = _summary(file)
+    found = read_summary(file)
     if found is None:
         return _walk(file)
     if _is_complete(found):
@@ -83,11 +83,6 @@ def read_structure(file: McapFile) -> Structure:
     # other programs may leave out of the summary what can be found by walking; the file is a finished one
     walked = _walk(file)
     return replace(walked, problem="") if walked.has_end and not walked.lost else walked
-
-
-def has_summary(file: McapFile) -> bool:
-    """True if the file has a sound summary at its end."""
-    return _summary(file) is not None
 
 
 def _is_complete(summary: Structure) -> bool:
@@ -138,7 +133,8 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
     return position, False
 
 
-def _summary(file: McapFile) -> Structure | None:
+def read_summary(file: McapFile) -> Structure | None:
+    """The structure as the summary at the file's end lists it; None if that is not sound."""
     tail = _FOOTER.size + len(MAGIC)
     if file.size < 2 * len(MAGIC) + _FOOTER.size:
         return None

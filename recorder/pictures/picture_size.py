@@ -82,9 +82,8 @@ class PictureSizes:
             for (width, height), count in sorted(counts.items(), reverse=True)
         ]
         return [
-            "pictures of different sizes:"
-            f" {', '.join(parts)}. A network sees the same share of each: they should show"
-            " the same part of the world"
+            f"pictures of different sizes: {', '.join(parts)}. A network sees the same share of each: they should"
+            " show the same part of the world"
         ]
 
 

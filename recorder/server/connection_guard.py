@@ -10,6 +10,7 @@ import math
 import socket
 import time
 from collections.abc import Callable, Iterable
+from http import HTTPMethod
 from typing import Any, Final
 
 from recorder.server.engineio_connection import STREAM
@@ -39,17 +40,7 @@ NOTICE_SLOW: Final = (
 )
 NOTICE_TOO_MANY: Final = f"{MAX_CONNECTIONS} connections at once: close some, further ones are not served"
 
-_METHODS: Final = (
-    b"GET ",
-    b"POST ",
-    b"HEAD ",
-    b"OPTIONS ",
-    b"PUT ",
-    b"DELETE ",
-    b"PATCH ",
-    b"CONNECT ",
-    b"TRACE ",
-)
+_METHODS: Final = tuple(f"{method} ".encode() for method in HTTPMethod)
 _TLS_HELLO: Final = b"\x16\x03"
 
 

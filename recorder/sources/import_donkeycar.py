@@ -40,12 +40,7 @@ class _UnusableRecordError(Exception):
 
 
 def import_tub(
-    folder: Path,
-    log: Path,
-    *,
-    rate_hz: float | None = None,
-    all_catalogs: bool = False,
-    overwrite: bool = False,
+    folder: Path, log: Path, *, rate_hz: float | None = None, all_catalogs: bool = False, overwrite: bool = False
 ) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 

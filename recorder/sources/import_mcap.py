@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from mcap.records import Channel, Message, Schema
@@ -65,17 +65,6 @@ class McapTopics:
     what is -1..1 already, -2.29 for radians."""
 
 
-class _File(Protocol):
-    """One file of a recording."""
-
-    @property
-    def path(self) -> Path: ...
-
-    def types(self, skipped: Skipped) -> dict[str, str]: ...
-
-    def messages(self, topic: str, bar: str) -> Iterator[tuple[Schema | None, Channel, Message]]: ...
-
-
 @dataclass(frozen=True)
 class _McapFile:
     path: Path
@@ -98,6 +87,9 @@ class _McapFile:
                 for schema, channel, message in log.messages_of(chunk):
                     if channel.topic == topic:
                         yield schema, channel, message
+
+
+_File = _McapFile | SqliteFile  # one file of a recording
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,7 @@ from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, udacity_metadata, vehicle_state
 from recorder.sources.udacity_csv import MOST_LINE_BYTES, RowReader
-from recorder.sources.udacity_recording import (
-    CSV_NAME,
-    MOST_PICTURE_BYTES,
-    PictureFiles,
-    check_csv,
-)
+from recorder.sources.udacity_recording import CSV_NAME, MOST_PICTURE_BYTES, PictureFiles, check_csv
 from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 POLL_S: Final = 0.25
@@ -164,9 +159,8 @@ class _GrowingRecording:
             self._rate_from = (now_s, self.pictures)
         return (
             f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
-            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s,"
-            f" waiting for {counted(len(self._awaited), 'picture')},"
-            f" {len(self.skipped):,} skipped"
+            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s, waiting for"
+            f" {counted(len(self._awaited), 'picture')}, {len(self.skipped):,} skipped"
         )
 
     def why_nothing(self) -> str:

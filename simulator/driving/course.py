@@ -18,9 +18,8 @@ Height = Callable[[float, float], float]
 """The ground's height in metres at (x_m, y_m)."""
 
 WHEEL_TRACK_M = 1.6  # between the left and the right wheels
-INTERVENTION_COST_S = (
-    6.0  # Bojarski et al. 2016, section 7.1: a person takes over, steers back, restarts the system
-)
+# Bojarski et al. 2016, section 7.1: a person takes over, steers back, restarts the system
+INTERVENTION_COST_S = 6.0
 STUCK_S = 5.0  # without a metre of progress for this long, the car is stuck
 _STUCK_PROGRESS_M = 1.0
 
@@ -59,17 +58,19 @@ class Course:
     centre line than the road's half width there.
     """
 
+    line: Centreline
     vehicle: CarState
     arc_m: float  # where the car is along the road, 0 .. its length
     offset_m: float  # of the car's centre from the centre line, positive to the left
     interventions: int
+    progress_m: float  # of road covered since the start, in its direction (negative behind the start)
 
     def __init__(self, road: Road, height_m: Height | None = None) -> None:
-        self._line = road.line
+        self.line = road.line
         self._half_width_m: list[float] = np.asarray(road.half_width_m, dtype=np.float64).tolist()
-        if len(self._half_width_m) != len(self._line.points_m):
+        if len(self._half_width_m) != len(self.line.points_m):
             raise ValueError(
-                f"{len(self._half_width_m)} half widths for a centre line of {len(self._line.points_m)} points"
+                f"{len(self._half_width_m)} half widths for a centre line of {len(self.line.points_m)} points"
             )
         self._height_m = height_m
         self.start()
@@ -79,7 +80,7 @@ class Course:
         self._steps = 0
         self._pause_s = 0.0
         self._distance_m = 0.0
-        self._progress_m = 0.0
+        self.progress_m = 0.0
         self._best_progress_m = 0.0
         self._offset_sum = 0.0
         self._max_offset = 0.0
@@ -97,7 +98,7 @@ class Course:
         self._steering_travel += abs(steering - self._steering)
         self._steering = steering
         for _ in range(steps):
-            place = self._line.at(self.arc_m)
+            place = self.line.at(self.arc_m)
             slope = place.slope * math.cos(self.vehicle.heading_rad - place.heading_rad)
             self.vehicle = step(self.vehicle, steering, throttle, slope, self.off_road)
             self._measure()
@@ -114,10 +115,6 @@ class Course:
         self._put(self.arc_m, offset_m, turn_rad, self.vehicle)
 
     @property
-    def line(self) -> Centreline:
-        return self._line
-
-    @property
     def time_s(self) -> float:
         """The simulated clock since the start, displacements included."""
         return self._steps * STEP_S + self._pause_s
@@ -125,7 +122,7 @@ class Course:
     @property
     def half_width_m(self) -> float:
         """Of the road, where the car is."""
-        point: int = round(self.arc_m / self._line.step_m)
+        point: int = round(self.arc_m / self.line.step_m)
         return self._half_width_m[point % len(self._half_width_m)]
 
     @property
@@ -140,23 +137,18 @@ class Course:
     @property
     def heading_error_rad(self) -> float:
         """The car's heading less the road's, -pi..pi: positive where it points to the left of the road."""
-        error = self.vehicle.heading_rad - self._line.at(self.arc_m).heading_rad
+        error = self.vehicle.heading_rad - self.line.at(self.arc_m).heading_rad
         return math.remainder(error, math.tau)
-
-    @property
-    def progress_m(self) -> float:
-        """Road covered since the start, in its direction (negative behind the start)."""
-        return self._progress_m
 
     @property
     def laps(self) -> float:
         """Laps driven, with the part of the present one."""
-        return self._progress_m / self._line.length_m
+        return self.progress_m / self.line.length_m
 
     @property
     def whole_laps(self) -> int:
         """Laps finished: a line that is crossed backwards and again counts once."""
-        return int(self._best_progress_m / self._line.length_m)
+        return int(self._best_progress_m / self.line.length_m)
 
     @property
     def stuck(self) -> bool:
@@ -197,7 +189,7 @@ class Course:
             x, y = car.x_m + forward_m * cos - left_m * sin, car.y_m + forward_m * sin + left_m * cos
             if self._height_m is not None:
                 return self._height_m(x, y)
-            return self._line.at(self._line.project(x, y, self.arc_m)[0]).z_m
+            return self.line.at(self.line.project(x, y, self.arc_m)[0]).z_m
 
         rear, front = height(-AXLE_TO_CENTRE_M, 0.0), height(AXLE_TO_CENTRE_M, 0.0)
         left, right = height(0.0, WHEEL_TRACK_M / 2), height(0.0, -WHEEL_TRACK_M / 2)
@@ -211,7 +203,7 @@ class Course:
         )
 
     def _put(self, arc_m: float, offset_m: float, turn_rad: float, motion: CarState) -> None:
-        place = self._line.at(arc_m)
+        place = self.line.at(arc_m)
         self.vehicle = CarState(
             place.x_m - offset_m * math.sin(place.heading_rad),
             place.y_m + offset_m * math.cos(place.heading_rad),
@@ -220,10 +212,10 @@ class Course:
             motion.wheel_angle_rad,
             motion.yaw_rate_radps,
         )
-        self.arc_m = arc_m % self._line.length_m
+        self.arc_m = arc_m % self.line.length_m
         self.offset_m = offset_m
         self._road_arc_m = self.arc_m
-        self._progress_mark_m = self._progress_m
+        self._progress_mark_m = self.progress_m
         self._progress_step = self._steps
 
     def _measure(self) -> None:
@@ -231,17 +223,17 @@ class Course:
         moved_m = abs(self.vehicle.speed_mps) * STEP_S
         self._distance_m += moved_m
         arc_before_m, on_road_before = self.arc_m, not self.off_road
-        self.arc_m, self.offset_m = self._line.project(self.vehicle.x_m, self.vehicle.y_m, self.arc_m)
+        self.arc_m, self.offset_m = self.line.project(self.vehicle.x_m, self.vehicle.y_m, self.arc_m)
         offset = abs(self.offset)
         self._offset_sum += offset
         self._max_offset = max(self._max_offset, offset)
         if offset <= 1.0:
             # The shortest way round the loop. On the inside of a bend the road passes faster than the car moves,
             # up to a point's spacing at once; a jump from one arm of a hairpin to the other is no driving.
-            gained_m = math.remainder(self.arc_m - arc_before_m, self._line.length_m)
-            if on_road_before and abs(gained_m) <= self._line.step_m + 4.0 * moved_m:
-                self._progress_m += gained_m
+            gained_m = math.remainder(self.arc_m - arc_before_m, self.line.length_m)
+            if on_road_before and abs(gained_m) <= self.line.step_m + 4.0 * moved_m:
+                self.progress_m += gained_m
             self._road_arc_m = self.arc_m
-        self._best_progress_m = max(self._best_progress_m, self._progress_m)
-        if self._progress_m >= self._progress_mark_m + _STUCK_PROGRESS_M:
-            self._progress_mark_m, self._progress_step = self._progress_m, self._steps
+        self._best_progress_m = max(self._best_progress_m, self.progress_m)
+        if self.progress_m >= self._progress_mark_m + _STUCK_PROGRESS_M:
+            self._progress_mark_m, self._progress_step = self.progress_m, self._steps

@@ -53,12 +53,7 @@ class DriveStep:
 
 
 def drive_for_recording(
-    course: Course,
-    expert: Expert,
-    laps: float,
-    rate_hz: float = 10.0,
-    recovery_share: float = 0.35,
-    seed: int = 0,
+    course: Course, expert: Expert, laps: float, rate_hz: float = 10.0, recovery_share: float = 0.35, seed: int = 0
 ) -> Iterator[DriveStep]:
     """Drives ``laps`` from the course's start, yielding ``rate_hz`` steps for each second that is recorded.
 

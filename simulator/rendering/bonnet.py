@@ -1,5 +1,4 @@
-"""The car's own bonnet at the bottom of each camera's picture, placed as in the Udacity simulator's
-recordings."""
+"""The car's own bonnet at the bottom of each camera's picture, placed as in the Udacity simulator's recordings."""
 
 from __future__ import annotations
 

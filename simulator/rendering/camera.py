@@ -88,10 +88,6 @@ class Renderer:
         lowest[...] = (lowest * (255 - alpha) + bonnet[..., :3] * alpha + 127) // 255
         return picture
 
-    def render_all(self, pose: Pose) -> dict[Camera, Picture]:
-        """The pictures of all three cameras."""
-        return {camera: self.render(pose, camera) for camera in MOUNT_LEFT_M}
-
     def _view(self, pose: Pose, rotation: NDArray[np.float64], left_m: float) -> View:
         cos, sin = float(np.cos(pose.heading_rad)), float(np.sin(pose.heading_rad))
         ahead, left, up = rotation @ (MOUNT_FORWARD_M, left_m, MOUNT_UP_M)

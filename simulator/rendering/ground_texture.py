@@ -22,8 +22,7 @@ EARTH_KINDS: tuple[EdgeKind, ...] = ("dirt",)
 def paint_ground(
     track: Track, terrain: Terrain, light: NDArray[np.uint8], random: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """The land without the road: (rows, columns, 3) uint8 BGR, lit and shaded. ``light`` is the props'
-    shadows."""
+    """The land without the road: (rows, columns, 3) uint8 BGR, lit and shaded. ``light`` is the props' shadows."""
     shape = terrain.height_m.shape
     beyond, nearest = terrain.beyond_m, terrain.nearest
     jungle = along_road(track, np.array([float(look.jungle) for look in track.looks]), 15.0)[nearest]

@@ -20,8 +20,7 @@ def smooth_noise(random: np.random.Generator, shape: tuple[int, int], feature_px
 
 
 def tileable_noise(random: np.random.Generator, size_px: int, feature_px: int) -> Field:
-    """A square (size_px, size_px) float32 of roughly -1..1 that continues seamlessly into copies of
-    itself."""
+    """A square (size_px, size_px) float32 of roughly -1..1 that continues seamlessly into copies of itself."""
     cells = size_px // feature_px
     wrapped = np.pad(random.uniform(-1.0, 1.0, (cells, cells)).astype(np.float32), 2, mode="wrap")
     large = cv2.resize(wrapped, None, fx=feature_px, fy=feature_px, interpolation=cv2.INTER_CUBIC)

@@ -1,5 +1,4 @@
-"""The props beside the road: trees, bushes, boulders and posts, each a flat picture that faces the
-camera."""
+"""The props beside the road: trees, bushes, boulders and posts, each a flat picture that faces the camera."""
 
 from __future__ import annotations
 
@@ -59,8 +58,7 @@ def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> 
 
 
 def cast_shadows(track: Track, terrain: Terrain, props: Floats, random: np.random.Generator) -> NDArray[np.uint8]:
-    """The light that the props and the branches over shaded stretches leave: (rows, columns) uint8, 255 is
-    all."""
+    """The light that the props and the branches over shaded stretches leave: (rows, columns) uint8, 255 is all."""
     light = np.full(terrain.height_m.shape, 255, np.uint8)
     reach = np.array([-SUN[0], -SUN[1]]) / SUN[2]
 

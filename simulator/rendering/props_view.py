@@ -31,8 +31,7 @@ class PropsView:
         to_camera: Floats,
         focal_px: float,
     ) -> None:
-        """Draw, far ones first, into a picture whose ground is at the given inverse forward distances
-        (1/m)."""
+        """Draw, far ones first, into a picture whose ground is at the given inverse forward distances (1/m)."""
         cos, sin = np.cos(heading_rad), np.sin(heading_rad)
         east, north, up = (self._props[:, :3] - eye_m).T
         ahead, left = east * cos + north * sin, north * cos - east * sin
@@ -61,8 +60,7 @@ class PropsView:
 
 
 def _halvings(sprite: Sprite) -> list[Sprite]:
-    """The sprite and its averaged halvings, colours weighted by opacity, so that scaling down does not
-    flicker."""
+    """The sprite and its averaged halvings, colours weighted by opacity, so that scaling down does not flicker."""
     levels = [sprite]
     alpha = sprite[..., 3:].astype(np.float32)
     weighted = np.dstack([sprite[..., :3] * alpha, alpha])

@@ -23,8 +23,7 @@ COARSE_FROM_M = 45.0
 
 @dataclass(frozen=True)
 class Eye:
-    """A viewpoint: its place in cells of the map, its height in metres, and the level direction it looks
-    in."""
+    """A viewpoint: its place in cells of the map, its height in metres, and the level direction it looks in."""
 
     column: float
     row: float
@@ -48,9 +47,8 @@ class RayCaster:
     def inverse_distance(self, eye: Eye, side: tuple[float, float], up: tuple[float, float]) -> Field:
         """One over the forward distance (1/m) to the ground, (ROWS, COLUMNS) float32, 0 for the sky.
 
-        Column and row say where the line of sight pierces a vertical plane one metre ahead of the eye:
-        columns run from ``side[0]`` to ``side[1]`` metres to the left, rows from ``up[0]`` to ``up[1]``
-        metres up.
+        Column and row say where the line of sight pierces a vertical plane one metre ahead of the eye: columns run
+        from ``side[0]`` to ``side[1]`` metres to the left, rows from ``up[0]`` to ``up[1]`` metres up.
         """
         slopes = self._slopes(eye, np.linspace(*side, COLUMNS, dtype=np.float32)[None, :])
         # The number of samples below each line of sight is the number of the sample that ends it: count them

@@ -1,8 +1,7 @@
 """The road's surface, unrolled: a picture over (distance from the centre line, arc length).
 
-Lines, kerbs and stones are painted here at 5 cm across and 25 cm along, so they stay crisp however coarse
-the land's cells are. Copies blurred for the distance stand beside it, so that thin lines do not flicker far
-away.
+Lines, kerbs and stones are painted here at 5 cm across and 25 cm along, so they stay crisp however coarse the
+land's cells are. Copies blurred for the distance stand beside it, so that thin lines do not flicker far away.
 """
 
 from __future__ import annotations
@@ -39,8 +38,7 @@ def paint_road(
     light: NDArray[np.uint8],
     random: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """The texture (rows, LEVELS * COLUMNS, 4) uint8: BGR, and how much of the surface is cobblestones
-    (0..255).
+    """The texture (rows, LEVELS * COLUMNS, 4) uint8: BGR, and how much of the surface is cobblestones (0..255).
 
     Row r is at arc length r * length / rows, column c of level 0 ``(c + 0.5) * ACROSS_M - REACH_M`` to the
     left of the centre line.
@@ -137,7 +135,6 @@ def _lay_edge(colour: Field, edge: Edge, beyond: Field, stripes: NDArray[np.bool
 
 
 def _blurred(base: NDArray[np.uint8], level: int) -> NDArray[np.uint8]:
-    """The texture averaged over 2**level texels across; along the road half as many, as 25 cm are much
-    already."""
+    """The texture averaged over 2**level texels across; along the road half as many, as 25 cm are much already."""
     size = (2**level + 1, max(1, 2 ** (level - 1)) * 2 - 1)
     return np.asarray(cv2.blur(cv2.copyMakeBorder(base, 4, 4, 0, 0, cv2.BORDER_WRAP), size), dtype=np.uint8)[4:-4]

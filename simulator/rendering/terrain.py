@@ -23,8 +23,7 @@ WATER_BELOW_ROAD_M = 0.9  # below the lowest point of the road
 
 @dataclass(frozen=True)
 class Terrain:
-    """Maps of one shape (rows to the north, columns to the east); cell [0, 0] has its centre at
-    ``origin_m``."""
+    """Maps of one shape (rows to the north, columns to the east); cell [0, 0] has its centre at ``origin_m``."""
 
     origin_m: tuple[float, float]
     height_m: Field
@@ -97,8 +96,7 @@ def _project(track: Track, nearest: NDArray[np.int32], low: NDArray[np.float64])
     cos, sin = (f(line.heading_rad).astype(np.float32)[nearest] for f in (np.cos, np.sin))
     along, across = dx * cos + dy * sin, dy * cos - dx * sin
     curvature = line.curvature_per_m.astype(np.float32)[nearest]
-    # Distance to the centre of curvature, minus the radius, written so that a straight road is no special
-    # case.
+    # Distance to the centre of curvature, minus the radius, written so that a straight road is no special case.
     ahead, aside = curvature * along, 1.0 - curvature * across
     offset = (2 * across - curvature * (along**2 + across**2)) / (1.0 + np.hypot(ahead, aside))
     return offset, along / np.maximum(aside, 0.2)
@@ -127,8 +125,7 @@ def _banks(
     end = 1.0 - smoothstep((beyond - top_m) / 30.0)
     rough = smooth_noise(random, beyond.shape, 3.0 / CELL_M) + smooth_noise(random, beyond.shape, 7.0 / CELL_M)
     banks = bank * rise * end * (1.0 + 0.22 * rough * (beyond > VERGE_M))
-    # Away from the road, soften the cliffs that run across the land where a stretch with a bank begins or
-    # ends.
+    # Away from the road, soften the cliffs that run across the land where a stretch with a bank begins or ends.
     small = cv2.GaussianBlur(cv2.resize(banks, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA), (0, 0), 3.0)
     soft = cv2.resize(small, banks.shape[::-1])
     banks += smoothstep((beyond - 5.0) / 8.0) * (soft - banks)

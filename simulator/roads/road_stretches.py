@@ -81,8 +81,7 @@ def trace(stretches: Sequence[Stretch]) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def _close(lengths_m: Sequence[float], turns_rad: Floats) -> Floats:
-    """The same lengths with those of the straights changed, least squares, so that the end meets the
-    start."""
+    """The same lengths with those of the straights changed, least squares, so that the end meets the start."""
     lengths = np.array(lengths_m, dtype=np.float64)
     before = np.concatenate([[0.0], np.cumsum(turns_rad)[:-1]])
     middle = before + turns_rad / 2

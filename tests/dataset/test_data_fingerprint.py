@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +28,7 @@ def session(path: Path, steering: list[float] = STEERING) -> Path:
 
 
 def fingerprint(index: Path) -> str:
-    with contextlib.closing(Samples(index)) as samples:
+    with Samples(index) as samples:
         return samples.fingerprint
 
 

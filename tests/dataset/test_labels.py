@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -270,7 +269,7 @@ def test_no_label_is_from_the_other_side_of_the_split(tmp_path: Path) -> None:
 
 def test_validation_has_treated_labels_and_is_measured_against_the_recorded_ones(tmp_path: Path) -> None:
     index = indexed(tmp_path, validation_share=0.3, block_s=1.0, label_shift_s=0.2)
-    with contextlib.closing(Samples(index.path)) as samples:
+    with Samples(index.path) as samples:
         table, seen = samples.of_split("validation"), samples.driving_view("validation")
     held_out = straight(table)
     assert held_out == pytest.approx({row: STEERING[row + 2] for row in held_out})
@@ -302,7 +301,7 @@ def test_steering_out_of_range_and_a_gap_in_time_are_edges(tmp_path: Path) -> No
 
 def test_an_index_is_made_again_for_other_labels_and_its_fingerprint_changes(tmp_path: Path) -> None:
     def fingerprint() -> str:
-        with contextlib.closing(Samples(tmp_path / "index")) as samples:
+        with Samples(tmp_path / "index") as samples:
             return samples.fingerprint
 
     seen = []

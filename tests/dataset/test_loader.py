@@ -3,7 +3,6 @@ and what happens when the index or its logs are not what they were."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import itertools
 import json
@@ -490,7 +489,7 @@ def test_an_index_that_makes_no_sense_is_refused(own: Path, change: Callable[[pa
 
 def test_a_cut_or_garbled_index_is_refused_or_read_as_it_was(own: Path) -> None:
     def read() -> pa.Table:
-        with contextlib.closing(Samples(own)) as samples:
+        with Samples(own) as samples:
             return samples.of_split("train")
 
     path = own / "samples.parquet"

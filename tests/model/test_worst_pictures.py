@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +104,7 @@ def test_a_picture_that_does_not_decode_moves_no_other_picture(
 def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     train(index, tmp_path / "run", TINY, figures=False, show_progress=False)
-    more = type(TINY)(**{**TINY.as_dict(), "epochs": 5})
+    more = replace(TINY, epochs=5)
     train(index, tmp_path / "run", more, resume=True, figures=False, show_progress=False)
     assert [line["epoch"] for line in lines(tmp_path / "run")] == [1, 2, 3, 4, 5]
 
@@ -111,7 +112,7 @@ def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
 def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`read_history` takes no file of any size."""
     monkeypatch.setattr("model.training.run_writer.MOST_WORST_BYTES", 20_000)
-    config = type(TINY)(**{**TINY.as_dict(), "epochs": 6})
+    config = replace(TINY, epochs=6)
     train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
     history, skipped = read_history(tmp_path / "run")
     assert len(skipped) == 0

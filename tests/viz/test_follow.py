@@ -15,7 +15,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
@@ -416,13 +415,11 @@ class Following(Process):
         children = psutil.Process(self.popen.pid).children(recursive=True)
         return next((child for child in children if set(listening(child)) == {self.web_port, self.port}), None)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self.popen.poll() is None:  # the test has failed
             for child in psutil.Process(self.popen.pid).children(recursive=True):
                 child.kill()
-        super().__exit__(kind, error, trace)
+        super().__exit__(*exception)
 
 
 RECORDER = f"""

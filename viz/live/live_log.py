@@ -17,7 +17,7 @@ from common.locks import is_being_written
 from recorder.errors import LogError
 from recorder.log.mcap_file import MAGIC, Chunk, McapFile, StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
-from recorder.log.scan import Structure, has_summary, walk_on
+from recorder.log.scan import Structure, read_summary, walk_on
 from recorder.log.topics import PICTURE_TOPICS
 from viz.live.live_messages import SHOWN, LiveMessage
 
@@ -43,11 +43,8 @@ def is_finished(path: Path) -> bool:
     """True if there is a finished log at `path`. Raises LogError if it cannot be opened or is no log."""
     if not _has_begun(path):
         return False
-    file = McapFile(path)
-    try:
-        return has_summary(file)
-    finally:
-        file.close()
+    with McapFile(path) as file:
+        return read_summary(file) is not None
 
 
 class GrowingLog(Closeable):

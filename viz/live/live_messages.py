@@ -98,7 +98,6 @@ class LiveMessageSender:
 
     def _send_events(self, topic: str, time_ns: Times, events: list[LogMessage]) -> None:
         columns = rr.TextLog.columns(
-            text=[event.message for event in events],
-            level=[_LEVELS.get(event.level, "INFO") for event in events],
+            text=[event.message for event in events], level=[_LEVELS.get(event.level, "INFO") for event in events]
         )
         self._recording.send_columns(topic, self._clock(time_ns), columns)

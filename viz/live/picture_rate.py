@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
@@ -29,9 +30,7 @@ class PictureRate:
 
     def thin(self, messages: Sequence[LiveMessage]) -> tuple[list[LiveMessage], list[LiveMessage]]:
         """Split messages into those to show and those to drop, both in their order."""
-        counts: dict[str, int] = {}
-        for message in messages:
-            counts[message.topic] = counts.get(message.topic, 0) + 1
+        counts = Counter(message.topic for message in messages)
         keep = {topic: self._take(topic, count) for topic, count in counts.items() if topic in PICTURE_TOPICS}
         shown: list[LiveMessage] = []
         thinned: list[LiveMessage] = []

@@ -242,8 +242,5 @@ def _time_panel(timeline: str, *, grows: bool = False, at_s: float | None = None
 
 def _blueprint(parts: Part, time_panel: rrb.TimePanel) -> rrb.Blueprint:
     return rrb.Blueprint(
-        parts,
-        time_panel,
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
+        parts, time_panel, rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed")
     )

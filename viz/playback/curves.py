@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
@@ -27,7 +28,6 @@ from viz.playback.blueprint import (
     PATH,
     Curve,
 )
-from viz.playback.trail import Trail
 from viz.timelines import Clock, Times
 
 BINS: Final = 25  # as the index has by default
@@ -41,6 +41,7 @@ _STRIPS: Final = pa.list_(
 )
 _CAR_M: Final = 8.0  # length of the arrow that is the car, seen from above
 _PATH_COLOR: Final = (110, 150, 110)
+MAX_PATH_POINTS: Final = 2000  # of longer paths, every second one
 
 
 class Drawing:
@@ -156,6 +157,23 @@ class Drawing:
     def _send(self, entity: str, time_ns: Times, columns: Any) -> None:
         if len(time_ns):
             self._recording.send_columns(entity, self.clock(time_ns), columns)
+
+
+class Trail:
+    """The points of a driven path, as far apart as needed for it to have at most `MAX_PATH_POINTS`."""
+
+    def __init__(self) -> None:
+        self.points: list[tuple[float, float]] = []
+        self._apart_m = 1.0
+
+    def add(self, points: NDArray[np.float64]) -> None:
+        """Points (N, 2) in m, in the order in which they were driven."""
+        for x, y in points.tolist():
+            if not self.points or math.dist(self.points[-1], (x, y)) >= self._apart_m:
+                self.points.append((x, y))
+            if len(self.points) > MAX_PATH_POINTS:
+                self.points = self.points[::2]
+                self._apart_m *= 2
 
 
 def curve_values(topic: str, time_ns: Times, contents: Sequence[Any]) -> Iterator[tuple[Curve, Times, Values]]:
