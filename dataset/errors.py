@@ -15,8 +15,8 @@ class DatasetError(UserError):
 
 
 @contextlib.contextmanager
-def write_errors(path: Path) -> Iterator[None]:
-    """Say of `path` what the system says in the block, such as that the disk is full: pyarrow names no file."""
+def index_write_errors(path: Path) -> Iterator[None]:
+    """Raise DatasetError, which names `path`, for an OSError in the block: those of pyarrow name no file."""
     try:
         yield
     except OSError as error:

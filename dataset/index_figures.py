@@ -16,7 +16,7 @@ import numpy as np
 from common.files import atomic_file, refuse_existing
 from dataset.augment import alter
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, write_errors
+from dataset.errors import DatasetError, index_write_errors
 from dataset.figure_data import (
     Distribution,
     Moment,
@@ -82,7 +82,7 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
             figure = draw[name]()
             for kind, metadata in (("png", None), ("pdf", {"CreationDate": None})):
                 path = paths[name, kind]
-                with write_errors(path), atomic_file(path, overwrite=overwrite) as part:
+                with index_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
                     figure.savefig(part, format=kind, dpi=DPI, metadata=metadata)
     return list(paths.values())
 

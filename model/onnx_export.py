@@ -26,7 +26,7 @@ from dataset.preprocess import DESCRIPTION, SIZE_PX
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.original import SteeringNetwork
-from model.runs.run_files import write_errors
+from model.runs.run_files import run_write_errors
 from model.runs.run_folder import load_config, load_network, run_name, weights_checksum
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     load_config(run)
     network = load_network(run)
     model = _model(network, description(run))
-    with write_errors(path), atomic_file(path, overwrite=overwrite) as part:
+    with run_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
         difference = _largest_difference(part, network)
         if not difference < MOST_DIFFERENCE:  # not a number, too

@@ -24,7 +24,7 @@ from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.progress import progress_bar
 from common.stretches import consecutive
-from dataset.errors import write_errors
+from dataset.errors import index_write_errors
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
 from recorder.log.message_index import UNCOMPRESSED
@@ -102,7 +102,7 @@ def write_image_check(index: Path, session: str, fingerprint: str, found: ImageF
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
     stored = _Stored(1, fingerprint, found.pictures, broken, frozen)
     path = _path(index, session)
-    with write_errors(path), atomic_file(path, overwrite=True) as part:
+    with index_write_errors(path), atomic_file(path, overwrite=True) as part:
         part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
 
 

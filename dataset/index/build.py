@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from common.car import CAMERAS
 from common.progress import track
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, write_errors
+from dataset.errors import DatasetError, index_write_errors
 from dataset.frames.frames_file import (
     FRAMES_FORMAT,
     FRAMES_SCHEMA,
@@ -169,14 +169,14 @@ def _build(
             }
             try:
                 refuse_shared_pictures(frames, by_name)
-                with write_errors(index / SAMPLES_NAME):
+                with index_write_errors(index / SAMPLES_NAME):
                     made = write_samples(frames, samples, config, places)
             except (LogError, FramesError):
                 if state.logs:
                     raise _StaleStateError from None
                 raise
         if samples.parent == stage or (entries, sorted(passed_over)) != (state.logs, state.passed_over):
-            with write_errors(index / STATE_NAME):
+            with index_write_errors(index / STATE_NAME):
                 write_state(
                     samples.with_name(STATE_NAME), BuildState(stat_of(samples), entries, sorted(passed_over))
                 )
@@ -222,7 +222,7 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
-    with write_errors(file):
+    with index_write_errors(file):
         write_table(new, table, metadata)
     if _are_equal(new, file):
         new.unlink()

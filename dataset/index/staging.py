@@ -20,7 +20,7 @@ from typing import Final
 
 from common.files import final_path, part_path, publish
 from common.interrupts import uninterrupted
-from dataset.errors import DatasetError, write_errors
+from dataset.errors import DatasetError, index_write_errors
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
@@ -38,7 +38,7 @@ def staged(index: Path) -> Iterator[Path]:
     """
     stage = part_path(index / _STAGE)
     try:
-        with write_errors(stage):
+        with index_write_errors(stage):
             (stage / FRAMES_FOLDER).mkdir(parents=True)
         yield stage
         with uninterrupted():

@@ -17,13 +17,13 @@ from model.errors import RunWriteError
 def replaced_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; it takes the place of `path` at the end. Raises RunWriteError, and
     leaves what was there, where the disk is full or does not let it."""
-    with write_errors(path), atomic_file(path, overwrite=True) as part:
+    with run_write_errors(path), atomic_file(path, overwrite=True) as part:
         yield part
 
 
 @contextlib.contextmanager
-def write_errors(path: Path) -> Iterator[None]:
-    """Raise RunWriteError, which names `path`, where the system refuses what is written to it in the block."""
+def run_write_errors(path: Path) -> Iterator[None]:
+    """Raise RunWriteError, which names `path`, for an OSError in the block."""
     try:
         yield
     except OSError as error:
@@ -32,7 +32,7 @@ def write_errors(path: Path) -> Iterator[None]:
 
 def append_json_line(path: Path, values: dict[str, Any]) -> None:
     """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null."""
-    with write_errors(path), path.open("a", encoding="utf-8") as stream:
+    with run_write_errors(path), path.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(without_nan(values), allow_nan=False) + "\n")
 
 

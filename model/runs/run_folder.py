@@ -29,7 +29,7 @@ from model.network.original import SteeringNetwork
 from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.run_arguments import run_argument, suggest_runs
-from model.runs.run_files import replaced_file, write_errors
+from model.runs.run_files import replaced_file, run_write_errors
 
 FORMAT: Final = 2
 DRIVABLE: Final = (1, 2)  # format 1 has less about its training
@@ -40,7 +40,7 @@ WEIGHTS, CONFIG = "model.safetensors", "config.json"
 def create_run(folder: Path, config: dict[str, Any]) -> None:
     """Make a run folder with its config. Raises RunError if there is one already."""
     refuse_existing_run(folder)
-    with write_errors(folder):
+    with run_write_errors(folder):
         folder.mkdir(parents=True)
     try:
         write_config(folder, {"format": FORMAT, "preprocessing": DESCRIPTION, **config})

@@ -6,18 +6,22 @@ A fine-tuned run was also trained on the data of the run that it started from.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 
-from common.stored_settings import settings_from
 from dataset import IndexConfig, Samples
 from dataset.index.training_frames import is_for_training
-from model.runs.provenance import StoredData
 
-_SPLIT_SETTINGS: Final = ("block_s", "gap_s", "validation_share", "validation", "seed")
+
+@dataclass(frozen=True)
+class _TrainingData:
+    """The data of a training."""
+
+    logs: tuple[tuple[str, str], ...]  # session and fingerprint
+    config: IndexConfig  # the settings that the split depends on
 
 
 def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: dict[str, Any]) -> int | None:
@@ -28,18 +32,16 @@ def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: d
     """
     try:
         started_from = config["init"]["data"] if "init" in config else []
-        trainings = msgspec.convert([config["data"], *started_from], list[StoredData])
-        splits = [_split_settings(data) for data in trainings]
-        "".join(name for data in trainings for name in data.logs).encode()  # no log is named by half a character
-    except (KeyError, TypeError, ValueError):
+        trainings = [_training_data(data) for data in (config["data"], *started_from)]
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return None
     count = 0
     for session, part in frames.items():
         is_learnt = np.zeros(len(part), np.bool_)
-        for data, split in zip(trainings, splits, strict=True):
-            for name, log in data.logs.items():
-                if log.fingerprint == samples.sources[session][1]:
-                    is_learnt |= is_for_training(part, samples.logs[session], name, split)
+        for training in trainings:
+            for name, fingerprint in training.logs:
+                if fingerprint == samples.sources[session][1]:
+                    is_learnt |= is_for_training(part, samples.logs[session], name, training.config)
         count += int(is_learnt.sum())
     return count
 
@@ -53,7 +55,19 @@ def by_session(frames: pa.Table) -> dict[str, pa.Table]:
     return {name: frames.take(pa.array(part)) for name, part in sorted(zip(names, parts, strict=True))}
 
 
-def _split_settings(data: StoredData) -> IndexConfig:
-    """The settings that the split of an index depends on. Raises KeyError or ValueError if some are missing."""
-    split = {name: data.settings[name] for name in _SPLIT_SETTINGS}
-    return settings_from(IndexConfig, {**split, "drives": data.settings.get("drives", "all")})
+def _training_data(stored: dict[str, Any]) -> _TrainingData:
+    """Raises KeyError, TypeError, ValueError, AttributeError or OverflowError if `stored` is none."""
+    # Not by `settings_from`: values of other types, and settings of other versions, do not hide what was learnt.
+    settings = stored["settings"]
+    config = IndexConfig(
+        block_s=float(settings["block_s"]),
+        gap_s=float(settings["gap_s"]),
+        validation_share=float(settings["validation_share"]),
+        validation=tuple(map(str, settings["validation"])),
+        seed=int(settings["seed"]),
+        drives="takeovers" if settings.get("drives") == "takeovers" else "all",
+    )
+    logs = tuple((str(session), str(log["fingerprint"])) for session, log in stored["logs"].items())
+    for session, _ in logs:
+        session.encode()  # JSON may hold halves of characters, which no name of a log has
+    return _TrainingData(logs, config)

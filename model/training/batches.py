@@ -109,7 +109,9 @@ class _Copy:
     def __init__(self, batch: Batch, device: torch.device, stream: torch.cuda.Stream | None) -> None:
         pictures, steering = as_input(batch.pictures), torch.from_numpy(batch.steering)
         self._event: torch.cuda.Event | None = None
-        if stream is not None:  # only out of pinned memory does a GPU copy by itself
+        # Only out of pinned memory does a GPU copy by itself. PyTorch keeps that memory, though its tensors are
+        # gone after this, until the stream that reads it has passed the copy.
+        if stream is not None:
             pictures, steering = pictures.pin_memory(), steering.pin_memory()
         with torch.cuda.stream(stream):  # without a stream, this does nothing
             self._steering = steering.to(device, non_blocking=True)

@@ -68,8 +68,10 @@ def validation_notices(samples: Samples, held_out: int, init: Path | None) -> li
         return []
     if init is None:
         return []
-    from model.runs.trained_on import by_session, count_trained_on  # needs more packages than training does
-
+    try:  # making the split of another training again needs more packages than training does
+        from model.runs.trained_on import by_session, count_trained_on
+    except ImportError as error:
+        return [f"{init}: whether it has learnt from the frames held out cannot be told here ({error})"]
     count = count_trained_on(by_session(samples.driving_view("validation")), samples, load_config(init))
     if count == 0:
         return []

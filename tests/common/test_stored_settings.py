@@ -27,7 +27,13 @@ def test_what_was_stored_comes_back() -> None:
     assert settings_from(TrainConfig, through_json(asdict(training))) == training
     index = IndexConfig(per_bin=7, cameras=("left",), where="speed_mph > 5", validation=("a", "b"), gap_s=2)
     assert settings_from(IndexConfig, through_json(asdict(index))) == index
-    assert settings_from(TrainConfig, {"rate": 1}) == TrainConfig(rate=1)
+
+
+def test_whole_numbers_among_floats_are_written_again_as_they_were_stored() -> None:
+    assert repr(settings_from(TrainConfig, {"rate": 1}).rate) == "1"
+    assert repr(settings_from(TrainConfig, {"rate": 1.0}).rate) == "1.0"
+    stored = {**asdict(IndexConfig()), "block_s": 10, "gap_s": 0}
+    assert json.dumps(asdict(settings_from(IndexConfig, stored))) == json.dumps(stored)
 
 
 @pytest.mark.parametrize(
@@ -42,6 +48,8 @@ def test_what_was_stored_comes_back() -> None:
         (TrainConfig, {"seed": 2**70}),
         (TrainConfig, {"threads": 10**13}),
         (TrainConfig, {"rate": 10**400}),
+        (TrainConfig, {"rate": 10**301}),
+        (TrainConfig, {"rate": 1e301}),
         (TrainConfig, {"rate": math.inf}),
         (TrainConfig, {"rate": math.nan}),
         (TrainConfig, {"device": "tpu"}),

@@ -435,6 +435,26 @@ def edited(data: Row, part: str, **values: Any) -> Row:
 
 
 @pytest.mark.parametrize(
+    ("name", "value"),
+    [("drives", "of a later version"), ("seed", SPLIT.seed + 0.5), ("block_s", str(SPLIT.block_s))],
+)
+def test_settings_that_were_written_otherwise_do_not_hide_what_the_run_has_learnt_from(
+    here: Path, run: Path, capsys: pytest.CaptureFixture[str], name: str, value: object
+) -> None:
+    change(run, data=edited(data_of(run), "settings", **{name: value}))
+    assert call(main, run, "--session", "b") == 3
+    assert f"has learnt from {len(for_training(here, 'b'))} of these {len(LEFT)} frames" in capsys.readouterr().err
+
+
+def test_sessions_held_out_that_have_no_names_do_not_hide_what_the_run_has_learnt_from(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change(run, data=edited(data_of(run), "settings", validation=[1]))
+    assert call(main, run, "--session", "b") == 3
+    assert f"has learnt from {len(LEFT)} of these {len(LEFT)} frames" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     "told",
     [
         lambda data: {"data": None},

@@ -42,8 +42,10 @@ import numpy as np
 from dataset import Samples, SamplesDataset, load
 from model import TrainConfig, load_pilot, train
 
-index, run = map(Path, sys.argv[1:])
-train(index, run, TrainConfig(epochs=1, batch=16, threads=1))
+index, run, other_index = map(Path, sys.argv[1:])
+config = TrainConfig(epochs=1, batch=16, threads=1)
+train(index, run, config)
+print(*train(other_index, run.with_name("tuned"), config, init=run).notices)
 assert -2 < load_pilot(run).predict(np.zeros((128, 128, 3), np.uint8)) < 2
 with load(index, batch=16) as loader:
     first = next(loader.epoch(1))
@@ -73,6 +75,7 @@ def test_training_runs_where_nothing_else_is_installed(tmp_path: Path) -> None:
     steering = [(row % 21 - 10) / 10 for row in range(60)]
     log = write_log(tmp_path / "road.mcap", steering, lambda camera, row: road_jpeg(row), cameras=["center"])
     index = build_index([log], tmp_path / "index", IndexConfig(block_s=1.0, gap_s=0.1)).path
+    split_otherwise = build_index([log], tmp_path / "other", IndexConfig(block_s=0.5, gap_s=0.1)).path
     allowed = installed_with(NEEDED) | {OURS}
     refused = [
         module
@@ -87,7 +90,7 @@ def test_training_runs_where_nothing_else_is_installed(tmp_path: Path) -> None:
     }
     assert must_be_missing <= set(refused)
     done = subprocess.run(
-        [sys.executable, "-c", TRAINING, str(index), str(tmp_path / "run")],
+        [sys.executable, "-c", TRAINING, str(index), str(tmp_path / "run"), str(split_otherwise)],
         input=json.dumps(refused),
         env=environment(),
         capture_output=True,
@@ -96,6 +99,9 @@ def test_training_runs_where_nothing_else_is_installed(tmp_path: Path) -> None:
         timeout=PATIENCE_S,
     )
     assert done.returncode == 0, done.stderr
+    assert (
+        f"{tmp_path / 'run'}: whether it has learnt from the frames held out cannot be told here (" in done.stdout
+    )
     samples, shape, _ = done.stdout.splitlines()[-1].partition(" (16, 128, 128, 3) ")
     assert shape
     assert int(samples) > 16
