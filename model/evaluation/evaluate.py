@@ -63,12 +63,9 @@ class Evaluation:
     def balanced_rmse_deg(self) -> dict[str, float]:
         """The balanced RMSE of the network, of always predicting zero, and of always predicting the mean."""
         recorded = self.frames["recorded"].to_numpy()
-        constants = {"zero": 0.0, "mean": float(recorded.mean())}
-        of_constants = {
-            name: measure(np.full(len(recorded), value), recorded).balanced_rmse_deg
-            for name, value in constants.items()
-        }
-        return {"network": self.measures.balanced_rmse_deg, **of_constants}
+        zero = measure(np.zeros(len(recorded)), recorded)
+        mean_deg = self.measures.mean_balanced_rmse_deg
+        return {"network": self.measures.balanced_rmse_deg, "zero": zero.balanced_rmse_deg, "mean": mean_deg}
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""

@@ -55,11 +55,9 @@ def arithmetic_remarks(run: Path, stored: dict[str, Any], now: dict[str, Any]) -
     before = stored.get("machine")
     before = before if isinstance(before, dict) else {}
     changed = [f"{name} {before.get(name)} to {now[name]}" for name in now if before.get(name) != now[name]]
-    return (
-        [f"{run}: goes on with other arithmetic ({', '.join(changed)}): other weights come of it"]
-        if changed
-        else []
-    )
+    if not changed:
+        return []
+    return [f"{run}: goes on with other arithmetic ({', '.join(changed)}): other weights come of it"]
 
 
 def resumed_config(stored: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:

@@ -82,6 +82,15 @@ class Log(Closeable):
         except BaseException:
             self._file.close()
             raise
+        self.problem = self._structure.problem
+        """The reason why the log counts as unfinished; empty for a finished one."""
+        self.size = self._file.size
+        """Bytes of the file when it was opened."""
+        self.lost = self._structure.lost
+        """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
+        unless it `salvages`."""
+        self.chunks = self._structure.chunks
+        self.channels = self._structure.channels
         self._chunk_reader = ChunkReader(self._file, self.chunks)
         self._copied_from: set[int] = set()
         self._copied = 0
@@ -89,11 +98,6 @@ class Log(Closeable):
 
     def close(self) -> None:
         self._file.close()
-
-    @property
-    def problem(self) -> str:
-        """The reason why the log counts as unfinished; empty for a finished one."""
-        return self._structure.problem
 
     @property
     def notice(self) -> str:
@@ -116,25 +120,6 @@ class Log(Closeable):
     def is_ours(self) -> bool:
         """True for a log of this toolkit, whose topics and row numbers mean what docs/log-format.md says."""
         return self._file.is_ours
-
-    @property
-    def lost(self) -> list[tuple[int, int]]:
-        """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
-        unless it `salvages`."""
-        return self._structure.lost
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file when it was opened."""
-        return self._file.size
-
-    @property
-    def chunks(self) -> list[Chunk]:
-        return self._structure.chunks
-
-    @property
-    def channels(self) -> dict[int, Channel]:
-        return self._structure.channels
 
     @property
     def schemas(self) -> dict[str, str]:

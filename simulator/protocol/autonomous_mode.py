@@ -28,8 +28,6 @@ from simulator.protocol.client import (
     SteerCommand,
 )
 
-DEFAULT_RATE_HZ = 25.0
-
 # An expert who takes the wheel at full lock has the car back on the road, and a metre on, within 10 s. A course
 # calls it stuck meanwhile, because progress is made on the road only.
 RECOVERY_LIMIT_S = 10.0
@@ -59,7 +57,7 @@ def drive_autonomously(
     client: SimulatorClient,
     *,
     laps: float,
-    rate_hz: float = DEFAULT_RATE_HZ,
+    rate_hz: float,
     real_time: bool = False,
     expert: Expert | None = None,
     leave_off_road: bool = False,

@@ -79,7 +79,7 @@ class Renderer:
             inverse,
             (*place.tolist(), view.eye.height_m),
             pose.heading_rad,
-            self._to_image(rotation),
+            (rotation @ _mount()).T,  # from (ahead, left, up), level to the ground, to the camera's own axes
             FOCAL_PX,
         )
         bonnet = self._bonnets[camera]
@@ -101,10 +101,6 @@ class Renderer:
         ahead_px, left_px, up_px = (rays[k, 0] - rays[k, 1] * right - rays[k, 2] * down for k in range(3))
         ahead_px = np.maximum(ahead_px, np.float32(0.05))
         return View(eye, left_px / ahead_px, up_px / ahead_px)
-
-    def _to_image(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The matrix that takes (ahead, left, up), level to the ground, to the camera's own axes."""
-        return (rotation @ _mount()).T
 
     def _inverse_distance(self, view: View) -> Field:
         side = (float(view.side.min()), float(view.side.max()))

@@ -8,15 +8,13 @@ from numpy.typing import NDArray
 
 from simulator.rendering.noise import Field, smooth_noise
 from simulator.rendering.props import SUN
-from simulator.rendering.terrain import CELL_M, Terrain, along_road, smoothstep
-from simulator.roads.road_stretches import EdgeKind
+from simulator.rendering.terrain import CELL_M, Terrain, along_road, per_side, smoothstep
 from simulator.roads.track import Track
 
 # BGR, read off published pictures of the Udacity simulator's lake and jungle.
 MEADOW, DRY_GRASS, SAND, EARTH = (42, 118, 128), (92, 158, 172), (112, 168, 196), (62, 112, 176)
 JUNGLE_GRASS, JUNGLE_FLOOR, JUNGLE_ROCK, PALE_ROCK = (44, 92, 76), (26, 40, 34), (56, 70, 68), (118, 158, 172)
 WATER = (168, 138, 96)
-EARTH_KINDS: tuple[EdgeKind, ...] = ("dirt",)
 
 
 def paint_ground(
@@ -37,9 +35,7 @@ def paint_ground(
     lay(DRY_GRASS, smoothstep(patches + 0.3))
     lay(JUNGLE_GRASS, jungle)
     lay(JUNGLE_FLOOR, jungle * smoothstep((beyond - 7.0 + 3.0 * patches) / 5.0))
-    left = along_road(track, np.array([float(look.left.kind in EARTH_KINDS) for look in track.looks]))
-    right = along_road(track, np.array([float(look.right.kind in EARTH_KINDS) for look in track.looks]))
-    earth = np.where(terrain.offset_m > 0, left[nearest], right[nearest])
+    earth = per_side(track, nearest, terrain.offset_m, lambda edge: float(edge.kind == "dirt"))
     lay(EARTH, earth * (1.0 - smoothstep((beyond - 6.0 - 3.0 * patches) / 2.0)))
     rise_x = cv2.Sobel(terrain.height_m, cv2.CV_32F, 1, 0, scale=1 / (8 * CELL_M))
     rise_y = cv2.Sobel(terrain.height_m, cv2.CV_32F, 0, 1, scale=1 / (8 * CELL_M))

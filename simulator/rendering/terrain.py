@@ -117,8 +117,8 @@ def _banks(
     track: Track, random: np.random.Generator, nearest: NDArray[np.int32], offset: Field, beyond: Field
 ) -> Field:
     """Cuttings, rock walls, shores, drops and parapets beside the road."""
-    bank = _per_side(track, nearest, offset, lambda edge: edge.bank_m)
-    wall = _per_side(track, nearest, offset, lambda edge: float(edge.kind == "wall"), 1.0)
+    bank = per_side(track, nearest, offset, lambda edge: edge.bank_m)
+    wall = per_side(track, nearest, offset, lambda edge: float(edge.kind == "wall"), 1.0)
     foot_m: Field = np.where(np.abs(bank) > 1.5, 2.6, 6.0).astype(np.float32)
     top_m: Field = np.where(bank < 0, 35.0, 12.0).astype(np.float32)
     rise = smoothstep(np.asarray((beyond - VERGE_M - 0.4) / foot_m, dtype=np.float32))
@@ -134,13 +134,14 @@ def _banks(
     return np.asarray(banks + top * wall * parapet, dtype=np.float32)
 
 
-def _per_side(
+def per_side(
     track: Track,
     nearest: NDArray[np.int32],
     offset: Field,
     value: Callable[[Edge], float],
     smoothing_m: float = 5.0,
 ) -> Field:
+    """A value of the edge on whose side each cell is, with soft transitions along the road."""
     left = along_road(track, np.array([value(look.left) for look in track.looks]), smoothing_m)
     right = along_road(track, np.array([value(look.right) for look in track.looks]), smoothing_m)
     return np.where(offset > 0, left[nearest], right[nearest])

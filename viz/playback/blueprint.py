@@ -45,21 +45,16 @@ Part = rrb.View | rrb.Container
 Shared = tuple[Part, float]
 """A part, and its share of the height."""
 
-BLUE: Final = (120, 160, 255)
-ORANGE: Final = (255, 160, 60)
-GREEN: Final = (110, 210, 110)
-VIOLET: Final = (200, 140, 230)
-GREY: Final = (160, 160, 160)
-RED: Final = (230, 90, 90)
 COLORS: Final[Mapping[ColorName, Color]] = {
-    "blue": BLUE,
-    "orange": ORANGE,
-    "green": GREEN,
-    "violet": VIOLET,
-    "grey": GREY,
-    "red": RED,
+    "blue": (120, 160, 255),
+    "orange": (255, 160, 60),
+    "green": (110, 210, 110),
+    "violet": (200, 140, 230),
+    "grey": (160, 160, 160),
+    "red": (230, 90, 90),
 }
 """By the names that the registry of topics has for them."""
+BLUE, ORANGE, GREEN, VIOLET, GREY, RED = COLORS.values()
 
 DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
     PilotCommand.UNKNOWN: ("unknown", GREY),
