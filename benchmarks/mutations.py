@@ -52,7 +52,8 @@ class Tests:
     def of(self, fault: Fault) -> list[str]:
         """Their ids, up to TESTS_S."""
         if fault.file not in self._lines:
-            (name,) = [path for path in self._data.measured_files() if path.endswith("/" + fault.file)] or [""]
+            names = [path for path in self._data.measured_files() if path.endswith("/" + fault.file)]
+            name = min(names, key=len, default="")  # not one of the copies that a test made
             self._lines[fault.file] = self._data.contexts_by_lineno(name) if name else {}
         tests = (test for test in self._lines[fault.file].get(fault.lineno, []) if "::" in test)
         ids = {re.sub(r" \((setup|call|teardown)\)$", "", test) for test in tests}
