@@ -4,8 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator tests benchmarks docs
 
-# as many tests at once as there are processors; those of one file share what they have made
-PYTEST := $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadfile
+# several tests at once (tests/conftest.py says how many); those of one file share what they have made
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
 
 .PHONY: install demo test test-long coverage check docs site pictures proto clean
 
