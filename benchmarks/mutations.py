@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -58,9 +59,8 @@ class Tests:
         tests = (test for test in self._lines[fault.file].get(fault.lineno, []) if "::" in test)
         ids = {re.sub(r" \((setup|call|teardown)\)$", "", test) for test in tests}
         timed = sorted((self._time(test), test) for test in ids)
-        return [
-            test for at, (_, test) in enumerate(timed) if not at or sum(s for s, _ in timed[: at + 1]) <= TESTS_S
-        ]
+        spent = itertools.accumulate(seconds for seconds, _ in timed)
+        return [test for at, ((_, test), s) in enumerate(zip(timed, spent, strict=True)) if not at or s <= TESTS_S]
 
     def _time(self, test: str) -> float:
         file, _, name = test.partition("::")

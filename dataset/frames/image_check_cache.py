@@ -101,14 +101,14 @@ def write_image_check(index: Path, session: str, fingerprint: str, found: ImageF
     """Keep what was found in the log with this fingerprint."""
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
     stored = _Stored(1, fingerprint, found.pictures, broken, frozen)
-    path = _path(index, session)
+    path = image_check_path(index, session)
     with index_write_errors(path), atomic_file(path, overwrite=True) as part:
         part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
     """The findings in the log with this fingerprint; None if it was not checked, or the file is damaged."""
-    path = _path(index, session)
+    path = image_check_path(index, session)
     try:
         if path.is_symlink() or path.stat().st_size > _MOST_BYTES:
             return None
@@ -126,7 +126,7 @@ def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:
     return {camera: stored[camera] for camera in CAMERAS if camera in stored}
 
 
-def _path(index: Path, session: str) -> Path:
+def image_check_path(index: Path, session: str) -> Path:
     return index / IMAGE_CHECKS_FOLDER / f"{session}.json"
 
 

@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 
 from common import atomic_file
-from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
+from dataset.frames.image_check_cache import image_check_path
 from recorder.log.tags import tags_path
 
 FRAMES_FOLDER: Final = "frames"
@@ -48,8 +48,8 @@ class BuildState(msgspec.Struct, frozen=True):
 
 def sources_of(session: str, log: Path, index: Path) -> Sources:
     """The files that a session's frames are made of: the log, its tags, and the check of its pictures."""
-    findings = index / IMAGE_CHECKS_FOLDER / f"{session}.json"
-    return os.path.realpath(log), stat_of(log), stat_of(tags_path(log)), stat_of(findings)
+    findings = stat_of(image_check_path(index, session))
+    return os.path.realpath(log), stat_of(log), stat_of(tags_path(log)), findings
 
 
 def stat_of(path: Path) -> Stat:

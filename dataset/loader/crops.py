@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from dataset.augment import alter
 from dataset.errors import DatasetError
+from dataset.frames.distinct_rows import number_distinct
 from dataset.preprocess import CROP_BYTES, CROP_SHAPE, Image, decode, preprocess
 from dataset.samples.sample_rows import Rows
 from recorder import Log
@@ -25,12 +26,21 @@ def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
     An altered sample has a crop of its own; the others share their picture's, mirrored or not.
     """
-    is_altered = np.array([names != "" for names in rows.alterations], np.bool_)[rows.alteration]
-    order = np.lexsort((is_altered, rows.picture))
-    is_new = is_altered[order] | (np.diff(rows.picture[order], prepend=-1) != 0)
-    crop = np.empty(len(rows), np.int64)
-    crop[order] = np.cumsum(is_new) - 1
-    return order[is_new], crop
+    own = np.where(
+        _is_altered(rows), np.arange(1, len(rows) + 1), 0
+    )  # 0: shared by all unaltered ones of a picture
+    crop, samples = number_distinct(own, rows.picture)
+    return samples, crop.astype(np.int64)
+
+
+def count_crops(rows: Rows) -> int:
+    """The number of crops that `different_crops` finds, without sorting the samples."""
+    is_altered = _is_altered(rows)
+    return int(np.count_nonzero(is_altered)) + int(np.count_nonzero(np.bincount(rows.picture[~is_altered])))
+
+
+def _is_altered(rows: Rows) -> NDArray[np.bool_]:
+    return np.array([names != "" for names in rows.alterations], np.bool_)[rows.alteration]
 
 
 class Crops:

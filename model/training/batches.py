@@ -17,7 +17,7 @@ from torch import Tensor
 
 from common import Skipped
 from dataset import Batch, Loader
-from dataset.loader.crops import different_crops
+from dataset.loader.crops import count_crops, different_crops
 from dataset.preprocess import CROP_BYTES, CROP_SHAPE
 from model.evaluation.predict import as_input
 
@@ -69,8 +69,7 @@ def make_batches(
 
 def needed_bytes(loader: Loader) -> int:
     """Memory that all crops of a loader take on a device, with the order and the labels of an epoch."""
-    samples, _ = different_crops(loader.rows)
-    return len(samples) * CROP_BYTES + len(loader) * 16
+    return count_crops(loader.rows) * CROP_BYTES + len(loader) * 16
 
 
 class HostBatches(Batches):

@@ -109,7 +109,7 @@ def train(
                 origin["init"] = init_provenance(init, run)
             group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin)))
         loop = TrainingLoop(samples, writer, config, machine, group, listeners, bar)
-        notices = validation_notices(samples, len(loop.validation), init)
+        notices = validation_notices(samples, loop.validation, init)
         remarks: list[str] = []
         if begins:
             if init is not None:

@@ -28,7 +28,7 @@ class Validation:
     def __init__(self, samples: Samples, batch: int, budget_bytes: int, threads: int) -> None:
         frames = samples.driving_view("validation")
         self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads)
-        self._frames = frames.select(WORST_COLUMNS)
+        self.frames = frames.select(WORST_COLUMNS)
 
     def __len__(self) -> int:
         return len(self.loader)
@@ -53,11 +53,12 @@ class Validation:
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
         if not len(recorded):
             return None
-        return find_worst(epoch, self._frames, self.loader, predicted, recorded)
+        return find_worst(epoch, self.frames, self.loader, predicted, recorded)
 
 
-def validation_notices(samples: Samples, held_out: int, init: Path | None) -> list[str]:
-    """A notice if the frames held out, `held_out` in number, say little of a run that starts from `init`."""
+def validation_notices(samples: Samples, validation: Validation, init: Path | None) -> list[str]:
+    """A notice if the frames held out say little of a run that starts from `init`."""
+    held_out = len(validation)
     settings = samples.metadata["settings"]
     if not held_out:
         if settings.get("validation_share") or settings.get("validation"):
@@ -72,7 +73,7 @@ def validation_notices(samples: Samples, held_out: int, init: Path | None) -> li
         from model.runs.trained_on import by_session, count_trained_on
     except ImportError as error:
         return [f"{init}: whether it has learnt from the frames held out cannot be told here ({error})"]
-    count = count_trained_on(by_session(samples.driving_view("validation")), samples, load_config(init))
+    count = count_trained_on(by_session(validation.frames), samples, load_config(init))
     if count == 0:
         return []
     known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
