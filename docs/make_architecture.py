@@ -9,11 +9,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
+from behavioural_cloning_toolkit import NEEDS
 from generated_blocks import ROOT, update, with_blocks
 
 PAGE: Final = ROOT / "ARCHITECTURE.md"
 PICTURE: Final = ROOT / "docs" / "pictures" / "architecture.svg"
-ROOMS: Final = ("drive", "viz", "model", "dataset", "recorder", "simulator", "common")
+ROOMS: Final = tuple(reversed(NEEDS))
 
 
 def main() -> None:

@@ -26,9 +26,8 @@ def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
     An altered sample has a crop of its own; the others share their picture's, mirrored or not.
     """
-    own = np.where(
-        _is_altered(rows), np.arange(1, len(rows) + 1), 0
-    )  # 0: shared by all unaltered ones of a picture
+    # 0: the crop that all unaltered samples of a picture share
+    own = np.where(_is_altered(rows), np.arange(1, len(rows) + 1), 0)
     crop, samples = number_distinct(own, rows.picture)
     return samples, crop.astype(np.int64)
 

@@ -264,14 +264,10 @@ class Log(Closeable):
         return self._decoded(topic, topics.TOPICS[topic].message.load())
 
     def vehicle_states(self) -> Iterator[tuple[Message, VehicleState]]:
-        from recorder.bc_pb2 import VehicleState
-
-        return self._decoded(topics.VEHICLE, VehicleState)
+        return self.decoded(topics.VEHICLE)
 
     def commands(self) -> Iterator[tuple[Message, PilotCommand]]:
-        from recorder.bc_pb2 import PilotCommand
-
-        return self._decoded(topics.PILOT_COMMAND, PilotCommand)
+        return self.decoded(topics.PILOT_COMMAND)
 
     def predictions(self, run: str) -> Iterator[tuple[Message, Prediction]]:
         """The predictions of the network of a run, in a log of predictions."""

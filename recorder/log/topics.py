@@ -6,7 +6,6 @@ A new camera is one more name in `common.car.Camera`.
 
 from __future__ import annotations
 
-import functools
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,7 +39,6 @@ class MessageType:
     name: str
     module: str
 
-    @functools.cache  # noqa: B019  (there are as many as the registry has)
     def load(self) -> type[Message]:
         """The Python class, imported when it is first asked for."""
         loaded: type[Message] = getattr(importlib.import_module(self.module), self.name.rpartition(".")[2])

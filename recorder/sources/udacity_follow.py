@@ -98,18 +98,13 @@ class CsvTail(FileTail):
         self._lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
         self._earlier_lines = set[int]()
 
-    def new_lines(self, end: int | None = None) -> list[tuple[int, bytes]]:
-        return self._not_given_before(super().new_lines(end))
-
-    def rest(self) -> list[tuple[int, bytes]]:
-        return self._not_given_before(super().rest())
-
-    def _not_given_before(self, lines: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-        if lines and lines[0][0] == 1:  # the first line of another file
+    def _numbered(self, lines: list[bytes]) -> list[tuple[int, bytes]]:
+        found = super()._numbered(lines)
+        if found and found[0][0] == 1:  # the first line of another file
             self._earlier_lines |= self._lines
             self._lines = set()
-        self._lines.update(hash(content) for _, content in lines)
-        return [(number, content) for number, content in lines if hash(content) not in self._earlier_lines]
+        self._lines.update(map(hash, lines))
+        return [(number, content) for number, content in found if hash(content) not in self._earlier_lines]
 
 
 class _GrowingRecording:

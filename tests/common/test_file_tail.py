@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from common.file_tail import FileTail
+from growing_files import WAYS, begin_again
 
 
 def test_lines_are_given_once_each_when_they_have_their_end(tmp_path: Path) -> None:
@@ -78,20 +79,13 @@ def test_nothing_is_read_beyond_the_end_that_is_given(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n"])
-@pytest.mark.parametrize("way", ["written anew", "another file", "deleted first"])
+@pytest.mark.parametrize("way", WAYS)
 def test_a_file_that_begins_again_is_given_from_its_start(tmp_path: Path, text: bytes, way: str) -> None:
     csv = tmp_path / "driving_log.csv"
     csv.write_bytes(b"a\nb\nc\npart")
     tail = FileTail(csv, 1000)
     assert tail.new_lines() == [(1, b"a"), (2, b"b"), (3, b"c")]
-    if way == "another file":
-        (tmp_path / "other").write_bytes(text)
-        (tmp_path / "other").replace(csv)
-    else:
-        if way == "deleted first":
-            csv.unlink()
-            assert tail.new_lines() == []
-        csv.write_bytes(text)
+    begin_again(tail, text, way)
     assert tail.new_lines() == list(enumerate(text.splitlines(), 1))
     assert tail.rest() == []
 

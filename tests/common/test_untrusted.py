@@ -19,7 +19,7 @@ import zstandard
 from rosbags.rosbag2 import StoragePlugin
 
 from common.untrusted import open_regular, read_bounded
-from driving import Process, command, environment
+from driving import Process, command, environment, run
 from logs import read_messages
 from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
@@ -348,15 +348,7 @@ def test_a_folder_and_pictures_whose_names_are_not_utf_8(tmp_path: Path) -> None
         pytest.skip("names that are not UTF-8 were not tried: the file system has none")
     for flags in ([], ["--watch", "--idle", "0"]):
         name = f"a{len(flags)}"
-        done = subprocess.run(
-            command("bc-record", name, "--from", folder, *flags),
-            cwd=tmp_path,
-            env=environment(),
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
-        )
+        done = run("bc-record", name, "--from", folder, *flags, cwd=tmp_path)
         assert done.returncode == 3, done.stderr
         assert done.stderr.splitlines() == [r"skipped pictures without a row: 1 (\udce9.jpg)"]
         found = read_messages(tmp_path / "sessions" / f"{name}.mcap")

@@ -7,8 +7,6 @@ import importlib.util
 import json
 import math
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from statistics import fmean
@@ -26,7 +24,7 @@ from dataset.frames.image_check_cache import check_all_images
 from dataset.samples import samples_format
 from dataset.samples.filter import Condition
 from dataset.samples.samples_writer import FROM_FRAMES
-from driving import PATIENCE_S, environment, road_jpeg
+from driving import road_jpeg, run_code
 from logs import START_NS, STEP_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -97,15 +95,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run_block(code: str, folder: Path, then: str) -> Any:
     """Run an example of the page in a process of its own; what it prints at its end, as JSON."""
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}\nimport json\nprint(json.dumps({then}))"],
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = run_code(f"{code}\nimport json\nprint(json.dumps({then}))", cwd=folder)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

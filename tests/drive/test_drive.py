@@ -38,7 +38,7 @@ from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.recover import recover, recovered_name
 from recorder.server.telemetry import MAX_IMAGE_BYTES
 from rrd import contents, free_ports
-from serving import ModernClient, wait_until
+from serving import ModernClient
 from simulator.protocol.client import (
     ServerCommand,
     SimulatorClient,
@@ -49,6 +49,7 @@ from simulator.protocol.client import (
 )
 from simulator.protocol.replay import replay
 from udacity import call
+from waiting import wait_until
 
 REPLAYED, MODERN, TOGETHER, COMMA, MANUAL = 60, 12, 15, 10, 3
 TOPICS = ("/camera/center", "/vehicle", "/pilot/input", "/pilot/command")

@@ -21,17 +21,17 @@ from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
 from waiting import PATIENCE_S as PATIENCE_S
 
-COMMANDS = {
-    "bc-record": "recorder.cli",
-    "bc-log": "recorder.log_cli",
-    "bc-index": "dataset.cli",
-    "bc-train": "model.cli",
-    "bc-drive": "drive.cli",
-    "bc-play": "viz.cli",
-    "bc-sim": "simulator.cli",
-    "bc-eval": "drive.evaluation.eval_cli",
-    "bc-demo": "drive.demo",
-}
+COMMANDS = (
+    "bc-record",
+    "bc-log",
+    "bc-index",
+    "bc-train",
+    "bc-drive",
+    "bc-play",
+    "bc-sim",
+    "bc-eval",
+    "bc-demo",
+)
 
 
 def command(name: str, *arguments: object) -> list[str]:
@@ -61,10 +61,12 @@ def run(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.Co
     )
 
 
-def run_code(code: str) -> subprocess.CompletedProcess[str]:
-    """Run Python code, with our sources on its path, to its end."""
-    line = [sys.executable, "-c", code]
-    return subprocess.run(line, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+def run_code(code: str, *flags: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run Python code, with our sources on its path, to its end; `flags` are the interpreter's."""
+    line = [sys.executable, *flags, "-c", code]
+    return subprocess.run(
+        line, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
 
 
 def one_line_of(done: subprocess.CompletedProcess[str]) -> str:

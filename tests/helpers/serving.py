@@ -119,13 +119,6 @@ class Serving:
             raise self.error
 
 
-def wait_until(is_so: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not is_so():
-        assert time.monotonic() < end_s, "it never came to be"
-        time.sleep(0.005)
-
-
 def steering(number: int) -> float:
     """Of telemetry `number`: all differ, and each can be told in four decimals of a degree."""
     return (number % 2001 - 1000) / 1000

@@ -45,8 +45,8 @@ from serving import (
     malformed,
     steered,
     tell,
-    wait_until,
 )
+from waiting import wait_until
 
 
 def sent_until_hung_up(stream: socket.socket, data: bytes, pause_s: float = 0.0, most: int = 1 << 30) -> int:

@@ -6,7 +6,6 @@ import hashlib
 import math
 import re
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -20,7 +19,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import StoragePlugin
 
 from common.car import CAMERAS, Camera
-from driving import PATIENCE_S, environment, road_jpeg, run, untrained_run
+from driving import road_jpeg, run, run_code, untrained_run
 from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
@@ -91,22 +90,10 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def run_python(code: str, folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *flags, "-c", code],
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-
-
 def run_without_ours(code: str, folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
     """In a process in which importing any of the project's folders fails."""
     hidden = f"import sys; sys.modules.update(dict.fromkeys({ROOMS}))\n"
-    return run_python(hidden + code, folder, "-I", *flags)
+    return run_code(hidden + code, "-I", *flags, cwd=folder)
 
 
 # The examples
@@ -130,7 +117,7 @@ def test_the_example_with_mcap_reads_a_log_without_this_project(log: Path) -> No
 
 def test_the_example_with_the_toolkit(log: Path) -> None:
     (code,) = blocks("With this toolkit", "python")
-    done = run_python(code, log.parent)
+    done = run_code(code, cwd=log.parent)
     assert done.returncode == 0, done.stderr
     steering = [row[0] for row in ROWS]
     sharpest = min(steering)

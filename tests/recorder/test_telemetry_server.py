@@ -42,9 +42,9 @@ from serving import (
     steered,
     steering,
     tell,
-    wait_until,
 )
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from waiting import wait_until
 
 
 def test_the_old_protocol_and_modern_clients_are_served_at_once_on_one_port(mode: ServerMode) -> None:

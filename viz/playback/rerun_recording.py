@@ -23,7 +23,7 @@ from common.files import refuse_existing
 from common.progress import progress_bar, track
 from recorder import Log
 from recorder.log.recover import recover
-from recorder.log.topics import COMPRESSED_IMAGE, POSE, TOPICS, VEHICLE
+from recorder.log.topics import POSE, TOPICS, VEHICLE
 from viz.playback.blueprint import CENTER, Curve, log_layout
 from viz.playback.curves import Drawing, Values, curve_values, frame_size
 from viz.playback.prediction_curves import prediction_curves
@@ -227,7 +227,7 @@ def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
 
 
 def _picture_size(log: Log) -> tuple[int, int] | None:
-    if CENTER not in topics_with_messages(log) or log.schemas[CENTER] != COMPRESSED_IMAGE.name:
+    if CENTER not in topics_with_messages(log) or not _is_ours(log, CENTER):
         return None
     found = log.pictures(CENTER)
     return frame_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))
