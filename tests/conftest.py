@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import sysconfig
 from collections.abc import Generator
@@ -30,6 +31,8 @@ def pytest_configure(config: pytest.Config) -> None:
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts what is in the background like that
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_xdist_auto_num_workers() -> int:
