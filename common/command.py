@@ -23,6 +23,7 @@ from common.interrupts import GracefulStop, handle_signals
 from common.output import MessageHandler, clear_live_displays, print_message, print_result
 from common.streams import drain, end_process, nonblocking_streams, stdout_error
 from common.versions import version_of
+from common.wake_main_thread import signals_wake_main_thread
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -92,7 +93,7 @@ def run_command(
     """
     announce = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
     with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
-        with handle_signals(_interrupt), _logging_as_messages():
+        with signals_wake_main_thread(), handle_signals(_interrupt), _logging_as_messages():
             try:
                 about = f"{(description or config.__doc__ or '').rstrip()}\n\n{_VERSION_FLAG}"
                 code = _run(prog, config, action, about, default)
