@@ -191,18 +191,30 @@ class Log(Closeable):
 
     @cached_property
     def fingerprint(self) -> str:
-        """A name for this content and no other: SHA-256 over the chunks' headers (with the CRC of each chunk's
-        content) and the file's size. It changes with any picture, and reads none: the end of a log of ours has
-        the CRCs, else they are read from the chunks."""
-        digest = hashlib.sha256(struct.pack("<Q", self.size))
+        """A name for this content: that of the file, or that of the log which `bc-log rewrite` made it of and
+        which holds the same messages at other places."""
+        rewritten = self.read_metadata(topics.REWRITTEN_METADATA) if self.is_ours and not self.problem else {}
+        original = rewritten.get("fingerprint", "")
+        # the record is about these chunks: another program, or an earlier version, may have copied it with others
+        is_about_this = original and rewritten.get("chunks") == _sha256(*self._chunk_headers)
+        return original if is_about_this else self.file_fingerprint
+
+    @cached_property
+    def file_fingerprint(self) -> str:
+        """A name for this file, in which pictures have their places: SHA-256 over its size and the chunks' headers
+        (with the CRC of each chunk's content). It changes with any picture."""
+        return _sha256(struct.pack("<Q", self.size), *self._chunk_headers)
+
+    @cached_property
+    def _chunk_headers(self) -> list[bytes]:
+        """The header of each chunk, from the end of a log of ours; else they are read, some 50 bytes a chunk."""
         crcs = read_chunk_crcs(self._file, self._structure) if self.is_ours else None
-        for chunk, crc in zip(self.chunks, crcs or [0] * len(self.chunks), strict=True):
-            if crc and chunk.head:
-                digest.update(chunk.head + struct.pack("<I", crc))
-                continue
-            has_crc = self._file.has_crc(chunk)
-            digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start))
-        return digest.hexdigest()
+        if crcs is not None:
+            return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(self.chunks, crcs, strict=True)]
+        return [
+            self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start)
+            for chunk, has_crc in ((chunk, self._file.has_crc(chunk)) for chunk in self.chunks)
+        ]
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
         """`length` bytes from `offset`, as `Pictures` and `Message` give them. May be called from several threads.
@@ -340,3 +352,10 @@ class Log(Closeable):
                 yield message, kind.FromString(self.read(message.offset, message.length, message.chunk))
             except DecodeError as error:
                 raise self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}") from error
+
+
+def _sha256(*parts: bytes) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
