@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from recorder.log.mcap_file import Chunk, McapFile
@@ -26,9 +26,10 @@ class ChunkReader:
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
 
-    def set_verified(self) -> None:
-        """Note that all chunks have been read, and that their CRCs hold."""
-        self._is_verified = bytearray(b"\1") * len(self._chunks)
+    def set_verified(self, chunks: Iterable[Chunk]) -> None:
+        """Note that these chunks have been read, and that their CRCs hold."""
+        for chunk in chunks:
+            self._is_verified[bisect.bisect_left(self._starts, chunk.start)] = True
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
         """`length` bytes from `offset`: in the file, or among the unpacked records of the chunk that begins at

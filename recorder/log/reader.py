@@ -1,7 +1,7 @@
 """Reading a log: its metadata, its messages, and the place of each picture in the file.
 
-Nothing is given out of a chunk whose CRC does not hold. A log that was never finished is read as far as it
-goes, and says so (`Log.notice`).
+Nothing is given out of a chunk whose CRC does not hold; a chunk of pictures is read when one of them is asked for.
+A log that was never finished is read as far as it goes, and says so (`Log.notice`).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from recorder.log import topics
 from recorder.log.chunk_reader import ChunkReader
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, index_messages
+from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.log.salvage import salvage
 from recorder.log.scan import read_structure
 from recorder.log.topics import camera_topic, prediction_topic
@@ -153,8 +154,10 @@ class Log(Closeable):
 
     @property
     def attachments(self) -> list[int]:
-        """Offsets of the attachments (MCAP's files within a log; this toolkit writes none)."""
-        return sorted(self._structure.attachments_at)
+        """Offsets of the attachments (MCAP's files within a log), but those that say where this file's pictures
+        lie."""
+        names = self._structure.attachment_names
+        return [at for at in sorted(self._structure.attachments_at) if not is_about_places(names.get(at, ""))]
 
     def attachment(self, offset: int) -> Attachment:
         return self._file.attachment(offset)
@@ -189,9 +192,14 @@ class Log(Closeable):
     @cached_property
     def fingerprint(self) -> str:
         """A name for this content and no other: SHA-256 over the chunks' headers (with the CRC of each chunk's
-        content) and the file's size. It reads some 50 bytes a chunk, and changes with any picture."""
+        content) and the file's size. It changes with any picture, and reads none: the end of a log of ours has
+        the CRCs, else they are read from the chunks."""
         digest = hashlib.sha256(struct.pack("<Q", self.size))
-        for chunk in self.chunks:
+        crcs = read_chunk_crcs(self._file, self._structure) if self.is_ours else None
+        for chunk, crc in zip(self.chunks, crcs or [0] * len(self.chunks), strict=True):
+            if crc and chunk.head:
+                digest.update(chunk.head + struct.pack("<I", crc))
+                continue
             has_crc = self._file.has_crc(chunk)
             digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start))
         return digest.hexdigest()
@@ -304,14 +312,18 @@ class Log(Closeable):
 
     @cached_property
     def _index(self) -> NDArray[np.void]:
-        chunks: Iterable[Chunk] = self.chunks
+        places = read_places(self._file, self._structure) if self.is_ours else None
+        read = self.chunks
+        if places is not None:
+            read = [chunk for chunk in read if not is_of_pictures(chunk, self._structure)]
+        chunks: Iterable[Chunk] = read
         if self._shows_progress:
             from common.progress import track  # training reads logs where no bars are installed
 
-            chunks = track(chunks, f"reading {self.path.name}", len(self.chunks))
+            chunks = track(chunks, f"reading {self.path.name}", len(read))
         index = index_messages(self._file, self._structure, chunks)
-        self._chunk_reader.set_verified()
-        return index
+        self._chunk_reader.set_verified(read)
+        return index if places is None else np.concatenate([index, places])
 
     def _of_topic(self, topic: str) -> NDArray[np.void]:
         mask = np.zeros(len(self._index), np.bool_)
