@@ -6,13 +6,12 @@ and Rerun's.
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import shutil
 import subprocess
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -23,7 +22,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from mcap.reader import McapReader, NonSeekingReader, SeekingReader
+from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Channel, Message, Schema
 from rerun.chunk import McapReader as RerunReader
 
@@ -136,7 +135,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], P
     write_drive(first)
     write_drive(live, live=True)
     merge([write_drive(folder / "later.mcap", START_NS + 10**12), first], two)
-    found = {}
+    found: dict[tuple[str, str], Path] = {}
     for name, path in zip(LOGS, (first, live, two), strict=True):
         before = write_as_before(path, path.with_stem(f"{path.stem}-before"))
         found |= {(layout, name): its for layout, its in zip(LAYOUTS, (path, before), strict=True)}
@@ -177,8 +176,10 @@ def test_the_logs_have_all_that_is_written_and_the_layouts_that_they_are_named_a
         if layout == LAYOUTS[0]:
             assert {True, False} not in kinds
             assert min(kinds.count({True}), kinds.count({False})) > 1
+            assert [attached for attached, _ in contents(path).attachments] == ["bc.pictures", "bc.chunks"]
         else:
             assert {True, False} in kinds
+            assert contents(path).attachments == []
         with Log(path) as opened:
             assert opened.counts == {topic: twice * count for topic, count in counts.items()}
     for name in LOGS:
@@ -200,35 +201,30 @@ def test_the_messages_of_a_topic_are_those_of_the_chunks(log: Path) -> None:
 # mcap
 
 
-class OnlyForwards(io.RawIOBase):
-    """A stream that cannot be sought in, such as a pipe."""
-
-    def __init__(self, path: Path) -> None:
-        self._stream = path.open("rb", buffering=0)
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        return self._stream.readinto(buffer)  # type: ignore[no-any-return]  # never None: it does not block
-
-    def close(self) -> None:
-        self._stream.close()
-        super().close()
+def mcap_reads_the_same(read: Callable[[bool, bool], Read], expected: Read) -> None:
+    """`read` is told whether to go by log times, and whether backwards."""
+    assert read(False, False) == expected
+    assert read(True, False) == Read(by_time(expected.messages), expected.schemas)
+    assert read(True, True) == Read(backwards(expected.messages), expected.schemas)
 
 
-@pytest.mark.parametrize("seeks", [True, False], ids=["seeking", "not seeking"])
-def test_mcaps_own_readers_agree(log: Path, seeks: bool) -> None:
-    expected = ours(log)
+def test_mcaps_own_reader_agrees(log: Path) -> None:
+    def read(log_time_order: bool, reverse: bool) -> Read:
+        with log.open("rb") as stream:
+            reader = SeekingReader(stream, validate_crcs=True)
+            return gathered(reader.iter_messages(log_time_order=log_time_order, reverse=reverse))
 
-    def read(**order: bool) -> Read:
-        with log.open("rb") if seeks else io.BufferedReader(OnlyForwards(log)) as stream:
-            reader: McapReader = (SeekingReader if seeks else NonSeekingReader)(stream, validate_crcs=True)
-            return gathered(reader.iter_messages(**order))
+    mcap_reads_the_same(read, ours(log))
 
-    assert read(log_time_order=False) == expected
-    assert read() == Read(by_time(expected.messages), expected.schemas)
-    assert read(reverse=True) == Read(backwards(expected.messages), expected.schemas)
+
+def test_mcaps_own_reader_of_a_pipe_agrees(log: Path) -> None:
+    def read(log_time_order: bool, reverse: bool) -> Read:
+        with subprocess.Popen(["cat", str(log)], stdout=subprocess.PIPE) as pipe:
+            assert pipe.stdout is not None
+            reader = NonSeekingReader(pipe.stdout, validate_crcs=True)
+            return gathered(reader.iter_messages(log_time_order=log_time_order, reverse=reverse))
+
+    mcap_reads_the_same(read, ours(log))
 
 
 def test_mcaps_own_reader_agrees_on_a_topic_and_on_a_stretch(log: Path) -> None:
@@ -257,9 +253,7 @@ def test_mcaps_own_reader_counts_the_same(log: Path) -> None:
         assert {summary.channels[number].topic: count for number, count in counts.items()} == opened.counts
         found = [(record.name, dict(record.metadata)) for record in reader.iter_metadata()]
         assert found == opened.all_metadata()
-        attachments = [(its.name, its.data) for its in reader.iter_attachments()]
-        ours = [opened.attachment(offset) for offset in opened.attachments]
-        assert attachments == [(its.name, its.data) for its in ours]
+        assert [(its.name, its.data) for its in reader.iter_attachments()] == contents(log).attachments
 
 
 # Foxglove
@@ -291,10 +285,9 @@ def test_foxgloves_readers_agree(log: Path) -> None:
     with Log(log) as opened:
         assert found["counts"] == opened.counts
         metadata = [[name, values] for name, values in opened.all_metadata()]
-        attachments = [opened.attachment(offset) for offset in opened.attachments]
     assert found["metadata"] == found["streamed_metadata"] == metadata
-    assert found["attachments"] == found["streamed_attachments"]
-    assert found["attachments"] == [[its.name, its.media_type, digest(its.data)] for its in attachments]
+    attachments = [[name, digest(data)] for name, data in contents(log).attachments]
+    assert found["attachments"] == found["streamed_attachments"] == attachments
 
 
 @needs_foxglove
@@ -351,7 +344,7 @@ def test_reruns_reader_agrees(log: Path) -> None:
     with Log(log) as opened:
         assert {channel.topic: channel.message_count for channel in info.channels} == opened.counts
         assert info.metadata_count == len(opened.metadata_records)
-        assert info.attachment_count == len(opened.attachments)
+        assert info.attachment_count == len(contents(log).attachments)
         assert (info.message_start_time_ns, info.message_end_time_ns) == opened.time_range_ns
     for channel in info.channels:
         assert channel.schema is not None

@@ -40,7 +40,7 @@ const told = (topic, { sequence, logTime, publishTime, data }) => [
   String(publishTime),
   sha256(data),
 ];
-const attached = ({ name, mediaType, data }) => [name, mediaType, sha256(data)];
+const attached = ({ name, data }) => [name, sha256(data)];
 
 async function indexed() {
   const file = new SeekableFile();
