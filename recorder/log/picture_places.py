@@ -118,12 +118,13 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     if content is None or len(content) % PLACE.itemsize:
         return None
     places = np.frombuffer(content, PLACE)
-    is_picture_chunk = np.array([is_of_pictures(chunk, structure) for chunk in structure.chunks])
-    if not np.array_equal(np.unique(places["chunk"]), np.flatnonzero(is_picture_chunk)):
+    images = structure.image_channels
+    of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
+    if np.unique(places["chunk"]).tolist() != of_pictures:
         return None
     counted = dict(zip(*(each.tolist() for each in np.unique(places["channel"], return_counts=True)), strict=True))
     stored = structure.statistics.channel_message_counts
-    if counted != {n: stored[n] for n in structure.image_channels if stored.get(n)}:
+    if counted != {n: stored[n] for n in images if stored.get(n)}:
         return None
     starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
     ends = np.array([chunk.end for chunk in structure.chunks], np.int64)
@@ -140,9 +141,9 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     return table if is_inside.all() else None
 
 
-def is_of_pictures(chunk: Chunk, structure: Structure) -> bool:
-    """True for an uncompressed chunk that has, by the summary, pictures and nothing else."""
-    return chunk.channels is not None and not chunk.compression and chunk.channels <= structure.image_channels
+def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:
+    """True for an uncompressed chunk that has, by the summary, messages of these channels and no others."""
+    return chunk.channels is not None and not chunk.compression and chunk.channels <= images
 
 
 def _attached(file: McapFile, structure: Structure, name: str) -> bytes | None:

@@ -327,7 +327,8 @@ class Log(Closeable):
         places = read_places(self._file, self._structure) if self.is_ours else None
         read = self.chunks
         if places is not None:
-            read = [chunk for chunk in read if not is_of_pictures(chunk, self._structure)]
+            images = self._structure.image_channels
+            read = [chunk for chunk in read if not is_of_pictures(chunk, images)]
         chunks: Iterable[Chunk] = read
         if self._shows_progress:
             from common.progress import track  # training reads logs where no bars are installed

@@ -14,14 +14,14 @@ CHUNK_BYTES = 256 * 1024
 Found = tuple[Schema | None, Channel, Message]
 
 
-def write_as_before(log: Path, path: Path) -> Path:
+def write_as_before(log: Path, path: Path, chunk_bytes: int = CHUNK_BYTES) -> Path:
     """The messages and metadata of `log`, row by row in chunks that mix all topics, by mcap's own writer."""
     with log.open("rb") as stream, path.open("wb") as written:
         reader = make_reader(stream, validate_crcs=True)
         header = reader.get_header()
         first, *others = reader.iter_metadata()
         writer = McapWriter(
-            written, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
+            written, chunk_size=chunk_bytes, compression=CompressionType.NONE, enable_data_crcs=True
         )
         writer.start(profile=header.profile, library=header.library)
         writer.add_metadata(first.name, first.metadata)

@@ -11,8 +11,8 @@ from mcap.writer import CompressionType
 
 from dataset import IndexConfig, Samples, build_index
 from driving import one_line_of, run
+from layouts import write_as_before
 from logs import write_log
-from mixed_log import mixed_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
 from recorder.log.check import check
@@ -28,7 +28,7 @@ CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
 def old(tmp_path: Path) -> Path:
     """A log as earlier versions wrote it, with a tag."""
     new = write_log(tmp_path / "new.mcap", STEERING, lambda camera, row: jpeg(len(camera), row))
-    path = mixed_log(new, tmp_path / "old.mcap", chunk_bytes=20_000)
+    path = write_as_before(new, tmp_path / "old.mcap", chunk_bytes=20_000)
     new.unlink()
     with Log(path) as log:
         add_tag(path, log.fingerprint, Tag(10, 20, "exclude"))

@@ -12,8 +12,8 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from common.car import CAMERAS
 from dataset import IndexConfig, build_index
+from layouts import write_as_before
 from logs import START_NS, STEP_NS, not_a_picture
-from mixed_log import mixed_log
 from plain_mcap import Contents, Stored, contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -141,7 +141,7 @@ def test_a_picture_costs_its_own_chunk_and_no_other(tmp_path: Path, bytes_read: 
 
 def test_a_log_of_an_earlier_version_gives_the_same(tmp_path: Path) -> None:
     path = drive(tmp_path / "a.mcap")
-    with Log(path) as new, Log(mixed_log(path, tmp_path / "b.mcap")) as old:
+    with Log(path) as new, Log(write_as_before(path, tmp_path / "b.mcap")) as old:
         assert old.vehicle().equals(new.vehicle())
         assert old.counts == new.counts
         assert old.frames().num_rows == new.frames().num_rows
