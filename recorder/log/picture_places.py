@@ -7,6 +7,7 @@ here is about this file: another program that writes a log anew copies attachmen
 
 from __future__ import annotations
 
+import struct
 from typing import Final
 
 import numpy as np
@@ -14,8 +15,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from recorder.errors import LogError
-from recorder.log.mcap_file import CHUNK_HEADER, RECORD, RECORDS_AT, Chunk, McapFile
-from recorder.log.message_index import ENTRY, UNCOMPRESSED, chunk_entries
+from recorder.log.compressed_image import image_data
+from recorder.log.mcap_file import CHUNK_HEADER, MESSAGE, RECORD, RECORDS_AT, Chunk, McapFile
+from recorder.log.message_index import ENTRY, UNCOMPRESSED
 from recorder.log.scan import Structure
 
 PICTURES_ATTACHMENT: Final = "bc.pictures"
@@ -36,6 +38,9 @@ PLACE: Final = np.dtype(
         ("picture_length", "<u4"),
     ]
 )
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
+_LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+_PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quicker than an array of them
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
 NO_PICTURE: Final = 2**32 - 1
 
@@ -48,13 +53,12 @@ class PlacesWritten:
 
     def __init__(self) -> None:
         self.channels: set[int] = set()  # those of pictures
-        self._places: list[NDArray[np.void]] = []
-        self._count = 0
+        self._places = bytearray()
         self._chunks: list[tuple[int, int]] = []
 
     def __len__(self) -> int:
         """Pictures that are not taken yet."""
-        return self._count
+        return len(self._places) // _PLACE.size
 
     def add_chunk(self, start: int, record: bytes) -> None:
         """A chunk that begins at byte `start` of the file."""
@@ -62,22 +66,24 @@ class PlacesWritten:
         self._chunks.append((start, crc))
         if not self.channels:
             return
-        records = memoryview(record)[RECORDS_AT:]
-        images = np.fromiter(self.channels, np.uint16)
-        table = chunk_entries(records, _message_starts(records), images)
-        table = table[np.isin(table["channel"], images)]
-        if len(table):
-            places = np.empty(len(table), PLACE)
-            for name in PLACE.names or ():
-                places[name] = table[name].astype(PLACE[name])  # -1, no picture, becomes NO_PICTURE
-            places["chunk"] = len(self._chunks) - 1
-            self._places.append(places)
-            self._count += len(places)
+        number, position = len(self._chunks) - 1, RECORDS_AT
+        while position < len(record):
+            opcode, length = RECORD.unpack_from(record, position)
+            if opcode == _OP_MESSAGE:
+                _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
+                if channel in self.channels:
+                    at, size = position + MESSAGE.size, length - _LEAST_MESSAGE
+                    picture, picture_size = image_data(record, at, size)
+                    picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
+                    self._places += _PLACE.pack(
+                        channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
+                    )
+            position += RECORD.size + length
 
     def take_pictures(self) -> Attached:
         """The attachment about the pictures that were not taken yet."""
-        content = b"".join(part.tobytes() for part in self._places)
-        self._places, self._count = [], 0
+        content = bytes(self._places)
+        self._places = bytearray()
         return 0, 0, PICTURES_ATTACHMENT, MEDIA_TYPE, content
 
     def take_chunks(self) -> Attached:
@@ -147,14 +153,3 @@ def _attached(file: McapFile, structure: Structure, name: str) -> bytes | None:
         return b"".join(file.attachment(at).data for at in found) if found else None
     except LogError:
         return None
-
-
-def _message_starts(records: memoryview) -> NDArray[np.int64]:
-    """Where the messages begin among the records of a chunk that has just been made."""
-    starts, position = [], 0
-    while position < len(records):
-        opcode, length = RECORD.unpack_from(records, position)
-        if opcode == Opcode.MESSAGE:
-            starts.append(position)
-        position += RECORD.size + length
-    return np.array(starts, np.int64)
