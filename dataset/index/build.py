@@ -26,6 +26,7 @@ from dataset.frames.frames_file import (
     FRAMES_FORMAT,
     FRAMES_SCHEMA,
     FramesError,
+    file_if_rewritten,
     frames_metadata,
     frames_settings,
     relative_log_path,
@@ -52,6 +53,7 @@ from dataset.samples.filter import Condition
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
+from recorder.log.log_info import first_picture_sizes
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.tags import read_tags
 from recorder.log.topics import camera_topic
@@ -157,7 +159,11 @@ def _build(
             raise LogError("; ".join(notices))
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         places = {
-            name: {"log": relative_log_path(by_name[name], index), "fingerprint": entry.fingerprint}
+            name: {
+                "log": relative_log_path(by_name[name], index),
+                "fingerprint": entry.fingerprint,
+                **file_if_rewritten(entry.fingerprint, entry.file),
+            }
             for name, entry in held.items()
         }
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
@@ -199,6 +205,7 @@ def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: Bu
         "settings": frames_settings(config, name),
         "log": relative_log_path(log, index),
         "fingerprint": entry.fingerprint,
+        **file_if_rewritten(entry.fingerprint, entry.file),
     }
     stored = read_metadata(file) or {}
     return entry if all(stored.get(key) == value for key, value in expected.items()) else None
@@ -218,7 +225,12 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
         entry = BuiltLog(
-            sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log)
+            sources,
+            log.fingerprint,
+            log.file_fingerprint,
+            notice=log.notice,
+            has_crcs=log.has_crcs,
+            sizes_px=_sizes_px(log),
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
@@ -231,7 +243,12 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
 
 
 def _sizes_px(log: Log) -> list[tuple[int, int]]:
-    """Width and height of the first picture of each camera, as its header has it."""
+    """Width and height of the first picture of each camera, as its header has it.
+
+    A log's summary of its rows has them; those of earlier versions do not.
+    """
+    if (known := first_picture_sizes(log)) is not None:
+        return [known[topic] for topic in map(camera_topic, CAMERAS) if topic in known]
     sizes = []
     for camera in CAMERAS:
         found = log.pictures(camera_topic(camera))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from recorder.log.mcap_file import Chunk, McapFile
@@ -26,9 +26,10 @@ class ChunkReader:
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
 
-    def set_verified(self) -> None:
-        """Note that all chunks have been read, and that their CRCs hold."""
-        self._is_verified = bytearray(b"\1") * len(self._chunks)
+    def set_verified(self, chunks: Iterable[Chunk]) -> None:
+        """Note that these chunks have been read, and that their CRCs hold."""
+        for chunk in chunks:
+            self._is_verified[bisect.bisect_left(self._starts, chunk.start)] = True
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
         """`length` bytes from `offset`: in the file, or among the unpacked records of the chunk that begins at
@@ -38,13 +39,25 @@ class ChunkReader:
             if offset < 0 or len(data) != length:
                 raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
             return data
-        number = bisect.bisect_right(self._starts, offset) - 1
-        if number < 0 or offset + length > self._chunks[number].end:
-            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
+        number = self._number_of(offset, length)
         if not self._is_verified[number]:
             self._file.records(self._chunks[number])
             self._is_verified[number] = True
         return self._file.read(offset, length)
+
+    def records_around(self, offset: int, length: int) -> tuple[int, bytes]:
+        """Where in the file the records of the uncompressed chunk begin that has these bytes, and the records.
+        Raises what `read` does."""
+        number = self._number_of(offset, length)
+        records = self._file.records(self._chunks[number])
+        self._is_verified[number] = True
+        return self._file.records_at(self._chunks[number]), records
+
+    def _number_of(self, offset: int, length: int) -> int:
+        number = bisect.bisect_right(self._starts, offset) - 1
+        if number < 0 or offset + length > self._chunks[number].end:
+            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
+        return number
 
     def _unpacked_records(self, start: int) -> bytes:
         records = self._unpacked.get(start)

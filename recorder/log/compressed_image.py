@@ -7,7 +7,7 @@ from typing import Final
 _DATA_FIELD: Final = 2
 
 
-def image_data(data: bytes, offset: int, length: int) -> tuple[int, int]:
+def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int, int]:
     """Offset and length of the picture in the message of `length` bytes at `offset` of `data`; (-1, 0) if none.
 
     Walks the message's fields (https://protobuf.dev/programming-guides/encoding/), whatever their order.
@@ -24,7 +24,7 @@ def image_data(data: bytes, offset: int, length: int) -> tuple[int, int]:
     return end, 0  # protobuf leaves an empty field out
 
 
-def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
+def _varint(data: bytes | memoryview, position: int, end: int) -> tuple[int, int]:
     """A base-128 varint and the position behind it; (-1, end) if it is cut off or longer than ten bytes."""
     if position < end and data[position] < 0x80:  # most are of a single byte
         return data[position], position + 1

@@ -15,9 +15,6 @@ class CopiedChannels:
         self._channels: dict[tuple[object, ...], int] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
 
-    def __len__(self) -> int:
-        return len(self._channels)
-
     def number_of(self, schema: Schema | None, channel: Channel) -> int:
         """The number of a channel of another log in this one."""
         known = self._by_id.get(id(channel))

@@ -15,6 +15,7 @@ from common.interrupts import uninterrupted
 from common.versions import version_of
 from recorder.errors import LogError
 from recorder.log import topics
+from recorder.log.picture_places import is_about_places
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, add_tags
 from recorder.log.writer import LogWriter
@@ -55,13 +56,16 @@ def copy_rest(
 ) -> None:
     """Copy attachments, and metadata but that which the new log has of its own."""
     for name, values in metadata:
-        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA):
+        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA, topics.REWRITTEN_METADATA):
             writer.add_metadata(name, values)
     for offset in log.attachments:
         try:
-            writer.copy_attachment(log.attachment(offset))
+            attachment = log.attachment(offset)
         except LogError:
             skipped.add("damaged attachments", f"at byte {offset:,}")
+            continue
+        if not is_about_places(attachment.name):  # of a log without a summary, only this tells
+            writer.copy_attachment(attachment)
 
 
 def tags_of_rows(tags: Sequence[Tag], rows: Sequence[int]) -> list[Tag]:

@@ -36,6 +36,8 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
 MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
+RECORDS_AT: Final = CHUNK_HEADER.size + 12
+"""Where the records of an uncompressed chunk begin: behind the length of its compression's name, and its own."""
 _OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
 _LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
 _DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
@@ -69,6 +71,8 @@ class Chunk:
     compression: str = ""
     is_message: bool = False
     mended: bytes = b""  # what its first bytes should be, where its header is damaged
+    channels: frozenset[int] | None = None  # of its messages, by the summary; None: nobody tells
+    head: bytes = b""  # its header without the CRC, by the summary
 
 
 class StoredMessage(NamedTuple):
@@ -214,7 +218,7 @@ class McapFile(Closeable):
 
     def records_at(self, chunk: Chunk) -> int:
         """Offset in the file of the records of an uncompressed chunk."""
-        return chunk.start if chunk.is_message else chunk.start + CHUNK_HEADER.size + 12
+        return chunk.start if chunk.is_message else chunk.start + RECORDS_AT
 
     def messages(self, records: bytes) -> Iterator[StoredMessage]:
         """The messages in a chunk's records, in their order. Raises LogError at once if one is damaged."""

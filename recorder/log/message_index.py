@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import MESSAGE, RECORD, Chunk, McapFile
 from recorder.log.scan import Structure
-from recorder.log.topics import COMPRESSED_IMAGE
 
 UNCOMPRESSED: Final = -1
 """In the place of a chunk's offset: the bytes lie in the file as they are."""
@@ -49,7 +48,7 @@ def index_messages(file: McapFile, structure: Structure, chunks: Iterable[Chunk]
 
     Raises LogError for a damaged chunk, or a time that no clock of ours can hold.
     """
-    images = _image_channels(structure)
+    images = np.array(sorted(structure.image_channels), np.uint16)
     parts, count = [], 0
     for chunk in chunks:
         parts.append(_in_chunk(file, chunk, images))
@@ -64,10 +63,25 @@ def index_messages(file: McapFile, structure: Structure, chunks: Iterable[Chunk]
 def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArray[np.void]:
     records = file.records(chunk)
     starts = np.array(file.parts(records).messages, np.int64)
+    base = 0 if chunk.compression else file.records_at(chunk)
+    return chunk_entries(records, starts, images, base, chunk.start if chunk.compression else UNCOMPRESSED)
+
+
+def chunk_entries(
+    records: bytes | memoryview,
+    starts: NDArray[np.int64],
+    images: NDArray[np.uint16],
+    base: int = 0,
+    chunk: int = UNCOMPRESSED,
+) -> NDArray[np.void]:
+    """One ENTRY for each message of a chunk's records.
+
+    `starts` are the offsets of the messages' records, `images` the channels of pictures. `base` is added to all
+    offsets; `chunk` is that of the entries.
+    """
     table = np.empty(len(starts), ENTRY)
     if not len(starts):
         return table
-    base = 0 if chunk.compression else file.records_at(chunk)
     # every message's head at once, wherever they begin: a tuple of each would take 300 bytes
     heads = sliding_window_view(np.frombuffer(records, np.uint8), MESSAGE.size)[starts].view(_HEAD)[:, 0]
     for name in ("channel", "sequence", "log_time_ns"):
@@ -75,14 +89,9 @@ def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArr
     table["offset"] = starts + (base + MESSAGE.size)
     table["length"] = heads["length"].astype(np.int64) - (MESSAGE.size - RECORD.size)
     table["picture"], table["picture_length"] = -1, 0
-    table["chunk"] = chunk.start if chunk.compression else UNCOMPRESSED
+    table["chunk"] = chunk
     for at in np.flatnonzero(np.isin(table["channel"], images)).tolist():
         picture, length = image_data(records, int(table["offset"][at]) - base, int(table["length"][at]))
         if picture >= 0:
             table["picture"][at], table["picture_length"][at] = picture + base, length
     return table
-
-
-def _image_channels(structure: Structure) -> NDArray[np.uint16]:
-    name = COMPRESSED_IMAGE.name
-    return np.array([number for number in structure.channels if structure.is_protobuf(number, name)], np.uint16)

@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
@@ -18,8 +19,6 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.records import Attachment, Channel, Schema
 from mcap.records import Message as McapMessage
 from mcap.well_known import MessageEncoding
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, files
@@ -32,6 +31,7 @@ from recorder.log import topics
 from recorder.log.compressed_image import image_data
 from recorder.log.copied_channels import CopiedChannels
 from recorder.log.row_quality import StatesWritten, summary
+from recorder.log.split_chunks import SplitChunks
 from recorder.log.topics import (
     CAMERA_TOPICS,
     COMPRESSED_IMAGE,
@@ -42,7 +42,6 @@ from recorder.log.topics import (
 )
 from recorder.pictures.picture_size import PNG_START, PictureSizes, width_and_height
 
-CHUNK_BYTES: Final = 256 * 1024
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
@@ -57,12 +56,13 @@ class LogWriter:
     locked, so that others can tell that it still grows.
 
     Chunks are uncompressed, so that every picture lies in the file byte for byte and can be read by its
-    offset. All messages of one frame share a log time and a sequence number (the frame's number in the log).
-    Messages of one topic are kept in the order in which they are written, whatever their times. Text that is not
-    UTF-8 (a name of a file may not be) is written with such bytes escaped.
+    offset. Pictures have chunks of their own, and so has everything else; only copies of other programs' logs mix
+    them, as those did. All messages of one frame share a log time and a sequence number (the frame's number in
+    the log). Messages of one topic are kept in the order in which they are written, whatever their times. Text
+    that is not UTF-8 (a name of a file may not be) is written with such bytes escaped.
 
-    ``live=True`` closes a chunk and brings it to the disk twice a second, so that a killed process, or a pulled
-    plug, costs at most a second; an import leaves it off, and its bytes then depend on its input alone.
+    ``live=True`` closes the open chunks and brings them to the disk twice a second, so that a killed process, or a
+    pulled plug, costs at most a second; an import leaves it off, and its bytes then depend on its input alone.
 
     As a context manager it closes the log, or discards it if anything was raised; what was recorded live is
     kept even then, because nobody can record it again.
@@ -89,8 +89,12 @@ class LogWriter:
         self._is_broken = False
         self._is_whole = False
         self._last_flush_s = time.monotonic()
-        self._channels: dict[str, int] = {}
+        self._channels: dict[str, Callable[[], int]] = {}
         self._schemas: dict[str, int] = {}
+        self._has_messages = False
+        self.same_as = ""
+        """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
+        self._is_split = metadata is not None
         self._states = StatesWritten()
         self._sizes = PictureSizes()
         self._sync: files.BackgroundSync | None = None
@@ -113,11 +117,9 @@ class LogWriter:
             lock(self._stream)
         if live:
             self._sync = files.BackgroundSync(self._stream.fileno())
-        self._mcap = McapWriter(
-            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
-        )
-        self._copied_channels = CopiedChannels(self._mcap)
-        self._to_disk(self._mcap.start, profile=profile, library=f"{topics.LIBRARY} {version_of()}")
+        self._chunks = SplitChunks(self._stream)
+        self._copied_channels = CopiedChannels(self._chunks.mcap)
+        self._to_disk(self._chunks.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
 
@@ -165,8 +167,13 @@ class LogWriter:
 
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
         """A message of another log, as it is but for its sequence number."""
-        number = self._copied_channels.number_of(schema, channel)
-        self._message(number, message.log_time, message.publish_time, sequence, message.data)
+        is_picture = (
+            schema is not None
+            and schema.name == COMPRESSED_IMAGE.name
+            and channel.message_encoding == MessageEncoding.Protobuf
+        )
+        number_of = partial(self._copied_channels.number_of, schema, channel)
+        self._message(number_of, is_picture, message.log_time, message.publish_time, sequence, message.data)
         if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
             try:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
@@ -179,7 +186,7 @@ class LogWriter:
 
     def copy_attachment(self, attachment: Attachment) -> None:
         self._to_disk(
-            self._mcap.add_attachment,
+            self._chunks.add_attachment,
             attachment.create_time,
             attachment.log_time,
             attachment.name,
@@ -201,13 +208,13 @@ class LogWriter:
         """Close the chunk if the last flush is long enough ago (call it also while nothing arrives)."""
         now_s = time.monotonic()
         if self._sync is not None and now_s - self._last_flush_s >= FLUSH_S:
-            self._to_disk(self._mcap.flush)
+            self._to_disk(self._chunks.flush)
             self._to_disk(self._sync.request)
             self._last_flush_s = now_s
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         escaped = {_utf8(key): _utf8(value) for key, value in values.items()}
-        self._to_disk(self._mcap.add_metadata, _utf8(name), escaped)
+        self._to_disk(self._chunks.add_metadata, _utf8(name), escaped)
 
     def close(self) -> None:
         """Write the summary and give the log its name.
@@ -227,9 +234,16 @@ class LogWriter:
     def finish(self) -> None:
         """Write the summary; the log still has its temporary name (`part`)."""
         if len(self._states):
-            sizes = self._sizes.mixed()
-            mixed = {"picture_sizes": json.dumps(sizes)} if sizes else {}
-            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | mixed)
+            mixed = self._sizes.mixed()
+            sizes = {
+                "first_picture_px": json.dumps(self._sizes.first()),
+                **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
+            }
+            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | sizes)
+        if self.same_as:
+            self._to_disk(self._chunks.flush)
+            about = {"fingerprint": self.same_as, "chunks": self._chunks.content_digest}
+            self.add_metadata(topics.REWRITTEN_METADATA, about)
         self._to_disk(self._finish)
 
     def publish(self) -> None:
@@ -258,7 +272,7 @@ class LogWriter:
             raise
 
     def _end(self, is_sound: bool) -> None:
-        is_kept = self._live and bool(self._channels or self._copied_channels)
+        is_kept = self._live and self._has_messages
         if self._is_broken and is_kept:
             self._abandon()  # the error that broke it names the file, which stays
         elif is_sound or is_kept:
@@ -273,26 +287,40 @@ class LogWriter:
         self._write(topic, image, time_ns, sequence)
 
     def _write(self, topic: str, message: Message, time_ns: int, sequence: int) -> None:
-        channel = self._channels.get(topic) or self._register(topic, type(message))
-        self._message(channel, time_ns, time_ns, sequence, message.SerializeToString())
+        number_of = self._channels.get(topic)
+        if number_of is None:
+            number_of = self._channels[topic] = cache(partial(self._register, topic, type(message)))
+        is_picture = message.DESCRIPTOR.full_name == COMPRESSED_IMAGE.name
+        self._message(number_of, is_picture, time_ns, time_ns, sequence, message.SerializeToString())
 
-    def _message(self, channel: int, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
+    def _message(
+        self,
+        number_of: Callable[[], int],
+        is_picture: bool,
+        log_time: int,
+        publish_time: int,
+        sequence: int,
+        data: bytes,
+    ) -> None:
+        add = self._chunks.add_mixed
+        if self._is_split:
+            add = self._chunks.add_picture if is_picture else self._chunks.add
         try:  # as _to_disk does, without the cost of another call for every message
-            self._mcap.add_message(channel, log_time, data, publish_time, sequence)
+            add(number_of, log_time, publish_time, sequence, data)
         except OSError as error:
             raise self._broken(error) from None
+        self._has_messages = True
         if self._live:
             self.flush_if_due()
 
     def _register(self, topic: str, message: type[Message]) -> int:
         name = message.DESCRIPTOR.full_name
         if name not in self._schemas:
-            self._schemas[name] = register_schema(self._mcap, message)
-        self._channels[topic] = self._mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
-        return self._channels[topic]
+            self._schemas[name] = register_schema(self._chunks.mcap, message)
+        return self._chunks.mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
 
     def _finish(self) -> None:
-        self._mcap.finish()
+        self._chunks.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
         if self._sync is not None:

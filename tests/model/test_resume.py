@@ -20,13 +20,15 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from dataset import IndexConfig, build_index
+from common.stored_settings import settings_from
+from dataset import IndexConfig, Samples, build_index
 from disk import files_of_at_most
 from driving import Process, command, environment
 from logs import write_log
 from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main
 from model.runs.training_progress import Step
+from recorder.log.edit import rewrite
 from repository import HELPERS, ROOT
 from toy import STEERING, TINY, road, toy_index
 from udacity import call
@@ -263,6 +265,18 @@ def test_a_run_goes_on_with_the_samples_it_was_begun_with_only(stopped: Path, tm
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1)).path
     with pytest.raises(RunError, match=r"not the samples .*`bc-train --resume .* --index .*` builds those"):
         train(other, stopped, replace(CONFIG, epochs=9), resume=True)
+
+
+def test_a_run_goes_on_when_its_log_was_rewritten(index: Path, stopped: Path, tmp_path: Path) -> None:
+    with Samples(index) as samples:
+        (log,) = samples.logs.values()
+        settings = settings_from(IndexConfig, samples.metadata["settings"])
+        fingerprint = samples.fingerprint
+    rewritten = rewrite(log.path, tmp_path / log.path.name).path
+    with Samples(build_index([rewritten], tmp_path / "index", settings).path) as samples:
+        assert samples.fingerprint != fingerprint  # the pictures have other places
+    train(tmp_path / "index", stopped, replace(CONFIG, epochs=4), resume=True, figures=False)
+    assert len(metrics(stopped)) == 4
 
 
 def test_two_processes_do_not_train_one_run(index: Path, stopped: Path) -> None:

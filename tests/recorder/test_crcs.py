@@ -58,7 +58,7 @@ def relative_log_path(path: Path, number: int) -> tuple[int, int]:
 @pytest.fixture
 def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Forty rows in chunks of a few pictures; the fourth one has no CRC, and a wrong bit."""
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 20_000)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 20_000)
     return without_crc(write_log(tmp_path / "a.mcap", [0.0, 0.25] * 20, picture), 3)
 
 

@@ -43,7 +43,7 @@ Given = tuple[str, int, int, object]  # camera or "vehicle", row, log time, what
 @pytest.fixture
 def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two rows in three chunks."""
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 400)
     path = write_log(tmp_path / "whole.mcap", [0.25, -0.5], cameras=("center",))
     assert [len(chunk.messages) for chunk in contents(path).chunks] == [1, 1, 2]
     return path
@@ -325,7 +325,7 @@ def test_chunks_that_have_changed_places_are_put_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_killed: bool
 ) -> None:
     """Whatever lies between them has then moved too, where they are not of one length."""
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 400)
     lengths = [50, 90, 40, 20, 70, 70, 30, 60]
     whole = write_log(
         tmp_path / "whole.mcap", [0.1] * 8, lambda camera, row: bytes([row]) * lengths[row], cameras=("center",)
@@ -355,7 +355,7 @@ def test_a_chunk_that_moved_with_its_indexes_is_found_though_the_summary_says_ot
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It may end behind all the places that the summary tells of its neighbours."""
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 400)
     lengths = [500, 90, 40, 900, 70, 70, 30, 60]
     whole = write_log(
         tmp_path / "whole.mcap", [0.1] * 8, lambda camera, row: bytes([row]) * lengths[row], cameras=("center",)
@@ -390,7 +390,7 @@ def test_a_chunk_that_is_there_twice_is_taken_once(whole: Path, is_killed: bool)
 
 def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They have no row: who merges a log with itself has them twice."""
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 10)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 10)
     path = tmp_path / "a.mcap"
     with LogWriter(path, {}) as writer:
         for _ in range(3):
@@ -404,7 +404,7 @@ def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.
 def test_where_rows_are_numbered_twice_chunks_stay_where_they_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 400)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 400)
     path = tmp_path / "a.mcap"
     with LogWriter(path, {}) as writer:
         for number in range(20):

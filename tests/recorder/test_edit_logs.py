@@ -86,7 +86,7 @@ def tags_of(path: Path) -> list[tuple[int, int, str]]:
 
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 2048)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 2048)
 
 
 # Recover

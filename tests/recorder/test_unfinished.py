@@ -52,7 +52,7 @@ def picture(camera: Camera, row: int) -> bytes:
 @pytest.fixture
 def killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Contents]:
     """A log of many chunks as a kill leaves it, and what was in it."""
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 4096)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 4096)
     whole = write_log(tmp_path / "whole.mcap", [row / ROWS for row in range(ROWS)], picture)
     original = contents(whole)
     assert len(original.chunks) > 10
@@ -177,7 +177,7 @@ def test_a_topic_whose_description_is_lost_is_named(killed: tuple[Path, Contents
 
 def test_a_log_is_read_while_it_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each look sees all chunks that were complete when the log was opened, and goes on seeing just these."""
-    monkeypatch.setattr("recorder.log.writer.CHUNK_BYTES", 4096)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 4096)
     path = tmp_path / "drive.mcap"
     looks: list[tuple[Log, set[tuple[str, int, bytes]]]] = []
     with LogWriter(path, {"source": "test"}) as writer:

@@ -1,0 +1,63 @@
+"""A log as the versions wrote it that had no chunks of their own for pictures."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+CHUNK_BYTES = 256 * 1024
+Found = tuple[Schema | None, Channel, Message]
+
+
+def write_as_before(log: Path, path: Path, chunk_bytes: int = CHUNK_BYTES) -> Path:
+    """The messages and metadata of `log`, row by row in chunks that mix all topics, by mcap's own writer."""
+    with log.open("rb") as stream, path.open("wb") as written:
+        reader = make_reader(stream, validate_crcs=True)
+        header = reader.get_header()
+        first, *others = reader.iter_metadata()
+        writer = McapWriter(
+            written, chunk_size=chunk_bytes, compression=CompressionType.NONE, enable_data_crcs=True
+        )
+        writer.start(profile=header.profile, library=header.library)
+        writer.add_metadata(first.name, first.metadata)
+        schemas: dict[str, int] = {}
+        channels: dict[str, int] = {}
+        for schema, channel, message in _row_by_row(list(reader.iter_messages(log_time_order=False))):
+            if channel.topic not in channels:
+                assert schema is not None
+                if schema.name not in schemas:
+                    schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.name], channel.metadata
+                )
+            writer.add_message(
+                channels[channel.topic], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        for record in others:
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def _row_by_row(messages: list[Found]) -> list[Found]:
+    """In the order in which they were recorded: each row's pictures before the rest of it. Rows are numbered in
+    that order; events have no number, and stay among the messages that are no pictures."""
+    pictures = deque(each for each in messages if is_of_pictures(each[1].topic))
+    ordered: list[Found] = []
+    for found in messages:
+        _, channel, message = found
+        if is_of_pictures(channel.topic):
+            continue
+        while pictures and channel.topic != "/events" and pictures[0][2].sequence <= message.sequence:
+            ordered.append(pictures.popleft())
+        ordered.append(found)
+    return [*ordered, *pictures]
+
+
+def is_of_pictures(topic: str) -> bool:
+    return topic.startswith("/camera/") or topic == "/pilot/input"
