@@ -160,7 +160,7 @@ def load(index: str, threads: str) -> Task:
 
 
 def command(folder: str, name: str, *arguments: str) -> Task:
-    """A whole `bc-` command in a folder. This process is small: a child's most memory is not under its parent's."""
+    """A whole `bc-` command in a folder. This process is small: no child's most memory is under its parent's."""
 
     def run() -> Result:
         code = f"from behavioural_cloning_toolkit import {name.replace('-', '_')} as main; main()"
