@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from recorder.errors import LogError
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import CHUNK_HEADER, MESSAGE, RECORD, RECORDS_AT, Chunk, McapFile
-from recorder.log.message_index import ENTRY, UNCOMPRESSED
+from recorder.log.message_index import ENTRY, LAST_TIME_NS, UNCOMPRESSED
 from recorder.log.scan import Structure
 
 PICTURES_ATTACHMENT: Final = "bc.pictures"
@@ -97,8 +97,8 @@ def is_about_places(name: str) -> bool:
 
 def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
     """The CRC of each chunk, as the end of a log of ours has them; None where nothing is told of this file."""
-    content = _attached(file, structure, CHUNKS_ATTACHMENT)
-    if content is None or len(content) != len(structure.chunks) * CHUNK_CRC.itemsize:
+    content = _attached(file, structure, CHUNKS_ATTACHMENT, len(structure.chunks) * CHUNK_CRC.itemsize)
+    if content is None:
         return None
     stored = np.frombuffer(content, CHUNK_CRC)
     if stored["start"].tolist() != [chunk.start for chunk in structure.chunks]:
@@ -114,17 +114,18 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     """
     if read_chunk_crcs(file, structure) is None or structure.statistics is None:
         return None
-    content = _attached(file, structure, PICTURES_ATTACHMENT)
-    if content is None or len(content) % PLACE.itemsize:
+    images = structure.image_channels
+    counts = structure.statistics.channel_message_counts
+    stored = {number: counts[number] for number in images if counts.get(number)}
+    content = _attached(file, structure, PICTURES_ATTACHMENT, sum(stored.values()) * PLACE.itemsize)
+    if content is None:
         return None
     places = np.frombuffer(content, PLACE)
-    images = structure.image_channels
     of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
     if np.unique(places["chunk"]).tolist() != of_pictures:
         return None
     counted = dict(zip(*(each.tolist() for each in np.unique(places["channel"], return_counts=True)), strict=True))
-    stored = structure.statistics.channel_message_counts
-    if counted != {n: stored[n] for n in images if stored.get(n)}:
+    if counted != stored or (places["log_time_ns"] > LAST_TIME_NS).any():
         return None
     starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
     ends = np.array([chunk.end for chunk in structure.chunks], np.int64)
@@ -146,10 +147,14 @@ def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:
     return chunk.channels is not None and not chunk.compression and chunk.channels <= images
 
 
-def _attached(file: McapFile, structure: Structure, name: str) -> bytes | None:
-    """The contents of the attachments of this name, one after the other."""
-    found = [at for at, its_name in sorted(structure.attachment_names.items()) if its_name == name]
-    try:
-        return b"".join(file.attachment(at).data for at in found) if found else None
-    except LogError:
-        return None
+def _attached(file: McapFile, structure: Structure, name: str, size: int) -> bytes | None:
+    """The contents of the attachments of this name, one after the other; None if they are not `size` bytes."""
+    content = b""
+    for at in sorted(at for at, its_name in structure.attachment_names.items() if its_name == name):
+        try:
+            content += file.attachment(at).data
+        except LogError:
+            return None
+        if len(content) > size:
+            return None
+    return content if content and len(content) == size else None
