@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import shutil
 import signal
 import time
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
 
 from dataset import IndexConfig, build_index
 from drive.cli import main as drive_main
@@ -62,9 +64,15 @@ def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
     build_index(logs, folder / "index", SETTINGS)
     config = TrainConfig(epochs=1, batch=32)
     train(folder / "index", folder / "runs" / run_name, config, figures=False, show_progress=False)
-    data = bytearray(logs[1].read_bytes())
-    data[len(data) // 2] ^= 1
-    logs[1].write_bytes(data)
+    with logs[1].open("r+b") as hurt:
+        summary = make_reader(hurt).get_summary()
+        assert summary is not None
+        (states,) = (number for number, channel in summary.channels.items() if channel.topic == "/vehicle")
+        chunk = next(chunk for chunk in summary.chunk_indexes if states in chunk.message_index_offsets)
+        hurt.seek(chunk.chunk_start_offset + chunk.chunk_length // 2)
+        (byte,) = hurt.read(1)
+        hurt.seek(-1, os.SEEK_CUR)
+        hurt.write(bytes([byte ^ 1]))
 
 
 def aggregate(folder: Path, run_name: str, rounds: int) -> Aggregated:
@@ -146,6 +154,7 @@ def test_the_new_run_can_go_on_from_there(aggregated: Aggregated) -> None:
 def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
     aggregated: Aggregated, tmp_path: Path
 ) -> None:
+    shutil.copy(aggregated.folder / "sessions" / "hurt.mcap", tmp_path)
     record_simulated(SimulatedDrive(track="mountain", laps=0.01), tmp_path / "lake.mcap")
     with pytest.raises(DriveError, match=r"lake\.mcap: changed since .*first was trained on it"):
         aggregation(aggregated, "first", tmp_path)
