@@ -38,7 +38,10 @@ PLACE: Final = np.dtype(
         ("picture_length", "<u4"),
     ]
 )
-_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
+# looked at once a message: as plain numbers they are quicker
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)
+_RECORD_BYTES: Final = RECORD.size
+_CONTENT_AT: Final = MESSAGE.size  # of a message, in its record
 _LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
 _PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quicker than an array of them
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
@@ -66,19 +69,20 @@ class PlacesWritten:
         self._chunks.append((start, crc))
         if not self.channels:
             return
-        number, position = len(self._chunks) - 1, RECORDS_AT
-        while position < len(record):
+        number, position, end = len(self._chunks) - 1, RECORDS_AT, len(record)
+        places, channels = self._places, self.channels
+        while position < end:
             opcode, length = RECORD.unpack_from(record, position)
             if opcode == _OP_MESSAGE:
                 _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
-                if channel in self.channels:
-                    at, size = position + MESSAGE.size, length - _LEAST_MESSAGE
+                if channel in channels:
+                    at, size = position + _CONTENT_AT, length - _LEAST_MESSAGE
                     picture, picture_size = image_data(record, at, size)
                     picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
-                    self._places += _PLACE.pack(
+                    places += _PLACE.pack(
                         channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
                     )
-            position += RECORD.size + length
+            position += _RECORD_BYTES + length
 
     def take_pictures(self) -> Attached:
         """The attachment about the pictures that were not taken yet."""
