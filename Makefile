@@ -7,6 +7,9 @@ SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive vi
 # several tests at once (tests/conftest.py says how many); those of one file share what they have made
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
 
+# compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
+test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader clean
 
 install: $(VENV)/installed

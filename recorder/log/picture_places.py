@@ -7,6 +7,7 @@ here is about this file: another program that writes a log anew copies attachmen
 
 from __future__ import annotations
 
+import struct
 from typing import Final
 
 import numpy as np
@@ -14,8 +15,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from recorder.errors import LogError
-from recorder.log.mcap_file import CHUNK_HEADER, RECORD, RECORDS_AT, Chunk, McapFile
-from recorder.log.message_index import ENTRY, UNCOMPRESSED, chunk_entries
+from recorder.log.compressed_image import image_data
+from recorder.log.mcap_file import CHUNK_HEADER, MESSAGE, RECORD, RECORDS_AT, Chunk, McapFile
+from recorder.log.message_index import ENTRY, LAST_TIME_NS, UNCOMPRESSED
 from recorder.log.scan import Structure
 
 PICTURES_ATTACHMENT: Final = "bc.pictures"
@@ -36,6 +38,12 @@ PLACE: Final = np.dtype(
         ("picture_length", "<u4"),
     ]
 )
+# looked at once a message: as plain numbers they are quicker
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)
+_RECORD_BYTES: Final = RECORD.size
+_CONTENT_AT: Final = MESSAGE.size  # of a message, in its record
+_LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+_PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quicker than an array of them
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
 NO_PICTURE: Final = 2**32 - 1
 
@@ -48,13 +56,12 @@ class PlacesWritten:
 
     def __init__(self) -> None:
         self.channels: set[int] = set()  # those of pictures
-        self._places: list[NDArray[np.void]] = []
-        self._count = 0
+        self._places = bytearray()
         self._chunks: list[tuple[int, int]] = []
 
     def __len__(self) -> int:
         """Pictures that are not taken yet."""
-        return self._count
+        return len(self._places) // _PLACE.size
 
     def add_chunk(self, start: int, record: bytes) -> None:
         """A chunk that begins at byte `start` of the file."""
@@ -62,22 +69,25 @@ class PlacesWritten:
         self._chunks.append((start, crc))
         if not self.channels:
             return
-        records = memoryview(record)[RECORDS_AT:]
-        images = np.fromiter(self.channels, np.uint16)
-        table = chunk_entries(records, _message_starts(records), images)
-        table = table[np.isin(table["channel"], images)]
-        if len(table):
-            places = np.empty(len(table), PLACE)
-            for name in PLACE.names or ():
-                places[name] = table[name].astype(PLACE[name])  # -1, no picture, becomes NO_PICTURE
-            places["chunk"] = len(self._chunks) - 1
-            self._places.append(places)
-            self._count += len(places)
+        number, position, end = len(self._chunks) - 1, RECORDS_AT, len(record)
+        places, channels = self._places, self.channels
+        while position < end:
+            opcode, length = RECORD.unpack_from(record, position)
+            if opcode == _OP_MESSAGE:
+                _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
+                if channel in channels:
+                    at, size = position + _CONTENT_AT, length - _LEAST_MESSAGE
+                    picture, picture_size = image_data(record, at, size)
+                    picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
+                    places += _PLACE.pack(
+                        channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
+                    )
+            position += _RECORD_BYTES + length
 
     def take_pictures(self) -> Attached:
         """The attachment about the pictures that were not taken yet."""
-        content = b"".join(part.tobytes() for part in self._places)
-        self._places, self._count = [], 0
+        content = bytes(self._places)
+        self._places = bytearray()
         return 0, 0, PICTURES_ATTACHMENT, MEDIA_TYPE, content
 
     def take_chunks(self) -> Attached:
@@ -91,8 +101,8 @@ def is_about_places(name: str) -> bool:
 
 def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
     """The CRC of each chunk, as the end of a log of ours has them; None where nothing is told of this file."""
-    content = _attached(file, structure, CHUNKS_ATTACHMENT)
-    if content is None or len(content) != len(structure.chunks) * CHUNK_CRC.itemsize:
+    content = _attached(file, structure, CHUNKS_ATTACHMENT, len(structure.chunks) * CHUNK_CRC.itemsize)
+    if content is None:
         return None
     stored = np.frombuffer(content, CHUNK_CRC)
     if stored["start"].tolist() != [chunk.start for chunk in structure.chunks]:
@@ -108,17 +118,18 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     """
     if read_chunk_crcs(file, structure) is None or structure.statistics is None:
         return None
-    content = _attached(file, structure, PICTURES_ATTACHMENT)
-    if content is None or len(content) % PLACE.itemsize:
+    images = structure.image_channels
+    counts = structure.statistics.channel_message_counts
+    stored = {number: counts[number] for number in images if counts.get(number)}
+    content = _attached(file, structure, PICTURES_ATTACHMENT, sum(stored.values()) * PLACE.itemsize)
+    if content is None:
         return None
     places = np.frombuffer(content, PLACE)
-    images = structure.image_channels
     of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
     if np.unique(places["chunk"]).tolist() != of_pictures:
         return None
     counted = dict(zip(*(each.tolist() for each in np.unique(places["channel"], return_counts=True)), strict=True))
-    stored = structure.statistics.channel_message_counts
-    if counted != {n: stored[n] for n in images if stored.get(n)}:
+    if counted != stored or (places["log_time_ns"] > LAST_TIME_NS).any():
         return None
     starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
     ends = np.array([chunk.end for chunk in structure.chunks], np.int64)
@@ -140,21 +151,14 @@ def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:
     return chunk.channels is not None and not chunk.compression and chunk.channels <= images
 
 
-def _attached(file: McapFile, structure: Structure, name: str) -> bytes | None:
-    """The contents of the attachments of this name, one after the other."""
-    found = [at for at, its_name in sorted(structure.attachment_names.items()) if its_name == name]
-    try:
-        return b"".join(file.attachment(at).data for at in found) if found else None
-    except LogError:
-        return None
-
-
-def _message_starts(records: memoryview) -> NDArray[np.int64]:
-    """Where the messages begin among the records of a chunk that has just been made."""
-    starts, position = [], 0
-    while position < len(records):
-        opcode, length = RECORD.unpack_from(records, position)
-        if opcode == Opcode.MESSAGE:
-            starts.append(position)
-        position += RECORD.size + length
-    return np.array(starts, np.int64)
+def _attached(file: McapFile, structure: Structure, name: str, size: int) -> bytes | None:
+    """The contents of the attachments of this name, one after the other; None if they are not `size` bytes."""
+    content = b""
+    for at in sorted(at for at, its_name in structure.attachment_names.items() if its_name == name):
+        try:
+            content += file.attachment(at).data
+        except LogError:
+            return None
+        if len(content) > size:
+            return None
+    return content if content and len(content) == size else None
