@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from recorder.errors import LogError
 from recorder.log.mcap_file import CHUNK_HEADER, RECORD, RECORDS_AT, Chunk, McapFile
-from recorder.log.message_index import ENTRY, UNCOMPRESSED, chunk_entries
+from recorder.log.message_index import ENTRY, LAST_TIME_NS, UNCOMPRESSED, chunk_entries
 from recorder.log.scan import Structure
 
 PICTURES_ATTACHMENT: Final = "bc.pictures"
@@ -59,18 +59,9 @@ class PlacesWritten:
     def add_chunk(self, start: int, record: bytes) -> None:
         """A chunk that begins at byte `start` of the file."""
         *_, crc = CHUNK_HEADER.unpack_from(record)
+        places = places_in(record, len(self._chunks), self.channels)
         self._chunks.append((start, crc))
-        if not self.channels:
-            return
-        records = memoryview(record)[RECORDS_AT:]
-        images = np.fromiter(self.channels, np.uint16)
-        table = chunk_entries(records, _message_starts(records), images)
-        table = table[np.isin(table["channel"], images)]
-        if len(table):
-            places = np.empty(len(table), PLACE)
-            for name in PLACE.names or ():
-                places[name] = table[name].astype(PLACE[name])  # -1, no picture, becomes NO_PICTURE
-            places["chunk"] = len(self._chunks) - 1
+        if len(places):
             self._places.append(places)
             self._count += len(places)
 
@@ -82,6 +73,21 @@ class PlacesWritten:
 
     def take_chunks(self) -> Attached:
         return 0, 0, CHUNKS_ATTACHMENT, MEDIA_TYPE, np.array(self._chunks, CHUNK_CRC).tobytes()
+
+
+def places_in(record: bytes, number: int, channels: set[int]) -> NDArray[np.void]:
+    """A PLACE for each picture in a sound chunk: its record, its number in the file, the channels of pictures."""
+    if not channels:
+        return np.empty(0, PLACE)
+    records = memoryview(record)[RECORDS_AT:]
+    images = np.fromiter(channels, np.uint16)
+    table = chunk_entries(records, _message_starts(records), images)
+    table = table[np.isin(table["channel"], images)]
+    places = np.empty(len(table), PLACE)
+    for name in PLACE.names or ():
+        places[name] = table[name].astype(PLACE[name])  # -1, no picture, becomes NO_PICTURE
+    places["chunk"] = number
+    return places
 
 
 def is_about_places(name: str) -> bool:
@@ -106,12 +112,9 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
 
     None where that is missing, or does not fit the file's summary: then only reading all of it tells.
     """
-    if read_chunk_crcs(file, structure) is None or structure.statistics is None:
+    places = stored_places(file, structure)
+    if places is None or structure.statistics is None or read_chunk_crcs(file, structure) is None:
         return None
-    content = _attached(file, structure, PICTURES_ATTACHMENT)
-    if content is None or len(content) % PLACE.itemsize:
-        return None
-    places = np.frombuffer(content, PLACE)
     is_picture_chunk = np.array([is_of_pictures(chunk, structure) for chunk in structure.chunks])
     if not np.array_equal(np.unique(places["chunk"]), np.flatnonzero(is_picture_chunk)):
         return None
@@ -131,7 +134,17 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     is_inside = table["offset"] + table["length"] <= end
     is_inside &= (table["picture"] < 0) | (table["picture"] >= table["offset"])
     is_inside &= table["picture"] + table["picture_length"] <= table["offset"] + table["length"]
-    return table if is_inside.all() else None
+    is_in_order = (np.diff(table["offset"]) > 0).all()
+    has_times = (table["log_time_ns"] <= LAST_TIME_NS).all()
+    return table if is_inside.all() and is_in_order and has_times else None
+
+
+def stored_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
+    """The PLACE of each picture as they are stored, whether or not that is true; None where they are not."""
+    content = _attached(file, structure, PICTURES_ATTACHMENT)
+    if content is None or len(content) % PLACE.itemsize:
+        return None
+    return np.frombuffer(content, PLACE)
 
 
 def is_of_pictures(chunk: Chunk, structure: Structure) -> bool:
