@@ -7,7 +7,10 @@ SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive vi
 # several tests at once (tests/conftest.py says how many); those of one file share what they have made
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
 
-.PHONY: install demo test test-long coverage check docs site pictures proto clean
+# compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
+test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader clean
 
 install: $(VENV)/installed
 
@@ -64,6 +67,10 @@ proto:
 	$(PYTHON) -m venv build/protoc
 	build/protoc/bin/pip install --quiet "grpcio-tools==1.71.2"
 	build/protoc/bin/python -m grpc_tools.protoc -I. --python_out=. --pyi_out=. recorder/bc.proto
+
+# Foxglove's own reader of MCAP files, by which tests/recorder/test_other_readers.py reads logs; needs npm
+foxglove-reader:
+	npm ci --prefix tests/helpers/foxglove_reader
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -116,7 +116,7 @@ def opened(log: Path) -> Opened:
         while player.poll() is None:
             player_mb, viewer_mb = max(player_mb, memory_mb(player.pid)), max(viewer_mb, memory_mb(process.pid))
             refuse_full_memory(player)
-            if not first_s and has_pictures(client):
+            if not first_s and has_component(client, camera_topic("center"), ":blob"):
                 first_s = time.perf_counter() - start_s
             time.sleep(0.05)
         sent_s = time.perf_counter() - start_s
@@ -202,12 +202,13 @@ def answering(url: str) -> ViewerClient:
     sys.exit("the viewer does not start")
 
 
-def has_pictures(client: ViewerClient) -> bool:
+def has_component(client: ViewerClient, entity: str, ending: str) -> bool:
+    """True if an entity, or one below it, has a component whose name ends so."""
     try:
-        schema = client.get_recording_schema(entity_path=camera_topic("center"))
+        schema = client.get_recording_schema(entity_path=entity)
     except Exception:  # nothing is open yet; what it raises is not documented
         return False
-    return any(each.component.endswith(":blob") for entity in schema.entities for each in entity.components)
+    return any(each.component.endswith(ending) for found in schema.entities for each in found.components)
 
 
 def shows_green(client: ViewerClient) -> bool:

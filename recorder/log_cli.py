@@ -17,7 +17,7 @@ from common.errors import UsageError, counted, printable
 from common.files import final_path
 from common.output import print_message, print_result
 from recorder.log.check import check, is_whole
-from recorder.log.edit import merge, split, trim, trim_times
+from recorder.log.edit import merge, rewrite, split, trim, trim_times
 from recorder.log.log_info import describe
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
@@ -176,6 +176,25 @@ class Merge:
 
 
 @dataclass(frozen=True)
+class Rewrite:
+    """Write a log of an earlier version as this one writes logs: pictures in chunks of their own, so that whoever
+    wants numbers reads none of them. Pictures, rows, times and tags stay as they are, and runs know it again."""
+
+    log: LogPath
+    """The log to write anew."""
+    to: Path
+    """The new log."""
+    force: bool = False
+    """Replace a file of the new log's name."""
+
+    def run(self) -> int:
+        to = _named(self.to)
+        code = print_written(rewrite(self.log, to, overwrite=self.force))
+        print_message(f"{self.log} is as it was; once {to} is checked it can take its place")
+        return code
+
+
+@dataclass(frozen=True)
 class Split:
     """Write each drive of a log to a new log of its own: NAME-1.mcap, NAME-2.mcap and so on. A new drive begins
     after a gap of more than a second, or where time goes back."""
@@ -200,6 +219,7 @@ Command = (
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Trim, tyro.conf.subcommand("trim")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
+    | Annotated[Rewrite, tyro.conf.subcommand("rewrite")]
     | Annotated[Split, tyro.conf.subcommand("split")]
     | Annotated[NameRows, tyro.conf.subcommand("tag")]
 )

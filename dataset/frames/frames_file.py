@@ -64,10 +64,16 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[T
         "format": FRAMES_FORMAT,
         "log": relative_log_path(log.path, index),
         "fingerprint": fingerprint,
+        **file_if_rewritten(fingerprint, log.file_fingerprint),
         "tags": [[tag.name, tag.first_row, tag.last_row] for tag in tags],
         "looked": read_image_check(index, session_name(log.path), fingerprint) is not None,
         "settings": frames_settings(config, session_name(log.path)),
     }
+
+
+def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
+    """What is kept of a log besides its fingerprint, where that is of another file with the same content."""
+    return {} if file == fingerprint else {"file": file}
 
 
 def relative_log_path(log: Path, index: Path) -> str:

@@ -26,6 +26,7 @@ from dataset.frames.frames_file import (
     FRAMES_FORMAT,
     FRAMES_SCHEMA,
     FramesError,
+    file_if_rewritten,
     frames_metadata,
     frames_settings,
     relative_log_path,
@@ -44,7 +45,7 @@ from dataset.index.build_state import (
     stat_of,
     write_state,
 )
-from dataset.index.duplicates import refuse_shared_pictures
+from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictures
 from dataset.index.sessions import name_problem
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.parquet_file import read_metadata, write_table
@@ -52,6 +53,7 @@ from dataset.samples.filter import Condition
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
+from recorder.log.log_info import first_picture_sizes
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.tags import read_tags
 from recorder.log.topics import camera_topic
@@ -107,11 +109,16 @@ def build_index(
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
         finish_interrupted_build(index)
-        state = read_state(index)
-        try:
-            return _build(by_name, index, config, state, leave_out_unreadable, passed_over)
-        except _StaleStateError:
-            return _build(by_name, index, config, BuildState.nothing(), leave_out_unreadable, passed_over)
+        state, damaged = read_state(index), dict[str, str]()
+        while True:
+            try:
+                return _build(by_name, index, config, state, leave_out_unreadable, passed_over, damaged)
+            except _StaleStateError:
+                state = BuildState.nothing()
+            except UnreadablePictureError as error:  # nobody else looks at pictures here
+                if not leave_out_unreadable or error.session in config.validation:
+                    raise
+                damaged[error.session] = str(error)
 
 
 def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> None:
@@ -138,11 +145,15 @@ def _build(
     state: BuildState,
     leave_out_unreadable: bool,
     passed_over: Sequence[str],
+    damaged: Mapping[str, str],
 ) -> Indexed:
+    """`damaged`: what was found of logs that look sound while their pictures are not read."""
     entries: dict[str, BuiltLog] = {}
     with staged(index) as stage:
         for name, path in track(by_name.items(), "indexing", len(by_name)):
             try:
+                if name in damaged:
+                    raise LogError(damaged[name])
                 entries[name] = _unchanged(name, path, index, config, state) or _read(
                     name, path, index, config, stage
                 )
@@ -157,7 +168,11 @@ def _build(
             raise LogError("; ".join(notices))
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         places = {
-            name: {"log": relative_log_path(by_name[name], index), "fingerprint": entry.fingerprint}
+            name: {
+                "log": relative_log_path(by_name[name], index),
+                "fingerprint": entry.fingerprint,
+                **file_if_rewritten(entry.fingerprint, entry.file),
+            }
             for name, entry in held.items()
         }
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
@@ -199,6 +214,7 @@ def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: Bu
         "settings": frames_settings(config, name),
         "log": relative_log_path(log, index),
         "fingerprint": entry.fingerprint,
+        **file_if_rewritten(entry.fingerprint, entry.file),
     }
     stored = read_metadata(file) or {}
     return entry if all(stored.get(key) == value for key, value in expected.items()) else None
@@ -218,7 +234,12 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
         entry = BuiltLog(
-            sources, log.fingerprint, notice=log.notice, has_crcs=log.has_crcs, sizes_px=_sizes_px(log)
+            sources,
+            log.fingerprint,
+            log.file_fingerprint,
+            notice=log.notice,
+            has_crcs=log.has_crcs,
+            sizes_px=_sizes_px(log),
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
@@ -231,7 +252,12 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
 
 
 def _sizes_px(log: Log) -> list[tuple[int, int]]:
-    """Width and height of the first picture of each camera, as its header has it."""
+    """Width and height of the first picture of each camera, as its header has it.
+
+    A log's summary of its rows has them; those of earlier versions do not.
+    """
+    if (known := first_picture_sizes(log)) is not None:
+        return [known[topic] for topic in map(camera_topic, CAMERAS) if topic in known]
     sizes = []
     for camera in CAMERAS:
         found = log.pictures(camera_topic(camera))

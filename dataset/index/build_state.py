@@ -28,7 +28,8 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A log as it was when the index was built."""
 
     sources: Sources  # what its frames are made of, before it was read: what changes from then on is noticed
-    fingerprint: str = ""  # empty if it was left out
+    fingerprint: str = ""  # of its content; empty if it was left out
+    file: str = ""  # the fingerprint of the file, in which pictures have their places
     frames: Stat = None  # of its frames file
     notice: str = ""  # what to tell a person
     has_crcs: bool = True

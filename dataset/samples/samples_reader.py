@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -33,6 +33,8 @@ LOADED: Final = ("session", "offset", "length", "chunk", "flip", "alteration", "
 FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
 """The columns that training and validation depend on."""
 
+_CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offset", "chunk")))
+
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
 
 _UNREADABLE: Final = (
@@ -45,6 +47,14 @@ _UNREADABLE: Final = (
     RecursionError,
     pa.ArrowException,
 )
+
+
+class IndexedLog(NamedTuple):
+    """A log of an index."""
+
+    path: str  # from the index
+    fingerprint: str  # of its content
+    file: str  # of the file
 
 
 class Samples(Closeable):
@@ -60,7 +70,11 @@ class Samples(Closeable):
         try:
             self.metadata: dict[str, Any] = json.loads(pq.read_schema(self.path).metadata[METADATA_KEY])
             self.sources = {
-                str(session): (str(source["log"]), str(source["fingerprint"]))
+                str(session): IndexedLog(
+                    str(source["log"]),
+                    str(source["fingerprint"]),
+                    str(source.get("file", source["fingerprint"])),
+                )
                 for session, source in self.metadata["logs"].items()
             }
             version = self.metadata["format"]
@@ -99,23 +113,37 @@ class Samples(Closeable):
         except _UNREADABLE as error:
             raise self._damaged(error) from None
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
         """SHA-256, in hex, of all that training and validation read: which bytes of which logs, how they are
         mirrored and altered, labels, and the split. It does not depend on where the index and its logs lie.
         """
-        logs = {session: fingerprint for session, (_, fingerprint) in self.sources.items()}
-        digests = {name: hashlib.sha256() for name in FINGERPRINTED}
+        return self._fingerprint_of(FINGERPRINTED)
+
+    @property
+    def content_fingerprint(self) -> str:
+        """As `fingerprint`, but by rows and cameras instead of bytes: the same for a log that was rewritten."""
+        return self._fingerprint_of(_CONTENT)
+
+    def _fingerprint_of(self, columns: Sequence[str]) -> str:
+        digests = {name: self._digests[name] for name in columns}
+        logs = sorted(log.fingerprint for log in self.sources.values())
+        return hashlib.sha256(json.dumps([logs, digests]).encode()).hexdigest()
+
+    @cached_property
+    def _digests(self) -> dict[str, str]:
+        """SHA-256 of each column that a fingerprint depends on."""
+        logs = {session: log.fingerprint for session, log in self.sources.items()}
+        digests = {name: hashlib.sha256() for name in dict.fromkeys((*FINGERPRINTED, *_CONTENT))}
         try:
-            for part in self._groups(FINGERPRINTED):
+            for part in self._groups(tuple(digests)):
                 for name, digest in digests.items():
                     digest.update(
                         _hashable(part[name], SAMPLES_SCHEMA.field(name).type, logs if name == "session" else {})
                     )
         except _UNREADABLE as error:
             raise self._damaged(error) from None
-        content = [sorted(logs.values()), {name: digest.hexdigest() for name, digest in digests.items()}]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        return {name: digest.hexdigest() for name, digest in digests.items()}
 
     def rows(self, table: pa.Table) -> Rows:
         """Samples of this index as arrays. Raises DatasetError for what no index holds."""
@@ -152,22 +180,22 @@ class Samples(Closeable):
         return DatasetError(f"{self.path}: damaged ({why}); remove it and give `bc-index`")
 
 
-def open_logs(index: Path, sources: Mapping[str, tuple[str, str]]) -> dict[str, Log]:
-    """The logs of an index by session; `sources` tells of each its path from the index and its fingerprint.
+def open_logs(index: Path, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
+    """The logs of an index by session.
 
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
     allow_open_files(len(sources))
     logs: dict[str, Log] = {}
     try:
-        for session, (place, fingerprint) in sources.items():
-            path = index / place
+        for session, source in sources.items():
+            path = index / source.path
             if not path.is_file():
                 raise DatasetError(
                     f"{path}: the log of session {session} is gone; put it back or run `bc-index` again"
                 )
             log = logs[session] = Log(path)
-            if log.fingerprint != fingerprint:
+            if log.file_fingerprint != source.file:
                 raise DatasetError(
                     f"{path}: has changed since it was indexed as session {session}; run `bc-index` again"
                 )

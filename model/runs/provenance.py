@@ -42,7 +42,11 @@ def provenance(samples: Samples, config: TrainConfig, machine: Machine, ranks: i
         "parameters": PARAMETERS,
         "training": asdict(config),
         "machine": machine_settings(machine, ranks),
-        "data": {"fingerprint": samples.fingerprint, **samples.metadata},
+        "data": {
+            "fingerprint": samples.fingerprint,
+            "content_fingerprint": samples.content_fingerprint,
+            **samples.metadata,
+        },
         "versions": versions(),
     }
 
@@ -89,9 +93,14 @@ def training_of(stored: dict[str, Any], where: str) -> TrainConfig:
         raise RunError(f"{where}: its training settings cannot be used ({error})") from None
 
 
-def data_fingerprint_of(stored: dict[str, Any], where: str) -> str:
-    """The fingerprint of the samples that a run was trained on. Raises RunError if its config does not say."""
+def is_trained_on(stored: dict[str, Any], where: str, samples: Samples) -> bool:
+    """True if a run with this config was trained on these samples, whether or not their logs were rewritten since.
+    Raises RunError if it does not say; `where` names the file."""
     try:
-        return str(stored["data"]["fingerprint"])
-    except (KeyError, TypeError):
+        data = stored["data"]
+        if str(data["fingerprint"]) == samples.fingerprint:
+            return True
+        # earlier versions did not keep it
+        return str(data.get("content_fingerprint", "")) == samples.content_fingerprint
+    except (KeyError, TypeError, AttributeError):
         raise RunError(f"{where}: does not say what the run was trained on") from None

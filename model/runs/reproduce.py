@@ -11,7 +11,7 @@ import msgspec
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from model.errors import RunError
-from model.runs.provenance import StoredData, data_fingerprint_of
+from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_folder import CONFIG, load_config, run_name
 from model.runs.run_inputs import logs_of
 
@@ -27,11 +27,10 @@ def index_of_run(
     """
     stored = load_config(run)
     where = str(run / CONFIG)
-    wanted = data_fingerprint_of(stored, where)
     index = index.resolve()
     own = index.with_name(f"{index.name}-{run_name(run)}")
     for place in (index, own):
-        if _fingerprint(place) == wanted:
+        if _is_of(place, stored, where):
             return place
     settings, fingerprints = _data_of(stored, where)
     before = logs_of(run)
@@ -42,13 +41,13 @@ def index_of_run(
     for notice in build_index(find_logs(logs, sessions), own, settings).notices:
         on_notice(notice)
     with Samples(own) as samples:
-        changed = [name for name, (_, now) in samples.sources.items() if now != fingerprints[name]]
+        changed = [name for name, log in samples.sources.items() if log.fingerprint != fingerprints[name]]
         if changed:
             raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
-        if samples.fingerprint != wanted:
+        if not is_trained_on(stored, where, samples):
             raise RunError(
-                f"{own}: the same logs and settings as {run} had, but other samples: their tags have changed,"
-                " or it was made by another version of the toolkit"
+                f"{own}: the same logs and settings as {run} had, but other samples: their tags have changed, they"
+                " were rewritten (`bc-log rewrite`), or it was made by another version of the toolkit"
             )
     return own
 
@@ -61,13 +60,13 @@ def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
     return _data_of(load_config(run), str(run / CONFIG))
 
 
-def _fingerprint(index: Path) -> str:
-    """Of an index's samples; empty if it cannot be used."""
+def _is_of(index: Path, stored: dict[str, Any], where: str) -> bool:
+    """True if an index can be used, and holds the samples that a run with this config was trained on."""
     try:
         with Samples(index) as samples:
-            return samples.fingerprint
+            return is_trained_on(stored, where, samples)
     except DatasetError:
-        return ""
+        return False
 
 
 def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str, str]]:

@@ -40,7 +40,7 @@ def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: d
         is_learnt = np.zeros(len(part), np.bool_)
         for training in trainings:
             for name, fingerprint in training.logs:
-                if fingerprint == samples.sources[session][1]:
+                if fingerprint == samples.sources[session].fingerprint:
                     is_learnt |= is_for_training(part, samples.logs[session], name, training.config)
         count += int(is_learnt.sum())
     return count

@@ -10,7 +10,7 @@ from typing import Any, Final
 from dataset import Samples
 from model.config import TrainConfig
 from model.errors import RunError
-from model.runs.provenance import data_fingerprint_of, training_of
+from model.runs.provenance import is_trained_on, training_of
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, WEIGHTS
 
@@ -39,7 +39,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
 
 def refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -> None:
     """Raise RunError if these are not the samples that the run was trained on."""
-    if data_fingerprint_of(stored, str(run / CONFIG)) != samples.fingerprint:
+    if not is_trained_on(stored, str(run / CONFIG), samples):
         has_weights = (run / WEIGHTS).exists()
         of_its_weights = (
             f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""

@@ -62,5 +62,5 @@ class PlacesCheck:
         if self._places is None or told.compression:
             return
         first, end = np.searchsorted(self._places["chunk"], (number, number + 1))
-        if not np.array_equal(self._places[first:end], places_in(record, number, self._images)):
+        if self._places[first:end].tobytes() != places_in(record, number, self._images):
             self._findings.append(Finding("chunks of other pictures than are listed", where))

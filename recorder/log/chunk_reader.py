@@ -39,13 +39,25 @@ class ChunkReader:
             if offset < 0 or len(data) != length:
                 raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
             return data
-        number = bisect.bisect_right(self._starts, offset) - 1
-        if number < 0 or offset + length > self._chunks[number].end:
-            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
+        number = self._number_of(offset, length)
         if not self._is_verified[number]:
             self._file.records(self._chunks[number])
             self._is_verified[number] = True
         return self._file.read(offset, length)
+
+    def records_around(self, offset: int, length: int) -> tuple[int, bytes]:
+        """Where in the file the records of the uncompressed chunk begin that has these bytes, and the records.
+        Raises what `read` does."""
+        number = self._number_of(offset, length)
+        records = self._file.records(self._chunks[number])
+        self._is_verified[number] = True
+        return self._file.records_at(self._chunks[number]), records
+
+    def _number_of(self, offset: int, length: int) -> int:
+        number = bisect.bisect_right(self._starts, offset) - 1
+        if number < 0 or offset + length > self._chunks[number].end:
+            raise self._file.damaged(f"bytes {offset} to {offset + length} lie in no chunk")
+        return number
 
     def _unpacked_records(self, start: int) -> bytes:
         records = self._unpacked.get(start)

@@ -56,7 +56,7 @@ def copy_rest(
 ) -> None:
     """Copy attachments, and metadata but that which the new log has of its own."""
     for name, values in metadata:
-        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA):
+        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA, topics.REWRITTEN_METADATA):
             writer.add_metadata(name, values)
     for offset in log.attachments:
         try:

@@ -167,6 +167,33 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
     return [Written(*parts) for parts in zip(targets, counts, map(len, rows), skipped, strict=True)]
 
 
+def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
+    """Write a finished log to the new log `to` as this version writes logs: pictures in chunks of their own.
+
+    Messages, times, rows and tags are the same, and so is its fingerprint: whoever has seen the one knows the
+    other. Raises LogError for a log that was never finished, or that another program wrote.
+    """
+    refuse_taken(to, [path], overwrite)
+    skipped, count = Skipped(), 0
+    with Log(path) as log:
+        if log.problem:
+            raise LogError(f"{path}: {log.problem}; `bc-log recover {path}` makes a finished log of it")
+        if not log.is_ours:
+            raise LogError(
+                f"{path}: another program's log; `bc-record NAME --from {path}` makes one of ours of it"
+            )
+        rows = [message.sequence for message in log.messages(topics.VEHICLE)]
+        tags = read_tags(path, log.fingerprint)
+        with new_log(to, log.metadata, {"rewritten_from": path.name}, overwrite) as writer:
+            for schema, channel, message in _messages(log, "rewriting"):
+                writer.copy(schema, channel, message, message.sequence)
+                count += 1
+            copy_rest(log, log.all_metadata(), writer, skipped)
+            writer.same_as = log.fingerprint
+            close_with_tags(writer, tags)
+    return Written(to, count, len(rows), skipped)
+
+
 def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
     """The first and the last row between two times, in seconds from the log's first row.
 

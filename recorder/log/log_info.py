@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from recorder.log import topics
 from recorder.log.reader import Log
 from recorder.log.row_quality import ROW_FLAGS, StatesWritten, summary
@@ -85,6 +87,16 @@ def describe(path: Path) -> LogInfo:
             notice=log.notice,
             is_ours=log.is_ours,
         )
+
+
+def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
+    """Width and height of the first picture of each camera's topic, where that has any, as the log's writer has
+    noted them; None where it has not."""
+    try:
+        stored = log.read_metadata(topics.QUALITY_METADATA).get("first_picture_px", "")
+        return msgspec.json.decode(stored, type=dict[str, tuple[int, int]])
+    except msgspec.MsgspecError:
+        return None
 
 
 def _quality(log: Log) -> dict[str, str]:

@@ -7,6 +7,7 @@ here is about this file: another program that writes a log anew copies attachmen
 
 from __future__ import annotations
 
+import struct
 from typing import Final
 
 import numpy as np
@@ -14,8 +15,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from recorder.errors import LogError
-from recorder.log.mcap_file import CHUNK_HEADER, RECORD, RECORDS_AT, Chunk, McapFile
-from recorder.log.message_index import ENTRY, LAST_TIME_NS, UNCOMPRESSED, chunk_entries
+from recorder.log.compressed_image import image_data
+from recorder.log.mcap_file import CHUNK_HEADER, MESSAGE, RECORD, RECORDS_AT, Chunk, McapFile
+from recorder.log.message_index import ENTRY, LAST_TIME_NS, UNCOMPRESSED
 from recorder.log.scan import Structure
 
 PICTURES_ATTACHMENT: Final = "bc.pictures"
@@ -36,6 +38,9 @@ PLACE: Final = np.dtype(
         ("picture_length", "<u4"),
     ]
 )
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
+_LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+_PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quicker than an array of them
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
 NO_PICTURE: Final = 2**32 - 1
 
@@ -48,46 +53,45 @@ class PlacesWritten:
 
     def __init__(self) -> None:
         self.channels: set[int] = set()  # those of pictures
-        self._places: list[NDArray[np.void]] = []
-        self._count = 0
+        self._places = bytearray()
         self._chunks: list[tuple[int, int]] = []
 
     def __len__(self) -> int:
         """Pictures that are not taken yet."""
-        return self._count
+        return len(self._places) // _PLACE.size
 
     def add_chunk(self, start: int, record: bytes) -> None:
         """A chunk that begins at byte `start` of the file."""
         *_, crc = CHUNK_HEADER.unpack_from(record)
-        places = places_in(record, len(self._chunks), self.channels)
+        self._places += places_in(record, len(self._chunks), self.channels)
         self._chunks.append((start, crc))
-        if len(places):
-            self._places.append(places)
-            self._count += len(places)
 
     def take_pictures(self) -> Attached:
         """The attachment about the pictures that were not taken yet."""
-        content = b"".join(part.tobytes() for part in self._places)
-        self._places, self._count = [], 0
+        content = bytes(self._places)
+        self._places = bytearray()
         return 0, 0, PICTURES_ATTACHMENT, MEDIA_TYPE, content
 
     def take_chunks(self) -> Attached:
         return 0, 0, CHUNKS_ATTACHMENT, MEDIA_TYPE, np.array(self._chunks, CHUNK_CRC).tobytes()
 
 
-def places_in(record: bytes, number: int, channels: set[int]) -> NDArray[np.void]:
-    """A PLACE for each picture in a sound chunk: its record, its number in the file, the channels of pictures."""
-    if not channels:
-        return np.empty(0, PLACE)
-    records = memoryview(record)[RECORDS_AT:]
-    images = np.fromiter(channels, np.uint16)
-    table = chunk_entries(records, _message_starts(records), images)
-    table = table[np.isin(table["channel"], images)]
-    places = np.empty(len(table), PLACE)
-    for name in PLACE.names or ():
-        places[name] = table[name].astype(PLACE[name])  # -1, no picture, becomes NO_PICTURE
-    places["chunk"] = number
-    return places
+def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
+    """The PLACE of each picture in a sound chunk: its record, its number in the file, the channels of pictures."""
+    places, position = bytearray(), RECORDS_AT if channels else len(record)
+    while position < len(record):
+        opcode, length = RECORD.unpack_from(record, position)
+        if opcode == _OP_MESSAGE:
+            _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
+            if channel in channels:
+                at, size = position + MESSAGE.size, length - _LEAST_MESSAGE
+                picture, picture_size = image_data(record, at, size)
+                picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
+                places += _PLACE.pack(
+                    channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
+                )
+        position += RECORD.size + length
+    return bytes(places)
 
 
 def is_about_places(name: str) -> bool:
@@ -97,8 +101,8 @@ def is_about_places(name: str) -> bool:
 
 def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
     """The CRC of each chunk, as the end of a log of ours has them; None where nothing is told of this file."""
-    content = _attached(file, structure, CHUNKS_ATTACHMENT)
-    if content is None or len(content) != len(structure.chunks) * CHUNK_CRC.itemsize:
+    content = _attached(file, structure, CHUNKS_ATTACHMENT, len(structure.chunks) * CHUNK_CRC.itemsize)
+    if content is None:
         return None
     stored = np.frombuffer(content, CHUNK_CRC)
     if stored["start"].tolist() != [chunk.start for chunk in structure.chunks]:
@@ -112,15 +116,15 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
 
     None where that is missing, or does not fit the file's summary: then only reading all of it tells.
     """
-    places = stored_places(file, structure)
-    if places is None or structure.statistics is None or read_chunk_crcs(file, structure) is None:
+    places = None if read_chunk_crcs(file, structure) is None else stored_places(file, structure)
+    if places is None:
         return None
-    is_picture_chunk = np.array([is_of_pictures(chunk, structure) for chunk in structure.chunks])
-    if not np.array_equal(np.unique(places["chunk"]), np.flatnonzero(is_picture_chunk)):
+    images = structure.image_channels
+    of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
+    if np.unique(places["chunk"]).tolist() != of_pictures:
         return None
     counted = dict(zip(*(each.tolist() for each in np.unique(places["channel"], return_counts=True)), strict=True))
-    stored = structure.statistics.channel_message_counts
-    if counted != {n: stored[n] for n in structure.image_channels if stored.get(n)}:
+    if counted != _picture_counts(structure) or (places["log_time_ns"] > LAST_TIME_NS).any():
         return None
     starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
     ends = np.array([chunk.end for chunk in structure.chunks], np.int64)
@@ -135,38 +139,35 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     is_inside &= (table["picture"] < 0) | (table["picture"] >= table["offset"])
     is_inside &= table["picture"] + table["picture_length"] <= table["offset"] + table["length"]
     is_in_order = (np.diff(table["offset"]) > 0).all()
-    has_times = (table["log_time_ns"] <= LAST_TIME_NS).all()
-    return table if is_inside.all() and is_in_order and has_times else None
+    return table if is_inside.all() and is_in_order else None
 
 
 def stored_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
-    """The PLACE of each picture as they are stored, whether or not that is true; None where they are not."""
-    content = _attached(file, structure, PICTURES_ATTACHMENT)
-    if content is None or len(content) % PLACE.itemsize:
-        return None
-    return np.frombuffer(content, PLACE)
+    """The PLACE of each picture as they are stored, whether or not they are true; None where they cannot be."""
+    count = sum(_picture_counts(structure).values())
+    content = _attached(file, structure, PICTURES_ATTACHMENT, count * PLACE.itemsize)
+    return None if content is None else np.frombuffer(content, PLACE)
 
 
-def is_of_pictures(chunk: Chunk, structure: Structure) -> bool:
-    """True for an uncompressed chunk that has, by the summary, pictures and nothing else."""
-    return chunk.channels is not None and not chunk.compression and chunk.channels <= structure.image_channels
+def _picture_counts(structure: Structure) -> dict[int, int]:
+    """By the summary: messages on each channel of pictures that has any."""
+    counts = {} if structure.statistics is None else structure.statistics.channel_message_counts
+    return {number: counts[number] for number in structure.image_channels if counts.get(number)}
 
 
-def _attached(file: McapFile, structure: Structure, name: str) -> bytes | None:
-    """The contents of the attachments of this name, one after the other."""
-    found = [at for at, its_name in sorted(structure.attachment_names.items()) if its_name == name]
-    try:
-        return b"".join(file.attachment(at).data for at in found) if found else None
-    except LogError:
-        return None
+def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:
+    """True for an uncompressed chunk that has, by the summary, messages of these channels and no others."""
+    return chunk.channels is not None and not chunk.compression and chunk.channels <= images
 
 
-def _message_starts(records: memoryview) -> NDArray[np.int64]:
-    """Where the messages begin among the records of a chunk that has just been made."""
-    starts, position = [], 0
-    while position < len(records):
-        opcode, length = RECORD.unpack_from(records, position)
-        if opcode == Opcode.MESSAGE:
-            starts.append(position)
-        position += RECORD.size + length
-    return np.array(starts, np.int64)
+def _attached(file: McapFile, structure: Structure, name: str, size: int) -> bytes | None:
+    """The contents of the attachments of this name, one after the other; None if they are not `size` bytes."""
+    content = b""
+    for at in sorted(at for at, its_name in structure.attachment_names.items() if its_name == name):
+        try:
+            content += file.attachment(at).data
+        except LogError:
+            return None
+        if len(content) > size:
+            return None
+    return content if content and len(content) == size else None

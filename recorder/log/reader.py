@@ -6,14 +6,14 @@ A log that was never finished is read as far as it goes, and says so (`Log.notic
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import operator
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -27,6 +27,7 @@ from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.chunk_reader import ChunkReader
+from recorder.log.double_fields import decode_doubles
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, index_messages
 from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
@@ -38,6 +39,8 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
     from google.protobuf.message import Message as ProtobufMessage
 
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
+
+_PLACE: Final = ("offset", "length", "chunk")
 
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
 
@@ -191,18 +194,34 @@ class Log(Closeable):
 
     @cached_property
     def fingerprint(self) -> str:
-        """A name for this content and no other: SHA-256 over the chunks' headers (with the CRC of each chunk's
-        content) and the file's size. It changes with any picture, and reads none: the end of a log of ours has
-        the CRCs, else they are read from the chunks."""
-        digest = hashlib.sha256(struct.pack("<Q", self.size))
+        """A name for this content: that of the file, or that of the log which `bc-log rewrite` made it of and
+        which holds the same messages at other places."""
+        rewritten: dict[str, str] = {}
+        for offset in self.metadata_records if self.is_ours and not self.problem else ():
+            with contextlib.suppress(LogError):  # of a damaged one, who asks for it hears
+                name, values = self.metadata_record(offset)
+                rewritten = values if name == topics.REWRITTEN_METADATA else rewritten
+        original = rewritten.get("fingerprint", "")
+        # the record is about these chunks: another program, or an earlier version, may have copied it with others
+        is_about_this = original and rewritten.get("chunks") == _sha256(*self._chunk_headers)
+        return original if is_about_this else self.file_fingerprint
+
+    @cached_property
+    def file_fingerprint(self) -> str:
+        """A name for this file, in which pictures have their places: SHA-256 over its size and the chunks' headers
+        (with the CRC of each chunk's content). It changes with any picture."""
+        return _sha256(struct.pack("<Q", self.size), *self._chunk_headers)
+
+    @cached_property
+    def _chunk_headers(self) -> list[bytes]:
+        """The header of each chunk, from the end of a log of ours; else they are read, some 50 bytes a chunk."""
         crcs = read_chunk_crcs(self._file, self._structure) if self.is_ours else None
-        for chunk, crc in zip(self.chunks, crcs or [0] * len(self.chunks), strict=True):
-            if crc and chunk.head:
-                digest.update(chunk.head + struct.pack("<I", crc))
-                continue
-            has_crc = self._file.has_crc(chunk)
-            digest.update(self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start))
-        return digest.hexdigest()
+        if crcs is not None:
+            return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(self.chunks, crcs, strict=True)]
+        return [
+            self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start)
+            for chunk, has_crc in ((chunk, self._file.has_crc(chunk)) for chunk in self.chunks)
+        ]
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
         """`length` bytes from `offset`, as `Pictures` and `Message` give them. May be called from several threads.
@@ -232,16 +251,17 @@ class Log(Closeable):
 
     def table(self, topic_name: str) -> pa.Table:
         """The messages on a topic of the registry, one a row: row, log_time_ns, and the columns it has there."""
+        from google.protobuf.message import DecodeError
+
         topic = topics.TOPICS[topic_name]
-        found = list(self.decoded(topic_name))
-        columns = {
-            "row": pa.array([message.sequence for message, _ in found], pa.int64()),
-            "log_time_ns": pa.array([message.log_time_ns for message, _ in found], pa.int64()),
-        }
-        for column in topic.columns:
-            value = operator.attrgetter(column.field)
-            columns[column.name] = pa.array([value(content) for _, content in found], pa.float64())
-        return pa.table(columns)
+        found = self._of_topic(topic_name)
+        kind = topic.message.load()
+        try:
+            values = decode_doubles(list(self._contents(found)), kind, [column.field for column in topic.columns])
+        except DecodeError as error:
+            raise self._no_such_message(topic_name, kind) from error
+        columns = {"row": found["sequence"].astype(np.int64), "log_time_ns": found["log_time_ns"].astype(np.int64)}
+        return pa.table(columns | {column.name: row for column, row in zip(topic.columns, values, strict=True)})
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
         """The JPEG (or PNG) of a camera at a row, byte for byte. Raises LogError if there is none."""
@@ -263,9 +283,7 @@ class Log(Closeable):
 
     def messages(self, topic: str) -> list[Message]:
         """The places of the messages on `topic`, in the order of writing."""
-        names = ("sequence", "log_time_ns", "offset", "length", "chunk")
-        table = self._of_topic(topic)
-        return [Message(*row) for row in zip(*(table[name].tolist() for name in names), strict=True)]
+        return _messages(self._of_topic(topic))
 
     def decoded(self, topic: str) -> Iterator[tuple[Message, Any]]:
         """The messages on a topic of the registry. Raises LogError for one that is not what the registry says."""
@@ -315,7 +333,8 @@ class Log(Closeable):
         places = read_places(self._file, self._structure) if self.is_ours else None
         read = self.chunks
         if places is not None:
-            read = [chunk for chunk in read if not is_of_pictures(chunk, self._structure)]
+            images = self._structure.image_channels
+            read = [chunk for chunk in read if not is_of_pictures(chunk, images)]
         chunks: Iterable[Chunk] = read
         if self._shows_progress:
             from common.progress import track  # training reads logs where no bars are installed
@@ -335,8 +354,35 @@ class Log(Closeable):
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         from google.protobuf.message import DecodeError
 
-        for message in self.messages(topic):
+        found = self._of_topic(topic)
+        for message, content in zip(_messages(found), self._contents(found), strict=True):
             try:
-                yield message, kind.FromString(self.read(message.offset, message.length, message.chunk))
+                yield message, kind.FromString(content)
             except DecodeError as error:
-                raise self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}") from error
+                raise self._no_such_message(topic, kind) from error
+
+    def _contents(self, found: NDArray[np.void]) -> Iterator[bytes]:
+        """The contents of messages of the index; of messages that lie together, the chunk is read once."""
+        records_at, records = 0, b""
+        for offset, length, chunk in zip(*(found[name].tolist() for name in _PLACE), strict=True):
+            if chunk != UNCOMPRESSED:
+                yield self._chunk_reader.read(offset, length, chunk)
+                continue
+            if not records_at <= offset <= offset + length <= records_at + len(records):
+                records_at, records = self._chunk_reader.records_around(offset, length)
+            yield records[offset - records_at : offset - records_at + length]
+
+    def _no_such_message(self, topic: str, kind: type[ProtobufMessage]) -> LogError:
+        return self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}")
+
+
+def _messages(found: NDArray[np.void]) -> list[Message]:
+    names = ("sequence", "log_time_ns", *_PLACE)
+    return [Message(*row) for row in zip(*(found[name].tolist() for name in names), strict=True)]
+
+
+def _sha256(*parts: bytes) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()

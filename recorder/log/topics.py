@@ -20,6 +20,7 @@ PROFILE: Final = "bc"
 LIBRARY: Final = "behavioural-cloning-toolkit"  # what an MCAP file says that it was written by, before the version
 SESSION_METADATA: Final = "bc.session"
 QUALITY_METADATA: Final = "bc.quality"
+REWRITTEN_METADATA: Final = "bc.rewritten"  # which log this one holds the same content as
 DRIVE_METADATA: Final = "bc.drive"  # a drive's own summary
 
 VEHICLE: Final = "/vehicle"

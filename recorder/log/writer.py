@@ -92,6 +92,8 @@ class LogWriter:
         self._channels: dict[str, Callable[[], int]] = {}
         self._schemas: dict[str, int] = {}
         self._has_messages = False
+        self.same_as = ""
+        """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
         self._is_split = metadata is not None
         self._states = StatesWritten()
         self._sizes = PictureSizes()
@@ -232,9 +234,16 @@ class LogWriter:
     def finish(self) -> None:
         """Write the summary; the log still has its temporary name (`part`)."""
         if len(self._states):
-            sizes = self._sizes.mixed()
-            mixed = {"picture_sizes": json.dumps(sizes)} if sizes else {}
-            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | mixed)
+            mixed = self._sizes.mixed()
+            sizes = {
+                "first_picture_px": json.dumps(self._sizes.first()),
+                **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
+            }
+            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | sizes)
+        if self.same_as:
+            self._to_disk(self._chunks.flush)
+            about = {"fingerprint": self.same_as, "chunks": self._chunks.content_digest}
+            self.add_metadata(topics.REWRITTEN_METADATA, about)
         self._to_disk(self._finish)
 
     def publish(self) -> None:

@@ -70,6 +70,10 @@ class PictureSizes:
             if len(sizes) > 1
         }
 
+    def first(self) -> dict[str, tuple[int, int]]:
+        """Width and height of the first picture of each topic; not of one that has none."""
+        return {topic: next(iter(sizes)) for topic, sizes in sorted(self._found.items()) if sizes}
+
     def notices(self) -> list[str]:
         """Lines to print about a recording whose pictures are not all of one size, on whatever camera."""
         counts: Counter[tuple[int, int]] = Counter()

@@ -24,6 +24,7 @@ from simulator.protocol.client import SimulatorClient
 from simulator.protocol.replay import replay
 from toy import toy_index
 from udacity import make_recording, paths
+from waiting import wait_until
 
 if sys.platform == "win32":
     pytest.skip("pipes and terminals as Unix has them", allow_module_level=True)
@@ -173,8 +174,8 @@ def test_a_recording_is_followed_to_its_end(reader: type[Reader], tmp_path: Path
         make_recording(tmp_path / "drive", "".join(f"{paths(number)},0.1,0.5,0,9\n" for number in range(3)))
         if reader in (Head, ClosedTerminal):  # results wait for who is there, and may read on
             assert process.wait(PATIENCE_S) == 0
-        while not (log := tmp_path / "sessions" / "live.mcap").exists():
-            assert process.poll() is None
+        log = tmp_path / "sessions" / "live.mcap"
+        wait_until(lambda: log.exists() or process.poll() is not None)
     with Log(log) as followed:
         assert len(followed.vehicle()) == 3
 

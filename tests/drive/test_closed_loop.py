@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,13 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.reader import make_reader
 
 from common import UserError
+from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate
+from drive.evaluation.eval_cli import main as eval_main
 from drive.evaluation.simulator_process import BuiltInSimulator
 from driving import Process as Child
-from driving import command, one_line_of, run, untrained_run
+from driving import command, one_line_in, run, untrained_run
 from model import load_pilot
 from recorder import Imported, Log, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
@@ -142,35 +145,43 @@ def test_an_existing_log_is_refused_and_no_folder_is_begun(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == [log]
 
 
-def test_an_unknown_track_names_the_choices(tmp_path: Path) -> None:
-    done = run("bc-record", "x", "--track", "nowhere", cwd=tmp_path)
-    assert done.returncode == 1
-    assert all(choice in one_line_of(done) for choice in ("nowhere", "lake", "mountain", "random:SEED"))
+def test_an_unknown_track_names_the_choices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(record_main, "x", "--track", "nowhere") == 1
+    line = one_line_in(capsys)
+    assert all(choice in line for choice in ("nowhere", "lake", "mountain", "random:SEED"))
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
-    ("name", "arguments"),
+    ("main", "arguments"),
     [
-        ("bc-sim", ("--port", "1", "--wait", "0", "--track")),
-        ("bc-record", ("x", "--track")),
-        ("bc-drive", ("--simulator",)),
-        ("bc-eval", ("--simulator",)),
+        (sim_main, ("--port", "1", "--wait", "0", "--track")),
+        (record_main, ("x", "--track")),
+        (drive_main, ("--simulator",)),
+        (eval_main, ("--simulator",)),
     ],
 )
 def test_an_unknown_track_ends_every_command_with_the_same_code_and_a_guess(
-    name: str, arguments: tuple[str, ...], tmp_path: Path
+    main: Callable[[], None],
+    arguments: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    done = run(name, *arguments, "lkae", cwd=tmp_path)
-    assert done.returncode == 1
-    assert f"{arguments[-1]} lkae: no such track; did you mean lake?" in one_line_of(done)
+    monkeypatch.chdir(tmp_path)
+    assert call(main, *arguments, "lkae") == 1
+    assert f"{arguments[-1]} lkae: no such track; did you mean lake?" in one_line_in(capsys)
 
 
 @pytest.mark.parametrize("flags", [("--rate", "7"), ("--rate", "0"), ("--laps", "nan")])
-def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(flags: tuple[str, ...]) -> None:
-    done = run("bc-sim", *flags, "--port", 1, "--wait", 0)
-    assert done.returncode == 2
-    assert flags[0] in one_line_of(done)
+def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(
+    flags: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(sim_main, *flags, "--port", 1, "--wait", 0) == 2
+    assert flags[0] in one_line_in(capsys)
 
 
 @pytest.mark.parametrize(
@@ -206,9 +217,6 @@ def test_what_is_no_recording_is_called_what_it_is(tmp_path: Path, capsys: pytes
 
 
 def test_no_server_is_said_and_given_up_on() -> None:
-    done = run("bc-sim", "--replay", Path(__file__).parent, "--port", 1, "--wait", 0)
-    assert done.returncode == 1
-    assert "center_*.jpg" in done.stderr
     done = run("bc-sim", "--laps", 0.01, "--port", 1, "--wait", 0)
     assert done.returncode == 1
     assert "--wait" in done.stderr.splitlines()[-1]
@@ -249,11 +257,12 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
         assert log.read_metadata("bc.simulator")["trajectory_sha256"] == there["trajectory_sha256"]
 
 
-def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_run: Path, tmp_path: Path) -> None:
-    done = run("bc-eval", pilot_run, "--simulator", "nowhere", "--logs", tmp_path / "logs")
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
-    assert all(choice in done.stderr for choice in ("lake", "mountain", "random:SEED"))
+def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(
+    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(eval_main, pilot_run, "--simulator", "nowhere", "--logs", tmp_path / "logs") == 1
+    line = one_line_in(capsys)
+    assert all(choice in line for choice in ("lake", "mountain", "random:SEED"))
     assert list(tmp_path.rglob("*.*")) == []
 
 
@@ -267,11 +276,10 @@ def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(pilot_r
     ],
 )
 def test_an_evaluation_of_nothing_is_one_line(
-    pilot_run: Path, tmp_path: Path, flags: tuple[str, ...], says: str
+    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], says: str
 ) -> None:
-    done = run("bc-eval", pilot_run, *flags, "--logs", tmp_path / "logs")
-    assert done.returncode == 2
-    assert says in one_line_of(done)
+    assert call(eval_main, pilot_run, *flags, "--logs", tmp_path / "logs") == 2
+    assert says in one_line_in(capsys)
 
 
 def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import io
 import json
 import signal
 import socket
@@ -31,7 +32,7 @@ from drive.cli import drive as drive_command
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.drive_server import MAX_SIMULATORS, DriveServer
-from driving import PATIENCE_S, DriveProcess, Process, one_line_of, road_jpeg, run, untrained_run
+from driving import PATIENCE_S, DriveProcess, Process, one_line_in, one_line_of, road_jpeg, run, untrained_run
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -203,9 +204,9 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         done.comma_wire = bare.tell(fields(0, throttle="0,1000", speed="9,0000", steering_angle="0,0000"))
         bare.close()
 
-        refused = run("bc-drive", pilot_run, "--log", folder / "second.mcap", "--port", port)
-        assert refused.returncode == 1
-        done.second = one_line_of(refused)
+        with contextlib.redirect_stderr(io.StringIO()) as refused:
+            assert call(drive_main, pilot_run, "--log", folder / "second.mcap", "--port", port) == 1
+        (done.second,) = refused.getvalue().splitlines()
 
         assert not log.exists()
         done.exit_code = server.end(signal.SIGINT)
@@ -532,20 +533,13 @@ def test_flags_that_would_be_passed_over_or_make_no_sense_are_bad_usage(
     assert expected in capsys.readouterr().err
 
 
-def test_no_run_is_one_line(tmp_path: Path) -> None:
-    done = run("bc-drive", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "bc-train" in one_line_of(done)
+def test_no_run_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(drive_main) == 1
+    assert "bc-train" in one_line_in(capsys)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_web_page_of_another_site_is_not_let_in(pilot_run: Path, tmp_path: Path) -> None:
-    """A page in the user's browser can reach this machine's ports; its requests carry where it comes from."""
-    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
-        url = f"ws://127.0.0.1:{process.wait_until_it_listens()}/socket.io/?EIO=4&transport=websocket"
-        with pytest.raises(websocket.WebSocketBadStatusException):
-            websocket.create_connection(url, timeout=PATIENCE_S, origin="http://elsewhere.example")
-        websocket.create_connection(url, timeout=PATIENCE_S, suppress_origin=True).close()
 
 
 def test_at_the_end_the_car_is_braked_to_a_stand(pilot_run: Path, tmp_path: Path) -> None:
@@ -735,27 +729,6 @@ def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_pat
     assert shown[1:] == ["the simulator has gone: waiting, with 1 frame so far"]
 
 
-def test_a_client_that_sends_too_much_is_named_each_time(pilot_run: Path, tmp_path: Path) -> None:
-    def has_gone(times: int) -> bool:
-        return sum("disconnected" in line for line in process.stderr) == times
-
-    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
-        port = process.wait_until_it_listens()
-        for number in range(2):
-            with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
-                url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
-                connection = websocket.create_connection(url, socket=stream)
-                connection.send("42" + json.dumps(["telemetry", fields(0)]))
-                with contextlib.suppress(ConnectionError, websocket.WebSocketConnectionClosedException):
-                    connection.send("42" + json.dumps(["telemetry", "A" * (5 << 20)]))
-                    while connection.recv():
-                        pass
-            wait_until(partial(has_gone, number + 1))
-        assert process.end() == 0
-    gone = [line for line in process.stderr if "disconnected" in line]
-    assert all("disconnected (message too large)" in line for line in gone)
-
-
 def test_a_simulator_that_falls_silent_is_steered_once_without_being_asked(
     pilot_run: Path, tmp_path: Path
 ) -> None:
@@ -865,22 +838,54 @@ def test_a_full_disk_brakes_the_car_and_ends_in_one_line_that_names_the_file(
     assert "Traceback" not in "".join(process.stderr)
 
 
-def test_browsers_and_broken_packets_are_one_line_each(pilot_run: Path, tmp_path: Path) -> None:
-    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+def send_too_much(port: int) -> None:
+    """A telemetry, and then one of 5 MB; until the server hangs up."""
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
+        connection = websocket.create_connection(websocket_of(port), socket=stream)
+        connection.send("42" + json.dumps(["telemetry", fields(0)]))
+        with contextlib.suppress(ConnectionError, websocket.WebSocketConnectionClosedException):
+            connection.send("42" + json.dumps(["telemetry", "A" * (5 << 20)]))
+            while connection.recv():
+                pass
+
+
+def send_broken_packet(port: int) -> list[str]:
+    """A telemetry, and then what is no packet; what came until the server has hung up."""
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
+        connection = websocket.create_connection(websocket_of(port), socket=stream)
+        connection.send("42" + json.dumps(["telemetry", fields(0)]))
+        connection.send("42[]")
+        return [str(message) for message in iter(connection.recv, "")]
+
+
+def websocket_of(port: int) -> str:
+    return f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
+
+
+def test_who_does_not_belong_here_is_a_line_each_time_and_simulators_are_driven_on(
+    pilot_run: Path, tmp_path: Path
+) -> None:
+    """A page in the user's browser can reach this machine's ports; its requests carry where it comes from."""
+    log = tmp_path / "run.mcap"
+
+    def has_gone(times: int) -> bool:
+        return sum("message too large" in line for line in process.stderr) == times
+
+    with DriveProcess(pilot_run, log) as process:
         port = process.wait_until_it_listens()
+        with pytest.raises(websocket.WebSocketBadStatusException):
+            websocket.create_connection(websocket_of(port), timeout=PATIENCE_S, origin="http://elsewhere.example")
+        websocket.create_connection(websocket_of(port), timeout=PATIENCE_S, suppress_origin=True).close()
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE_S) as page:
             assert "simulator" in page.read().decode()
-        url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
-        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
-            connection = websocket.create_connection(url, socket=stream)
-            connection.send("42" + json.dumps(["telemetry", fields(0)]))
-            connection.send("42[]")
-            received = list(iter(connection.recv, ""))  # until the server hangs up
-        assert sum(str(message).startswith('42["steer"') for message in received) == 1
+        for times in (1, 2):
+            send_too_much(port)
+            wait_until(partial(has_gone, times))
+        assert sum(message.startswith('42["steer"') for message in send_broken_packet(port)) == 1
         assert len(replay(SimulatorClient(port=port), [road_jpeg(i) for i in range(3)])) == 3
         assert process.end() == 0
     lines = [line for line in process.stderr if "broken packet" in line]
-    log = tmp_path / "run.mcap"
-    assert lines == [f"bc-drive: disconnected (broken packet): {log} has 1 frame so far; waiting"]
+    assert lines == [f"bc-drive: disconnected (broken packet): {log} has 3 frames so far; waiting"]
     assert sum("looks at this port with a browser" in line for line in process.stderr) == 1
+    assert sum("disconnected (message too large)" in line for line in process.stderr) == 2
     assert "Traceback" not in "".join(process.stderr)

@@ -14,6 +14,7 @@ from typing import Self
 
 import cv2
 import numpy as np
+import pytest
 import torch
 
 from model.network.original import SteeringNetwork
@@ -71,9 +72,18 @@ def run_code(code: str, *flags: str, cwd: Path | None = None) -> subprocess.Comp
 
 def one_line_of(done: subprocess.CompletedProcess[str]) -> str:
     """The only line on stderr: an error that a user sees has no traceback, and nothing is on stdout."""
-    lines = done.stderr.splitlines()
-    assert len(lines) == 1, done.stderr
-    assert done.stdout == ""
+    return _only_line(done.stdout, done.stderr)
+
+
+def one_line_in(capsys: pytest.CaptureFixture[str]) -> str:
+    """The same of a command that ran in this process (`udacity.call`), which costs no seconds of imports."""
+    return _only_line(*capsys.readouterr())
+
+
+def _only_line(stdout: str, stderr: str) -> str:
+    lines = stderr.splitlines()
+    assert len(lines) == 1, stderr
+    assert stdout == ""
     return lines[0]
 
 

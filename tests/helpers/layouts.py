@@ -1,8 +1,8 @@
-"""Logs of both layouts: as they are written now, and as the versions before wrote them."""
+"""Logs of both layouts: as they are written now, and as versions did that had no chunks of pictures alone."""
 
 from __future__ import annotations
 
-import heapq
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,13 +11,10 @@ from mcap.records import Channel, Message, Schema
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from plain_mcap import contents
-
+CHUNK_BYTES = 256 * 1024
+Found = tuple[Schema | None, Channel, Message]
 Layout = Callable[[Path], Path]
 """Takes a log that was just written, and gives it its layout."""
-
-CHUNK_BYTES = 256 * 1024
-Stored = tuple[Schema | None, Channel, Message]
 
 
 def two_kinds(path: Path) -> Path:
@@ -26,42 +23,59 @@ def two_kinds(path: Path) -> Path:
 
 
 def mixed(path: Path, chunk_bytes: int = CHUNK_BYTES) -> Path:
-    """The same messages as the versions before wrote them, by mcap alone: row after row, in the same chunks."""
-    with path.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        header = reader.get_header()
-        stored = [*reader.iter_messages(log_time_order=False)]
-    session, *rest = contents(path).metadata
-    parts: list[list[Stored]] = [[] for _ in range(4)]
-    for one in stored:
-        parts[_place_in_row(one[1].topic)].append(one)
-    data = path.with_name(f"{path.name}.mixed")
-    with data.open("wb") as stream:
-        writer = McapWriter(
-            stream, chunk_size=chunk_bytes, compression=CompressionType.NONE, enable_data_crcs=True
-        )
-        writer.start(profile=header.profile, library=header.library)
-        writer.add_metadata(*session)
-        schemas: dict[str, int] = {}
-        channels: dict[str, int] = {}
-        for schema, channel, message in heapq.merge(*parts, key=lambda one: one[2].log_time):
-            assert schema is not None
-            if channel.topic not in channels:
-                if schema.name not in schemas:
-                    schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
-                number = schemas[schema.name]
-                channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, number)
-            number = channels[channel.topic]
-            writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
-        for record in rest:
-            writer.add_metadata(*record)
-        writer.finish()  # type: ignore[no-untyped-call]
-    data.replace(path)
+    """As earlier versions wrote it."""
+    written = write_as_before(path, path.with_name(f"{path.name}.mixed"), chunk_bytes)
+    written.replace(path)
     return path
 
 
-def _place_in_row(topic: str) -> int:
-    """As drives and imports write them."""
-    if topic.startswith("/camera/"):
-        return 0
-    return {"/vehicle": 1, "/pilot/input": 2}.get(topic, 3)
+def write_as_before(log: Path, path: Path, chunk_bytes: int = CHUNK_BYTES) -> Path:
+    """The messages and metadata of `log`, row by row in chunks that mix all topics, by mcap's own writer."""
+    with log.open("rb") as stream, path.open("wb") as written:
+        reader = make_reader(stream, validate_crcs=True)
+        header = reader.get_header()
+        first, *others = reader.iter_metadata()
+        writer = McapWriter(
+            written, chunk_size=chunk_bytes, compression=CompressionType.NONE, enable_data_crcs=True
+        )
+        writer.start(profile=header.profile, library=header.library)
+        writer.add_metadata(first.name, first.metadata)
+        schemas: dict[str, int] = {}
+        channels: dict[str, int] = {}
+        for schema, channel, message in _row_by_row(list(reader.iter_messages(log_time_order=False))):
+            if channel.topic not in channels:
+                assert schema is not None
+                if schema.name not in schemas:
+                    schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.name], channel.metadata
+                )
+            writer.add_message(
+                channels[channel.topic], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        for record in others:
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def _row_by_row(messages: list[Found]) -> list[Found]:
+    """In the order in which they were recorded: each row's cameras, its vehicle state, its crop, the rest of it.
+    Rows are numbered in that order; events have no number, and stay among the messages that are no pictures."""
+    pictures = deque(each for each in messages if is_of_pictures(each[1].topic))
+    ordered: list[Found] = []
+    for found in messages:
+        _, channel, message = found
+        if is_of_pictures(channel.topic):
+            continue
+        its_crop: list[Found] = []
+        while pictures and channel.topic != "/events" and pictures[0][2].sequence <= message.sequence:
+            picture = pictures.popleft()
+            is_its_crop = picture[1].topic == "/pilot/input" and picture[2].sequence == message.sequence
+            (its_crop if is_its_crop else ordered).append(picture)
+        ordered += [found, *its_crop]
+    return [*ordered, *pictures]
+
+
+def is_of_pictures(topic: str) -> bool:
+    return topic.startswith("/camera/") or topic == "/pilot/input"

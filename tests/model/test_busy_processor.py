@@ -44,7 +44,7 @@ def test_a_training_says_it_once(
     monkeypatch.setattr(time, "thread_time", lambda: 10 * time.perf_counter() if computes else 0.0)
     before = torch.get_num_threads()
     try:
-        config = replace(TINY, epochs=2, batch=2, threads=threads)
+        config = replace(TINY, epochs=2, batch=26, threads=threads)
         train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
     finally:
         torch.set_num_threads(before)

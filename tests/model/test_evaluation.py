@@ -27,6 +27,7 @@ from drive.evaluation.eval_cli import main
 from logs import not_a_picture, plain_read, read_messages, write_log
 from model import load_pilot, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
+from recorder.log.edit import rewrite
 from toy import STEERING, TINY, road
 from udacity import call
 
@@ -377,6 +378,15 @@ def test_a_session_that_the_run_has_learnt_from_is_known_by_its_bytes(
     assert call(main, "toy", "--session", name, "--sessions", tmp_path) == 3
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"toy has learnt from {count} of these {len(STEERING)} frames")
+
+
+def test_a_session_that_the_run_has_learnt_from_is_known_after_it_was_rewritten(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rewrite(here / "sessions" / "a.mcap", tmp_path / "rewritten.mcap")
+    assert call(main, "toy", "--session", "rewritten", "--sessions", tmp_path) == 3
+    count = len(for_training(here, "a"))
+    assert f"toy has learnt from {count} of these {len(STEERING)} frames" in capsys.readouterr().err
 
 
 def test_an_index_that_splits_otherwise_is_seen_through(

@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,19 +20,21 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from dataset import IndexConfig, build_index
+from common.stored_settings import settings_from
+from dataset import IndexConfig, Samples, build_index
 from disk import files_of_at_most
 from driving import Process, command, environment
 from logs import write_log
 from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main
 from model.runs.training_progress import Step
+from recorder.log.edit import rewrite
 from repository import HELPERS, ROOT
 from toy import STEERING, TINY, road, toy_index
 from udacity import call
-from waiting import PATIENCE_S
+from waiting import wait_until
 
-CONFIG = replace(TINY, epochs=3, batch=2, dropout=0.5)  # 13 batches an epoch: dropout must go on as well
+CONFIG = replace(TINY, epochs=2, batch=2, dropout=0.5)  # 13 batches an epoch: dropout must go on as well
 
 
 @pytest.fixture(scope="module")
@@ -86,51 +88,72 @@ class At:
     def close(self) -> None: ...
 
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-import model.training.loop
-import model.training.trainer
-from test_resume import At, CONFIG
-
-model.training.loop.CHECKPOINT_S = float(sys.argv[5])
-kill = At(int(sys.argv[3]), int(sys.argv[4]), lambda: os.kill(os.getpid(), signal.SIGKILL))
-resume = Path(sys.argv[2]).exists()
-init = Path(sys.argv[6]) if sys.argv[6] else None
-index, run = map(Path, sys.argv[1:3])
-model.training.trainer.train(index, run, CONFIG, [kill], init=init, resume=resume, figures=False)
-"""
+def kill(*whatever: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def train_until_killed(
-    index: Path, run: Path, epoch: int, batch: int, checkpoint_s: float, init: Path | None = None
+    index: str, run: str, init: str | None, at: tuple[int, int] | None, checkpoint_s: float
 ) -> None:
-    done = in_python(KILLED, index, run, epoch, batch, checkpoint_s, init or "")
-    assert done.returncode == -signal.SIGKILL, done.stderr
+    """Without a step to be killed `at`, it is killed when the first checkpoint is about to be saved."""
+    patch = pytest.MonkeyPatch()  # of this process alone
+    patch.setattr("model.training.loop.CHECKPOINT_S", checkpoint_s)
+    if at is None:
+        patch.setattr("model.training.run_writer.save_checkpoint", kill)
+    killed = [At(*at, kill)] if at is not None else []
+    train(index, run, CONFIG, killed, init=init, resume=Path(run).exists(), figures=False)
 
 
-def in_python(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Code that may import the tests, in a process of its own."""
-    here = Path(__file__).parent
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        env=environment() | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, HELPERS, here)))},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+# Every training is a process of its own, forked from one that has loaded PyTorch.
+EXECUTIONER = """
+import json, os, sys
+import torch._dynamo  # which Adam loads
+from test_resume import train_until_killed
+
+for line in sys.stdin:
+    if not (process := os.fork()):
+        train_until_killed(*json.loads(line))
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
+"""
+Kill = Callable[..., None]
+
+
+@pytest.fixture(scope="module")
+def killed() -> Iterator[Kill]:
+    """Trains from the beginning, or goes on, and is killed."""
+    found = environment() | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, HELPERS, Path(__file__).parent)))}
+    line = [sys.executable, "-c", EXECUTIONER]
+    with subprocess.Popen(line, env=found, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        jobs, ends = process.stdin, process.stdout
+
+        def train_killed(
+            index: Path,
+            run: Path,
+            *,
+            init: Path | None = None,
+            at: tuple[int, int] | None = None,
+            checkpoint_s: float = math.inf,
+        ) -> None:
+            job = (str(index), str(run), None if init is None else str(init), at, checkpoint_s)
+            jobs.write(json.dumps(job) + "\n")
+            jobs.flush()
+            assert int(ends.readline()) == -signal.SIGKILL
+
+        yield train_killed
 
 
 @pytest.mark.long  # killed once: test_a_fine_tuned_run_that_is_killed_...
 def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
-    index: Path, whole: Path, tmp_path: Path
+    index: Path, whole: Path, tmp_path: Path, killed: Kill
 ) -> None:
     run = tmp_path / "run"
-    train_until_killed(index, run, 1, 10, checkpoint_s=math.inf)  # from the beginning
-    train_until_killed(index, run, 1, 13, checkpoint_s=0)  # in the middle of an epoch
+    killed(index, run, at=(1, 10))  # from the beginning
+    killed(index, run, at=(1, 13), checkpoint_s=0)  # in the middle of an epoch
     assert [step[:3] for step in steps(run)] == [(1, 10, 20), (1, 13, 26)]
-    train_until_killed(index, run, 3, 10, checkpoint_s=math.inf)  # what came after that is lost
+    killed(index, run, at=(2, 10))  # what came after that is lost
     train(index, run, resume=True, figures=False)
     assert_same(run, whole)
 
@@ -155,10 +178,9 @@ def test_the_command_is_stopped_by_ctrl_c_and_goes_on(index: Path, tmp_path: Pat
     """By the very command that is printed: the run knows where its index is."""
     runs = tmp_path / "all of my runs"
     places = ["--index", index, "--sessions", index.parent, "--runs", runs]
-    flags = ["--epochs", 200, "--batch", 2, "--threads", 1]
+    flags = ["--epochs", 200, "--batch", 4, "--threads", 1]
     with Process(command("bc-train", "--name", "first", *flags, *places)) as training:
-        while not (runs / "first" / "steps.jsonl").exists():
-            assert training.popen.poll() is None
+        wait_until(lambda: (runs / "first" / "steps.jsonl").exists() or training.popen.poll() is not None)
         assert training.end(signal.SIGINT) == 130
         go_on = training.stderr[-2].partition("go on with `bc-train ")[2].removesuffix("`")
         assert training.stderr[-1] == "bc-train: stopped"
@@ -173,7 +195,7 @@ def test_more_epochs_make_a_run_longer(index: Path, whole: Path, tmp_path: Path)
     train(index, run, replace(CONFIG, epochs=1), figures=False)
     train(index, run, CONFIG, resume=True, figures=False)
     assert_same(run, whole)
-    assert json.loads((run / "config.json").read_text())["training"]["epochs"] == 3
+    assert json.loads((run / "config.json").read_text())["training"]["epochs"] == 2
     assert train(index, run, resume=True, figures=False).epochs == []  # it has them
 
 
@@ -184,52 +206,36 @@ def stopped(whole: Path, tmp_path: Path) -> Path:
 
 
 def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
-    index: Path, whole: Path, tmp_path: Path
+    index: Path, whole: Path, tmp_path: Path, killed: Kill
 ) -> None:
     config = replace(CONFIG, epochs=1)
     train(index, tmp_path / "straight", config, init=whole, figures=False)
-    train_until_killed(index, tmp_path / "killed", 1, 10, checkpoint_s=math.inf, init=whole)
+    killed(index, tmp_path / "killed", init=whole, at=(1, 10))
     train(index, tmp_path / "killed", config, resume=True, figures=False)
     assert_same(tmp_path / "killed", tmp_path / "straight")
 
 
-KILLED_EARLY = """
-import os, signal, sys
-from pathlib import Path
-import model.training.run_writer
-import model.training.trainer
-from test_resume import CONFIG
-
-model.training.run_writer.save_checkpoint = lambda *whatever: os.kill(os.getpid(), signal.SIGKILL)
-init = Path(sys.argv[3]) if sys.argv[3] else None
-model.training.trainer.train(Path(sys.argv[1]), Path(sys.argv[2]), CONFIG, init=init, figures=False)
-"""
-
-
-def train_until_killed_before_the_first_checkpoint(index: Path, run: Path, init: Path | None = None) -> None:
-    done = in_python(KILLED_EARLY, index, run, init or "")
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    assert not list(run.rglob("*.safetensors"))
-
-
 def test_a_training_killed_before_its_first_checkpoint_begins_again_from_its_seed(
-    index: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    index: Path, whole: Path, tmp_path: Path, killed: Kill, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
-    train_until_killed_before_the_first_checkpoint(index, run)
+    killed(index, run)
+    assert not list(run.rglob("*.safetensors"))
     assert call(main, "--resume", "run", "--runs", tmp_path) == 0
     assert "begun again from its seed: it was stopped before anything was saved" in capsys.readouterr().out
     assert_same(run, whole)
 
 
 def test_one_that_started_from_a_runs_last_weights_begins_again_from_these(
-    index: Path, whole: Path, tmp_path: Path
+    index: Path, whole: Path, tmp_path: Path, killed: Kill
 ) -> None:
     """Wherever that run is kept."""
     base = Path(shutil.copytree(whole, tmp_path / "elsewhere" / "base"))
-    train(index, tmp_path / "straight", CONFIG, init=base / "last", figures=False)
-    train_until_killed_before_the_first_checkpoint(index, tmp_path / "killed", base / "last")
-    train(index, tmp_path / "killed", resume=True, figures=False)
+    config = replace(CONFIG, epochs=1)
+    train(index, tmp_path / "straight", config, init=base / "last", figures=False)
+    killed(index, tmp_path / "killed", init=base / "last")
+    assert not list((tmp_path / "killed").rglob("*.safetensors"))
+    train(index, tmp_path / "killed", config, resume=True, figures=False)
     assert_same(tmp_path / "killed", tmp_path / "straight")
 
 
@@ -248,8 +254,8 @@ def test_a_run_goes_on_with_its_own_settings_only(index: Path, stopped: Path) ->
 
 def test_fewer_epochs_than_were_learnt_are_refused_and_change_nothing(index: Path, stopped: Path) -> None:
     before = (stopped / "config.json").read_bytes()
-    with pytest.raises(RunError, match="has learnt from 3 epochs, not 2"):
-        train(index, stopped, replace(CONFIG, epochs=2), resume=True)
+    with pytest.raises(RunError, match="has learnt from 2 epochs, not 1"):
+        train(index, stopped, replace(CONFIG, epochs=1), resume=True)
     train(index, stopped, replace(CONFIG, patience=9), resume=True, figures=False)  # nothing to do
     assert (stopped / "config.json").read_bytes() == before
 
@@ -261,6 +267,18 @@ def test_a_run_goes_on_with_the_samples_it_was_begun_with_only(stopped: Path, tm
         train(other, stopped, replace(CONFIG, epochs=9), resume=True)
 
 
+def test_a_run_goes_on_when_its_log_was_rewritten(index: Path, stopped: Path, tmp_path: Path) -> None:
+    with Samples(index) as samples:
+        (log,) = samples.logs.values()
+        settings = settings_from(IndexConfig, samples.metadata["settings"])
+        fingerprint = samples.fingerprint
+    rewritten = rewrite(log.path, tmp_path / log.path.name).path
+    with Samples(build_index([rewritten], tmp_path / "index", settings).path) as samples:
+        assert samples.fingerprint != fingerprint  # the pictures have other places
+    train(tmp_path / "index", stopped, replace(CONFIG, epochs=4), resume=True, figures=False)
+    assert len(metrics(stopped)) == 4
+
+
 def test_two_processes_do_not_train_one_run(index: Path, stopped: Path) -> None:
     before = (stopped / "metrics.jsonl").read_bytes()
     told: list[str] = []
@@ -270,7 +288,7 @@ def test_two_processes_do_not_train_one_run(index: Path, stopped: Path) -> None:
             train(index, stopped, resume=True, figures=False)
         told.append(str(caught.value))
 
-    train(index, stopped, replace(CONFIG, epochs=4), [At(4, 10, second)], resume=True, figures=False)
+    train(index, stopped, replace(CONFIG, epochs=3), [At(3, 10, second)], resume=True, figures=False)
     assert "is being trained by another process" in told[0]
     assert (stopped / "metrics.jsonl").read_bytes().startswith(before)
 

@@ -25,7 +25,8 @@ from toy import TINY, road, toy_index
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "toy"
-    train(toy_index(tmp_path_factory.mktemp("toy")), run, TINY)
+    one = replace(TINY, epochs=1, batch=8)
+    train(toy_index(tmp_path_factory.mktemp("toy")), run, one, figures=False)
     return run
 
 

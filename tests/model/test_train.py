@@ -34,7 +34,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Epoch]]:
     run = tmp_path_factory.mktemp("runs") / "toy"
-    return run, train(index, run, TINY).epochs
+    return run, train(index, run, TINY, figures=False).epochs
 
 
 def contents(run: Path) -> dict[Path, bytes]:
@@ -112,7 +112,8 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(
     one_epoch = {"epochs": 1, "batch": 8, "precision": "float32", "threads": 1}
 
     def weights(name: str, seed: int) -> bytes:
-        train(index, tmp_path / name, TrainConfig(seed=seed, **one_epoch))  # type: ignore[arg-type]
+        config = TrainConfig(seed=seed, **one_epoch)  # type: ignore[arg-type]
+        train(index, tmp_path / name, config, figures=False)
         return (tmp_path / name / "model.safetensors").read_bytes()
 
     first = weights("a", 1)
@@ -129,7 +130,8 @@ def test_other_data_has_another_fingerprint(
 
     log = write_log(tmp_path / "toy.mcap", STEERING[:4], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation_share=0.0)).path
-    [epoch] = train(other, tmp_path / "run", TrainConfig(epochs=1, batch=4, precision="float32", threads=1)).epochs
+    config = TrainConfig(epochs=1, batch=4, precision="float32", threads=1)
+    [epoch] = train(other, tmp_path / "run", config, figures=False).epochs
     assert math.isnan(epoch.measures.network.mae_deg)  # nothing was held out
     assert fingerprint(tmp_path / "run") != fingerprint(trained[0])
 

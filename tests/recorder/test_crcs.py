@@ -185,9 +185,9 @@ def test_the_commands_say_so(
         assert call(bc_index, forged, "--index", index) == 1
         assert "a.mcap: damaged" in capsys.readouterr().err
         assert not (index / "samples.parquet").exists()
-    done = run("bc-play", forged, "--save", tmp_path / "a.rrd")
-    assert (done.returncode, "a.mcap: damaged" in done.stderr) == (1, True)
-    assert not (tmp_path / "a.rrd").exists()
+        done = run("bc-play", forged, "--save", tmp_path / "a.rrd")
+        assert (done.returncode, "a.mcap: damaged" in done.stderr) == (1, True)
+        assert not (tmp_path / "a.rrd").exists()
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in check(forged).findings
 
 

@@ -1,0 +1,69 @@
+"""The numbers of many messages at once are those that Protobuf gives, message by message, of any bytes."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import DecodeError
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.double_fields import decode_doubles
+
+NAMES = ("steering", "throttle", "brake", "speed_mph")
+
+numbers = st.one_of(st.just(0.0), st.just(-0.0), st.floats(width=64))
+states = st.tuples(numbers, numbers, numbers, numbers).map(
+    lambda values: VehicleState(**dict(zip(NAMES, values, strict=True))).SerializeToString()
+)
+
+
+@st.composite
+def broken(draw: st.DrawFn) -> bytes:
+    """A message with one byte changed, its end cut off, or another one behind it, which replaces its fields."""
+    content = bytearray(draw(states) + draw(states) * draw(st.integers(0, 1)))
+    if content and draw(st.booleans()):
+        content[draw(st.integers(0, len(content) - 1))] = draw(st.integers(0, 255))
+    return bytes(content[: draw(st.integers(0, len(content)))])
+
+
+def one_by_one(contents: list[bytes]) -> bytes:
+    """Bytes of the doubles: two that are no number are not equal."""
+    rows = [[getattr(VehicleState.FromString(content), name) for content in contents] for name in NAMES]
+    return b"".join(struct.pack("<d", value) for row in rows for value in row)
+
+
+@given(st.lists(st.one_of(states, broken()), max_size=8))
+@example([VehicleState(steering=1.0).SerializeToString()[:5]])
+@example([VehicleState(steering=1.0).SerializeToString(), b"\x09"])
+@example([b"", b"\x11" + bytes(8) + b"\x09" + bytes(8)])
+def test_any_bytes_give_what_protobuf_makes_of_them(contents: list[bytes]) -> None:
+    try:
+        expected = one_by_one(contents)
+    except DecodeError:
+        with pytest.raises(DecodeError):
+            decode_doubles(contents, VehicleState, NAMES)
+    else:
+        found = decode_doubles(contents, VehicleState, NAMES)
+        assert found.shape == (4, len(contents))
+        assert found.astype("<f8").tobytes() == expected
+
+
+def test_fields_are_given_in_the_order_that_is_asked_for() -> None:
+    contents = [VehicleState(steering=0.5, speed_mph=row).SerializeToString() for row in range(3)]
+    found = decode_doubles(contents, VehicleState, ("speed_mph", "steering"))
+    assert found.tolist() == [[0, 1, 2], [0.5, 0.5, 0.5]]
+
+
+def test_messages_with_other_fields_and_fields_of_fields_are_read_as_well() -> None:
+    command = PilotCommand(steering=0.25, driver=PilotCommand.EXPERT, expert_steering=0.5)
+    found = decode_doubles([command.SerializeToString()], PilotCommand, ("steering", "driver", "expert_steering"))
+    assert found[:, 0].tolist() == [0.25, PilotCommand.EXPERT, 0.5]
+    pose = PoseInFrame()
+    pose.pose.position.x = 3.0
+    assert decode_doubles([pose.SerializeToString()], PoseInFrame, ("pose.position.x",)).tolist() == [[3.0]]
+    assert np.shape(decode_doubles([], VehicleState, NAMES)) == (4, 0)

@@ -1,0 +1,384 @@
+"""What other programs read out of a log is what this toolkit reads, message by message, in both layouts.
+
+The readers are mcap's own (with and without seeking), Foxglove's (`make foxglove-reader` brings it; it needs node)
+and Rerun's.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pytest
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.records import Channel, Message, Schema
+from rerun.chunk import McapReader as RerunReader
+
+from common.car import CAMERAS, Camera
+from driving import road_jpeg
+from layouts import is_of_pictures, write_as_before
+from plain_mcap import contents
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
+from recorder.log.edit import merge
+from repository import HELPERS
+from viz.viewer_process import viewer_program
+from waiting import PATIENCE_S, wait_until
+
+START_NS, STEP_NS = 1_720_880_000_000_000_000, 40_000_000
+ROWS, ROWS_A_PICTURE = 1500, 30  # what is small fills more than one chunk, and so do the pictures
+FOXGLOVE = HELPERS / "foxglove_reader"
+
+needs_foxglove = pytest.mark.skipif(
+    not shutil.which("node") or not (FOXGLOVE / "node_modules").is_dir(),
+    reason="Foxglove's reader was not tried: `make foxglove-reader` installs it (it needs node and npm)",
+)
+
+
+class Told(NamedTuple):
+    """A message as a reader tells it; its content by its SHA-256."""
+
+    sequence: int
+    log_time: int
+    publish_time: int
+    content: str
+
+
+@dataclass(frozen=True)
+class Read:
+    """All messages by topic, in the order of the reader, and what is known of each topic."""
+
+    messages: dict[str, list[Told]]
+    schemas: dict[str, tuple[str, str, str, str]]  # name, encoding, SHA-256; encoding of the messages
+
+
+def digest(data: bytes) -> str:
+    return sha256(data).hexdigest()
+
+
+def gathered(found: Iterable[tuple[Schema | None, Channel, Message]]) -> Read:
+    messages: dict[str, list[Told]] = defaultdict(list)
+    schemas = {}
+    for schema, channel, its in found:
+        assert schema is not None
+        told = Told(its.sequence, its.log_time, its.publish_time, digest(its.data))
+        messages[channel.topic].append(told)
+        schemas[channel.topic] = (schema.name, schema.encoding, digest(schema.data), channel.message_encoding)
+    return Read(dict(messages), schemas)
+
+
+def by_time(found: dict[str, list[Told]]) -> dict[str, list[Told]]:
+    return {topic: sorted(messages, key=lambda told: told.log_time) for topic, messages in found.items()}
+
+
+def backwards(found: dict[str, list[Told]]) -> dict[str, list[Told]]:
+    return {topic: messages[::-1] for topic, messages in by_time(found).items()}
+
+
+# The logs
+
+
+def write_drive(path: Path, start_ns: int = START_NS, *, live: bool = False) -> Path:
+    """A minute of driving with every topic that there is; a row in thirty has its pictures."""
+    crop = cv2.imencode(".png", np.zeros((128, 128, 3), np.uint8))[1].tobytes()
+    with LogWriter(path, {"source": "test"}, live=live) as writer:
+        writer.event(start_ns - 1, "begin")
+        for row in range(ROWS):
+            time_ns = start_ns + row * STEP_NS
+            if row % ROWS_A_PICTURE == 0:
+                for camera in CAMERAS:
+                    writer.picture(camera, time_ns, row, picture(camera, row))
+                writer.crop(time_ns, row, crop + b"%d" % row)
+            writer.vehicle(time_ns, row, VehicleState(steering=row / ROWS, throttle=0.5, speed_mph=9.0))
+            writer.command(time_ns, row, PilotCommand(steering=row / ROWS, expert_steering=0.0))
+            writer.pose(time_ns, row, PoseInFrame(frame_id="world"))
+            writer.prediction("pilot", time_ns, row, Prediction(steering=-row / ROWS))
+            if row % 100 == 0:
+                writer.event(time_ns + 1, f"at row {row}")
+            if live and row in (ROWS // 3, ROWS // 2):
+                wait_until(lambda: flushed(writer))
+    return path
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    return road_jpeg(row) + 700 * f"{camera} {row} ".encode()
+
+
+def flushed(writer: LogWriter) -> bool:
+    """True once a live log has closed its chunks, which it does twice a second."""
+    written = writer.bytes_written
+    writer.flush_if_due()
+    return writer.bytes_written > written
+
+
+LAYOUTS = ("two kinds of chunks", "mixed chunks, as before")
+LOGS = ("a drive", "a live drive", "two drives, the later one first")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], Path]:
+    """Each log in each layout."""
+    folder = tmp_path_factory.mktemp("logs")
+    first, live, two = (folder / f"{number}.mcap" for number in range(len(LOGS)))
+    write_drive(first)
+    write_drive(live, live=True)
+    merge([write_drive(folder / "later.mcap", START_NS + 10**12), first], two)
+    found: dict[tuple[str, str], Path] = {}
+    for name, path in zip(LOGS, (first, live, two), strict=True):
+        before = write_as_before(path, path.with_stem(f"{path.stem}-before"))
+        found |= {(layout, name): its for layout, its in zip(LAYOUTS, (path, before), strict=True)}
+    return found
+
+
+@pytest.fixture(params=LAYOUTS)
+def layout(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture(params=LOGS)
+def name(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture
+def log(layout: str, name: str, written: dict[tuple[str, str], Path]) -> Path:
+    return written[layout, name]
+
+
+def ours(path: Path) -> Read:
+    """What this toolkit reads, chunk by chunk."""
+    with Log(path) as opened:
+        return gathered(found for chunk in opened.chunks for found in opened.messages_of(chunk))
+
+
+def test_the_logs_have_all_that_is_written_and_the_layouts_that_they_are_named_after(
+    written: dict[tuple[str, str], Path],
+) -> None:
+    pictures = ROWS // ROWS_A_PICTURE
+    counts = {f"/camera/{camera}": pictures for camera in CAMERAS} | {"/pilot/input": pictures}
+    counts |= dict.fromkeys(("/vehicle", "/pilot/command", "/pose", "/prediction/pilot"), ROWS)
+    counts["/events"] = 1 + ROWS // 100
+    for (layout, name), path in written.items():
+        twice = 2 if name == LOGS[2] else 1
+        kinds = [{is_of_pictures(message.topic) for message in chunk.messages} for chunk in contents(path).chunks]
+        if layout == LAYOUTS[0]:
+            assert {True, False} not in kinds
+            assert min(kinds.count({True}), kinds.count({False})) > 1
+            assert [attached for attached, _ in contents(path).attachments] == ["bc.pictures", "bc.chunks"]
+        else:
+            assert {True, False} in kinds
+            assert contents(path).attachments == []
+        with Log(path) as opened:
+            assert opened.counts == {topic: twice * count for topic, count in counts.items()}
+    for name in LOGS:
+        assert ours(written[LAYOUTS[0], name]) == ours(written[LAYOUTS[1], name])
+
+
+def test_the_messages_of_a_topic_are_those_of_the_chunks(log: Path) -> None:
+    expected = ours(log)
+    with Log(log) as opened:
+        assert opened.schemas == {topic: name for topic, (name, *_) in expected.schemas.items()}
+        for topic, messages in expected.messages.items():
+            found = []
+            for each in opened.messages(topic):
+                content = digest(opened.read(each.offset, each.length, each.chunk))
+                found.append(Told(each.sequence, each.log_time_ns, each.log_time_ns, content))
+            assert found == messages, topic
+
+
+# mcap
+
+
+def mcap_reads_the_same(read: Callable[[bool, bool], Read], expected: Read) -> None:
+    """`read` is told whether to go by log times, and whether backwards."""
+    assert read(False, False) == expected
+    assert read(True, False) == Read(by_time(expected.messages), expected.schemas)
+    assert read(True, True) == Read(backwards(expected.messages), expected.schemas)
+
+
+def test_mcaps_own_reader_agrees(log: Path) -> None:
+    def read(log_time_order: bool, reverse: bool) -> Read:
+        with log.open("rb") as stream:
+            reader = SeekingReader(stream, validate_crcs=True)
+            return gathered(reader.iter_messages(log_time_order=log_time_order, reverse=reverse))
+
+    mcap_reads_the_same(read, ours(log))
+
+
+def test_mcaps_own_reader_of_a_pipe_agrees(log: Path) -> None:
+    def read(log_time_order: bool, reverse: bool) -> Read:
+        with subprocess.Popen(["cat", str(log)], stdout=subprocess.PIPE) as pipe:
+            assert pipe.stdout is not None
+            reader = NonSeekingReader(pipe.stdout, validate_crcs=True)
+            return gathered(reader.iter_messages(log_time_order=log_time_order, reverse=reverse))
+
+    mcap_reads_the_same(read, ours(log))
+
+
+def test_mcaps_own_reader_agrees_on_a_topic_and_on_a_stretch(log: Path) -> None:
+    expected = ours(log)
+    with log.open("rb") as stream:
+        reader = SeekingReader(stream, validate_crcs=True)
+        for topic, messages in expected.messages.items():
+            alone = gathered(reader.iter_messages([topic], log_time_order=False))
+            assert alone.messages == {topic: messages}
+        begin_ns, end_ns = START_NS + 200 * STEP_NS, START_NS + 700 * STEP_NS
+        stretch = gathered(reader.iter_messages(starting_at=begin_ns, ending_before=end_ns))
+        within = {
+            topic: [told for told in messages if begin_ns <= told.log_time < end_ns]
+            for topic, messages in by_time(expected.messages).items()
+        }
+        assert stretch.messages == within
+
+
+def test_mcaps_own_reader_counts_the_same(log: Path) -> None:
+    with log.open("rb") as stream, Log(log) as opened:
+        reader = SeekingReader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        counts = summary.statistics.channel_message_counts
+        assert {summary.channels[number].topic: count for number, count in counts.items()} == opened.counts
+        found = [(record.name, dict(record.metadata)) for record in reader.iter_metadata()]
+        assert found == opened.all_metadata()
+        assert [(its.name, its.data) for its in reader.iter_attachments()] == contents(log).attachments
+
+
+# Foxglove
+
+
+def foxglove(path: Path, *topic: str) -> dict[str, Any]:
+    line = ["node", str(FOXGLOVE / "read.mjs"), str(path), *topic]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def in_topics(found: list[tuple[str, int, str, str, str]]) -> dict[str, list[Told]]:
+    messages: dict[str, list[Told]] = defaultdict(list)
+    for topic, sequence, log_time, publish_time, content in found:
+        messages[topic].append(Told(sequence, int(log_time), int(publish_time), content))
+    return dict(messages)
+
+
+@needs_foxglove
+def test_foxgloves_readers_agree(log: Path) -> None:
+    expected = ours(log)
+    found = foxglove(log)
+    assert in_topics(found["streamed"]) == expected.messages
+    assert in_topics(found["indexed"]) == by_time(expected.messages)
+    assert in_topics(found["backwards"]) == backwards(expected.messages)
+    assert {topic: tuple(schema) for topic, schema in found["schemas"].items()} == expected.schemas
+    with Log(log) as opened:
+        assert found["counts"] == opened.counts
+        metadata = [[name, values] for name, values in opened.all_metadata()]
+    assert found["metadata"] == found["streamed_metadata"] == metadata
+    attachments = [[name, digest(data)] for name, data in contents(log).attachments]
+    assert found["attachments"] == found["streamed_attachments"] == attachments
+
+
+@needs_foxglove
+def test_foxglove_draws_a_curve_without_reading_pictures(written: dict[tuple[str, str], Path], name: str) -> None:
+    path = written[LAYOUTS[0], name]
+    found = foxglove(path, "/vehicle")
+    assert in_topics(found["indexed"]) == {"/vehicle": by_time(ours(path).messages)["/vehicle"]}
+    chunks = contents(path).chunks
+    small = sum(chunk.end - chunk.start for chunk in chunks if not is_of_pictures(chunk.messages[0].topic))
+    beside = path.stat().st_size - sum(chunk.end - chunk.start for chunk in chunks)  # indexes, summary
+    assert found["bytes"] <= small + beside
+
+
+# Rerun
+
+
+def rerun(*arguments: str | Path) -> str:
+    line = [str(viewer_program()), "mcap", *map(str, arguments)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def rerun_rows(path: Path, decoders: list[str] | None = None) -> dict[str, list[dict[str, Any]]]:
+    """By entity, each row: a dictionary of its columns; times in nanoseconds."""
+    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for chunk in RerunReader(path, decoders=decoders).stream().to_chunks():
+        if not chunk.is_static:
+            batch = chunk.to_record_batch()
+            columns = {
+                name: (column.cast(pa.int64()) if pa.types.is_timestamp(column.type) else column).to_pylist()
+                for name, column in zip(batch.schema.names, batch.columns, strict=True)
+            }
+            rows[str(chunk.entity_path)] += [
+                dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
+            ]
+    return dict(rows)
+
+
+def test_reruns_reader_agrees(log: Path) -> None:
+    """It tells no sequence numbers, and what it gives together is in the order of time."""
+    found = {
+        topic: sorted(
+            (row["message_log_time"], row["message_publish_time"], digest(bytes(row["McapMessage:data"][0])))
+            for row in rows
+        )
+        for topic, rows in rerun_rows(log, ["raw"]).items()
+    }
+    expected = ours(log)
+    assert found == {
+        topic: [told[1:] for told in messages] for topic, messages in by_time(expected.messages).items()
+    }
+    info = RerunReader(log).info()
+    with Log(log) as opened:
+        assert {channel.topic: channel.message_count for channel in info.channels} == opened.counts
+        assert info.metadata_count == len(opened.metadata_records)
+        assert info.attachment_count == len(contents(log).attachments)
+        assert (info.message_start_time_ns, info.message_end_time_ns) == opened.time_range_ns
+    for channel in info.channels:
+        assert channel.schema is not None
+        name, encoding, _, message_encoding = expected.schemas[channel.topic]
+        assert (channel.schema.name, channel.schema.encoding) == (name, encoding)
+        assert channel.message_encoding == message_encoding
+
+
+def test_rerun_decodes_the_pictures_and_the_numbers(log: Path) -> None:
+    rows = rerun_rows(log)
+
+    def shown(topic: str, column: str) -> list[tuple[int, Any]]:
+        return sorted((row["message_log_time"], row[column][0]) for row in rows[topic])
+
+    with Log(log) as opened:
+        for camera in CAMERAS:
+            places = opened.pictures(f"/camera/{camera}")
+            each = zip(places.log_time_ns, places.offset, places.length, places.chunk, strict=True)
+            jpegs = [(time_ns, list(opened.read(*place))) for time_ns, *place in (map(int, its) for its in each)]
+            assert shown(f"/camera/{camera}", "EncodedImage:blob") == sorted(jpegs)
+        for topic, message in (("/vehicle", "bc.VehicleState"), ("/pilot/command", "bc.PilotCommand")):
+            steering = [(time_ns, its["steering"]) for time_ns, its in shown(topic, f"{message}:message")]
+            assert steering == sorted((told.log_time_ns, its.steering) for told, its in opened.decoded(topic))
+
+
+def test_rerun_finds_nothing_wrong(log: Path, name: str) -> None:
+    """But that time goes back where a later drive was put before an earlier one."""
+    told, checked = rerun("info", log), rerun("check", "--full", log)
+    with Log(log) as opened:
+        for topic, count in opened.counts.items():
+            (line,) = (line for line in told.splitlines() if f" {topic} " in line)
+            assert f" {count:,} " in line or f" {count} " in line
+            (line,) = (line for line in checked.splitlines() if f" {topic} " in line)
+            if name == LOGS[2]:
+                assert re.search(r"^PROBLEM .* {2}\d+ unordered chunks on \w+, \d+ unordered chunks on \w+$", line)
+            else:
+                assert line.startswith("ok ")

@@ -1,0 +1,135 @@
+"""`bc-log rewrite` brings a log of an earlier version into the present layout, and it stays the same log."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from mcap.writer import CompressionType
+
+from dataset import IndexConfig, Samples, build_index
+from driving import one_line_of, run
+from layouts import write_as_before
+from logs import write_log
+from plain_mcap import contents, write_plain
+from recorder import Log, LogError
+from recorder.log.check import check
+from recorder.log.edit import rewrite, trim
+from recorder.log.tags import Tag, add_tag, read_tags
+from udacity import jpeg
+
+STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]
+CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """A log as earlier versions wrote it, with a tag."""
+    new = write_log(tmp_path / "new.mcap", STEERING, lambda camera, row: jpeg(len(camera), row))
+    path = write_as_before(new, tmp_path / "old.mcap", chunk_bytes=20_000)
+    new.unlink()
+    with Log(path) as log:
+        add_tag(path, log.fingerprint, Tag(10, 20, "exclude"))
+    return path
+
+
+def fingerprints(path: Path) -> tuple[str, str]:
+    with Log(path) as log:
+        return log.fingerprint, log.file_fingerprint
+
+
+def test_messages_rows_times_metadata_and_tags_are_the_same(old: Path, tmp_path: Path) -> None:
+    done = rewrite(old, tmp_path / "new.mcap")
+    before, after = contents(old), contents(done.path)
+    assert sorted(after.messages) == sorted(before.messages)
+    for topic in {message.topic for message in before.messages}:
+        assert after.of(topic) == before.of(topic)
+    assert (done.messages, done.rows) == (len(before.messages), len(STEERING))
+    session = dict(after.metadata)["bc.session"]
+    assert session["rewritten_from"] == "old.mcap"
+    assert session.items() >= dict(before.metadata)["bc.session"].items()
+    with Log(done.path) as log:
+        assert read_tags(done.path, log.fingerprint) == [Tag(10, 20, "exclude")]
+    assert check(done.path).findings == []
+
+
+def test_it_has_the_fingerprint_of_the_original_and_so_have_its_own_rewrites(old: Path, tmp_path: Path) -> None:
+    first = rewrite(old, tmp_path / "1.mcap").path
+    second = rewrite(first, tmp_path / "2.mcap").path
+    assert fingerprints(first)[0] == fingerprints(second)[0] == fingerprints(old)[0]
+    assert fingerprints(first)[1] != fingerprints(old)[1]
+
+
+def test_what_is_cut_out_of_it_is_another_log(old: Path, tmp_path: Path) -> None:
+    new = rewrite(old, tmp_path / "new.mcap").path
+    part = trim(new, tmp_path / "part.mcap", (0, 50)).path
+    assert fingerprints(part)[0] == fingerprints(part)[1] != fingerprints(old)[0]
+    assert "bc.rewritten" not in dict(contents(part).metadata)
+
+
+def test_a_record_that_another_program_copied_with_other_chunks_counts_for_nothing(
+    old: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    new = rewrite(old, tmp_path / "new.mcap").path
+    monkeypatch.setattr("recorder.log.topics.REWRITTEN_METADATA", "not known to the version before")
+    part = trim(new, tmp_path / "part.mcap", (0, 50)).path
+    monkeypatch.undo()
+    assert "bc.rewritten" in dict(contents(part).metadata)
+    assert fingerprints(part)[0] == fingerprints(part)[1]
+
+
+def test_an_index_is_built_anew_and_holds_the_same_samples(old: Path, tmp_path: Path) -> None:
+    session = Path(shutil.copy(old, tmp_path / "session.mcap"))
+    build_index([session], tmp_path / "index", CONFIG)
+    with Samples(tmp_path / "index") as samples:
+        before, content = samples.table.to_pylist(), samples.content_fingerprint
+        kept = samples.fingerprint
+    new = rewrite(session, tmp_path / "new.mcap").path
+    new.replace(session)
+    with pytest.raises(Exception, match="has changed since it was indexed"):
+        Samples(tmp_path / "index")  # its pictures have other places
+    assert build_index([session], tmp_path / "index", CONFIG).read == ["session"]
+    assert build_index([session], tmp_path / "index", CONFIG).read == []
+    with Samples(tmp_path / "index") as samples:
+        places = ("offset", "chunk")
+        after = samples.table.to_pylist()
+        assert samples.content_fingerprint == content
+        assert samples.fingerprint != kept
+        assert [{k: v for k, v in row.items() if k not in places} for row in after] == [
+            {k: v for k, v in row.items() if k not in places} for row in before
+        ]
+
+
+@pytest.mark.parametrize("kind", ["killed", "another program's"])
+def test_what_cannot_be_rewritten_says_what_to_do(old: Path, tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.mcap"
+    if kind == "killed":
+        path.write_bytes(old.read_bytes()[:-100_000])
+    else:
+        write_plain(path, CompressionType.NONE, range(5))
+    with pytest.raises(LogError, match="bc-log recover" if kind == "killed" else "bc-record NAME --from"):
+        rewrite(path, tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(old: Path, tmp_path: Path) -> None:
+    done = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
+    assert done.returncode == 0
+    assert "can take its place" in done.stderr
+    again = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
+    assert again.returncode == 1
+    assert "--force" in one_line_of(again)
+    at = contents(old).chunks[3].start + 200
+    data = bytearray(old.read_bytes())
+    data[at] ^= 1
+    old.write_bytes(data)
+    with pytest.raises(LogError, match="bc-log recover"):
+        rewrite(old, tmp_path / "damaged.mcap")
+    assert not list(tmp_path.glob("damaged*"))
+
+
+def test_it_says_the_sizes_of_its_pictures(old: Path, tmp_path: Path) -> None:
+    quality = dict(contents(rewrite(old, tmp_path / "new.mcap").path).metadata)["bc.quality"]
+    assert set(json.loads(quality["first_picture_px"])) == {"/camera/center", "/camera/left", "/camera/right"}

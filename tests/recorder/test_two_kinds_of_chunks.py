@@ -1,0 +1,154 @@
+"""Pictures have chunks of their own, everything else has others, and numbers are read without a picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+
+from common.car import CAMERAS
+from dataset import IndexConfig, build_index
+from layouts import write_as_before
+from logs import START_NS, STEP_NS, not_a_picture
+from plain_mcap import Contents, contents
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.check import check
+from recorder.log.log_info import describe
+
+PICTURES = {*(f"/camera/{camera}" for camera in CAMERAS), "/pilot/input"}
+ROWS = 200
+
+
+def drive(path: Path, *, live: bool = False, rows: int = ROWS) -> Path:
+    with LogWriter(path, {"source": "test"}, live=live) as writer:
+        for row in range(rows):
+            time_ns = START_NS + row * STEP_NS
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, not_a_picture(camera, row) * 20)
+            writer.crop(time_ns, row, b"\x89PNG\r\n\x1a\n" + bytes([row]))
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 1000, throttle=0.5, speed_mph=9.0))
+            writer.command(time_ns, row, PilotCommand(steering=row / 500))
+            writer.pose(time_ns, row, PoseInFrame(frame_id="world"))
+            if row % 10 == 0:
+                writer.event(time_ns, f"at row {row}")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 4096)
+
+
+@pytest.fixture
+def bytes_read(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
+    """Which bytes of any file are read by place, from and to, as the operating system is asked for them."""
+    read: list[tuple[int, int]] = []
+    pread = os.pread
+
+    def counted(descriptor: int, length: int, offset: int) -> bytes:
+        read.append((offset, offset + length))
+        return pread(descriptor, length, offset)
+
+    monkeypatch.setattr(os, "pread", counted)
+    yield read
+    assert read
+
+
+def picture_chunks(found: Contents) -> list[tuple[int, int]]:
+    return [(chunk.start, chunk.end) for chunk in found.chunks if chunk.messages[0].topic in PICTURES]
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_no_chunk_holds_both_and_every_topic_is_in_its_order(tmp_path: Path, live: bool) -> None:
+    found = contents(drive(tmp_path / "a.mcap", live=live))
+    for chunk in found.chunks:
+        assert len({message.topic in PICTURES for message in chunk.messages}) == 1
+    assert len(found.chunks) > 10
+    for messages in found.by_topic.values():
+        times = [message.log_time for message in messages]
+        assert times == sorted(times)
+    assert {topic: len(messages) for topic, messages in found.by_topic.items()} == {
+        **dict.fromkeys((*PICTURES, "/vehicle", "/pilot/command", "/pose"), ROWS),
+        "/events": ROWS // 10,
+    }
+
+
+def test_a_row_is_written_after_its_pictures(tmp_path: Path) -> None:
+    where = {}
+    for number, chunk in enumerate(contents(drive(tmp_path / "a.mcap")).chunks):
+        for message in chunk.messages:
+            where[message.topic, message.sequence] = number
+    for row in range(ROWS):
+        assert where["/vehicle", row] > max(where[topic, row] for topic in PICTURES)
+
+
+def test_the_places_of_pictures_are_those_that_reading_the_whole_file_gives(tmp_path: Path) -> None:
+    path = drive(tmp_path / "a.mcap")
+    data = path.read_bytes()
+    found = contents(path).by_topic
+    with Log(path) as log:
+        for topic in sorted(PICTURES):
+            places = log.pictures(topic)
+            assert places.sequence.tolist() == [message.sequence for message in found[topic]]
+            assert places.log_time_ns.tolist() == [message.log_time for message in found[topic]]
+            for at, length, message in zip(places.offset, places.length, found[topic], strict=True):
+                assert data[at : at + length] in message.data
+                assert log.read(int(at), int(length)) == data[at : at + length]
+            assert [(m.offset, m.length) for m in log.messages(topic)] == [
+                (data.index(message.data), len(message.data)) for message in found[topic]
+            ]
+
+
+def test_numbers_are_read_without_a_picture(tmp_path: Path, bytes_read: list[tuple[int, int]]) -> None:
+    path = drive(tmp_path / "a.mcap")
+    pictures = picture_chunks(contents(path))
+    bytes_read.clear()
+    with Log(path) as log:
+        assert len(log.vehicle()) == len(log.table("/pilot/command")) == ROWS
+        assert len(log.frames()) == len(CAMERAS) * ROWS
+        assert len(list(log.decoded("/events"))) == ROWS // 10
+        assert log.counts["/camera/center"] == ROWS
+        assert log.fingerprint == log.file_fingerprint
+    assert describe(path).flags is not None
+    build_index([path], tmp_path / "index", IndexConfig(block_s=1.0, gap_s=0.2))
+    inside = [one for one in bytes_read if any(start < one[1] and one[0] < end for start, end in pictures)]
+    assert inside == []
+
+
+def test_a_picture_costs_its_own_chunk_and_no_other(tmp_path: Path, bytes_read: list[tuple[int, int]]) -> None:
+    path = drive(tmp_path / "a.mcap")
+    pictures = picture_chunks(contents(path))
+    with Log(path) as log:
+        log.frames()
+        bytes_read.clear()
+        log.picture(70, "left")
+        log.picture(70, "right")
+    touched = {(start, end) for start, end in pictures for one in bytes_read if start < one[1] and one[0] < end}
+    assert 1 <= len(touched) <= 2
+
+
+def test_a_log_of_an_earlier_version_gives_the_same(tmp_path: Path) -> None:
+    path = drive(tmp_path / "a.mcap")
+    with Log(path) as new, Log(write_as_before(path, tmp_path / "b.mcap")) as old:
+        assert old.vehicle().equals(new.vehicle())
+        assert old.counts == new.counts
+        assert old.frames().num_rows == new.frames().num_rows
+        for row in (0, 77, ROWS - 1):
+            assert old.picture(row, "right") == new.picture(row, "right")
+    assert check(path, look=False).findings == check(tmp_path / "b.mcap", look=False).findings == []
+
+
+def test_a_very_long_log_tells_the_places_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.split_chunks.PLACES_AT_ONCE", 100)
+    path = drive(tmp_path / "a.mcap")
+    names = [name for name, _ in contents(path).attachments]
+    assert names.count("bc.pictures") > 5
+    assert names.count("bc.chunks") == 1
+    with Log(path) as log:
+        assert len(log.frames()) == len(CAMERAS) * ROWS
+        assert log.attachments == []
+    assert check(path, look=False).findings == []
