@@ -14,8 +14,12 @@ def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int,
     """
     position, end = offset, offset + length
     while position < end:
-        tag, position = _varint(data, position, end)
-        size, position = _varint(data, position, end)
+        # most numbers are of a single byte: a call for each would be half of the time
+        tag, position = (data[position], position + 1) if data[position] < 0x80 else _varint(data, position, end)
+        if position < end and data[position] < 0x80:
+            size, position = data[position], position + 1
+        else:
+            size, position = _varint(data, position, end)
         if tag & 7 != 2 or size < 0 or position + size > end:  # each field of it is length-delimited
             return -1, 0
         if tag >> 3 == _DATA_FIELD:
@@ -26,8 +30,6 @@ def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int,
 
 def _varint(data: bytes | memoryview, position: int, end: int) -> tuple[int, int]:
     """A base-128 varint and the position behind it; (-1, end) if it is cut off or longer than ten bytes."""
-    if position < end and data[position] < 0x80:  # most are of a single byte
-        return data[position], position + 1
     value, shift = 0, 0
     for i in range(position, min(end, position + 10)):
         value |= (data[i] & 0x7F) << shift

@@ -38,7 +38,10 @@ PLACE: Final = np.dtype(
         ("picture_length", "<u4"),
     ]
 )
-_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
+# looked at once a message: as plain numbers they are quicker
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)
+_RECORD_BYTES: Final = RECORD.size
+_CONTENT_AT: Final = MESSAGE.size  # of a message, in its record
 _LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
 _PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quicker than an array of them
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
@@ -78,19 +81,19 @@ class PlacesWritten:
 
 def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
     """The PLACE of each picture in a sound chunk: its record, its number in the file, the channels of pictures."""
-    places, position = bytearray(), RECORDS_AT if channels else len(record)
-    while position < len(record):
+    places, position, end = bytearray(), RECORDS_AT, len(record) if channels else 0
+    while position < end:
         opcode, length = RECORD.unpack_from(record, position)
         if opcode == _OP_MESSAGE:
             _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
             if channel in channels:
-                at, size = position + MESSAGE.size, length - _LEAST_MESSAGE
+                at, size = position + _CONTENT_AT, length - _LEAST_MESSAGE
                 picture, picture_size = image_data(record, at, size)
                 picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
                 places += _PLACE.pack(
                     channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
                 )
-        position += RECORD.size + length
+        position += _RECORD_BYTES + length
     return bytes(places)
 
 

@@ -9,19 +9,28 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from rich.table import Table
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
 from test_rooms import MAY_IMPORT
 
 from common.output import print_message, print_result, print_table, shell_command
-from driving import command, environment, run
+from drive.cli import main as bc_drive
+from drive.evaluation.eval_cli import main as bc_eval
+from driving import command, environment
 from logs import write_log
 from model import train
+from model.cli import main as bc_train
 from repository import ROOT
 from toy import TINY, road, toy_index
+from udacity import call
+from viz.cli import main as bc_play
 
 EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\nbc-log: all is well\r\u202eb"
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u202e]")
@@ -130,16 +139,6 @@ def test_a_message_stands_above_a_status_line_and_the_way_out_is_said_once(tmp_p
     assert "said again: False" in shown
 
 
-def test_results_get_into_the_file_while_a_bar_is_on_the_terminal(tmp_path: Path) -> None:
-    """A bar takes over what is printed, so that it stands above it."""
-    index = toy_index(tmp_path)
-    with (tmp_path / "said").open("wb") as file:
-        flags = ["--name", "toy", "--index", index, "--epochs", "1", "--batch", "8", "--threads", "1"]
-        shown = on_terminal(command("bc-train", *flags), tmp_path, stdout=file.fileno())
-    assert "epoch  1" in (tmp_path / "said").read_text()
-    assert "epoch  1" not in shown
-
-
 def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -179,7 +178,7 @@ BESIDE_A_BAR = """
 import logging
 from dataclasses import dataclass
 from common.command import run_command
-from common.output import print_message
+from common.output import print_message, print_result
 from common.progress import StatusLine, progress_bar
 
 @dataclass
@@ -190,6 +189,7 @@ def act(config):
     with progress_bar() as bar:
         bar.update(bar.add_task("training", total=10, note=""), advance=1)
         print_message("said")
+        print_result("a result")
         logging.getLogger("model").warning("logged: %s", {evil!r} * 5)
         bar.refresh()
     with StatusLine() as status:
@@ -203,7 +203,12 @@ run_command("bc-test", Nothing, act)
 
 
 def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path) -> None:
-    shown = on_terminal([sys.executable, "-c", BESIDE_A_BAR.format(evil=EVIL)], tmp_path)
+    """And results get into the file that they are sent to: a bar takes over what is printed."""
+    with (tmp_path / "results").open("wb") as file:
+        code = BESIDE_A_BAR.format(evil=EVIL)
+        shown = on_terminal([sys.executable, "-c", code], tmp_path, stdout=file.fileno())
+    assert (tmp_path / "results").read_text() == "a result\n"
+    assert "a result" not in shown
     drawing = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
     lines = [re.split(r"\r", drawing.sub("", line))[-1] for line in shown.split("\r\n")]
     assert "said" in lines
@@ -214,32 +219,32 @@ def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path)
     assert not CONTROL.search(drawing.sub("", shown).replace("\r", "").replace("\n", ""))
 
 
-EARLIER = """
-import logging, sys
-from pathlib import Path
-from safetensors import safe_open
-from safetensors.numpy import load_file, save_file
-path = Path(sys.argv[1])
-with safe_open(path, framework="np") as file:
-    stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
-save_file(load_file(path), path, stored)
-"""
-
-
-def test_what_training_logs_is_a_message_in_every_command_that_loads_a_run(tmp_path: Path) -> None:
+def test_what_training_logs_is_a_message_in_every_command_that_loads_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A run of an earlier version, whose name nobody would give."""
     index = toy_index(tmp_path)
-    evil = tmp_path / "runs" / "a\x1b[2Jb\nc"
-    train(index, evil, replace(TINY, epochs=1, batch=8), figures=False, show_progress=False)
-    subprocess.run([sys.executable, "-c", EARLIER, evil / "model.safetensors"], check=True)
-    told = f"{tmp_path}/runs/a\\x1b[2Jb\\nc: of an earlier version, without checksums: "
+    run = tmp_path / "runs" / "a\x1b[2Jb\nc"
+    train(index, run, replace(TINY, epochs=1, batch=8), figures=False, show_progress=False)
+    weights = run / "model.safetensors"
+    with safe_open(weights, framework="np") as file:
+        stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
+    save_file(load_file(weights), weights, stored)
     flags = ("--index", index, "--runs", tmp_path / "runs", "--epochs", 1, "--batch", 8, "--threads", 1)
-    for name, line in {
-        "bc-eval": (evil, "--index", index),
-        "bc-play": (tmp_path / "toy.mcap", "--run", evil, "--write", tmp_path / "said.mcap"),
-        "bc-train": ("--name", "next", "--init", evil, *flags),
-        "bc-drive": (evil, "--log", tmp_path / "drive.mcap", "--port", 0, "--viewer", "nowhere"),
-    }.items():
-        done = run(name, *line, cwd=tmp_path)
-        assert len([each for each in done.stderr.splitlines() if each.startswith(told)]) == 1, done.stderr
-        assert not CONTROL.search(done.stderr)
+    commands: list[tuple[Callable[[], None], tuple[object, ...]]] = [
+        (bc_eval, ("RUN", "--index", index)),
+        (bc_play, (tmp_path / "toy.mcap", "--run", "RUN", "--write", tmp_path / "said.mcap")),
+        (bc_train, ("--name", "next", "--init", "RUN", *flags)),
+        (bc_drive, ("RUN", "--log", tmp_path / "drive.mcap", "--port", 0, "--viewer", "nowhere")),
+    ]
+    monkeypatch.chdir(tmp_path)
+    threads = torch.get_num_threads()
+    for number, (main, line) in enumerate(commands):
+        run = run.rename(f"{run}{number}")  # of each, it is said once in a process
+        call(main, *(run if word == "RUN" else word for word in line))
+        said = capsys.readouterr().err
+        told = f"{tmp_path}/runs/{run.name}: of an earlier version, without checksums: "
+        told = told.replace("\x1b", "\\x1b").replace("\n", "\\n")
+        assert len([each for each in said.splitlines() if each.startswith(told)]) == 1, said
+        assert not CONTROL.search(said)
+    torch.set_num_threads(threads)

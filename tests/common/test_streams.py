@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
@@ -110,11 +111,12 @@ READERS = [Head, Stuck, StoppedTerminal, ClosedTerminal]
 
 @contextmanager
 def read_by(
-    kind: Callable[[], Reader], line: list[str], cwd: Path | None = None
+    kind: Callable[[], Reader], line: list[str], cwd: Path | None = None, results: BinaryIO | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A command that has begun, with what it says going to such a reader."""
+    """A command that has begun, with what it says going to such a reader; its results, to a file that is given."""
     reader = kind()
-    process = subprocess.Popen(line, env=environment(), stdout=reader.write, stderr=reader.write, cwd=cwd)
+    stdout = results or reader.write
+    process = subprocess.Popen(line, env=environment(), stdout=stdout, stderr=reader.write, cwd=cwd)
     try:
         reader.begin()
         yield process
@@ -145,7 +147,11 @@ def pilot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return untrained_run(tmp_path_factory.mktemp("runs") / "pilot")
 
 
-@pytest.mark.parametrize("reader", READERS)
+# terminals in `make test`: test_listening_answers_whoever_reads_what_it_says
+TERMINALS = [pytest.param(kind, marks=pytest.mark.long) for kind in (StoppedTerminal, ClosedTerminal)]
+
+
+@pytest.mark.parametrize("reader", [Head, Stuck, *TERMINALS])
 def test_a_drive_answers_whoever_reads_what_it_says(reader: type[Reader], pilot: Path, tmp_path: Path) -> None:
     log, [port] = tmp_path / "run.mcap", free_ports(1)
     with read_by(reader, command("bc-drive", pilot, "--log", log, "--port", port)) as process:
@@ -180,11 +186,25 @@ def test_a_recording_is_followed_to_its_end(reader: type[Reader], tmp_path: Path
         assert len(followed.vehicle()) == 3
 
 
+def test_a_training_goes_on_when_its_terminal_has_gone(tmp_path: Path) -> None:
+    """On which it drew a bar; its results get into a file all the same."""
+    said = tmp_path / "said"
+    with said.open("wb") as file, read_by(ClosedTerminal, toy_training(tmp_path), tmp_path, file) as process:
+        assert process.wait(PATIENCE_S) == 0
+    assert "epoch  1" in said.read_text()
+    assert len((find_run("toy", tmp_path / "runs") / "metrics.jsonl").read_text().splitlines()) == 1
+
+
+@pytest.mark.long  # of a terminal: above
 def test_a_training_goes_on_when_its_reader_has_gone(tmp_path: Path) -> None:
-    flags = ["--name", "toy", "--index", toy_index(tmp_path), "--epochs", 1, "--batch", 8, "--threads", 1]
-    with read_by(Head, command("bc-train", *flags), cwd=tmp_path) as process:
+    with read_by(Head, toy_training(tmp_path), tmp_path) as process:
         assert process.wait(PATIENCE_S) == 0
     assert len((find_run("toy", tmp_path / "runs") / "metrics.jsonl").read_text().splitlines()) == 1
+
+
+def toy_training(folder: Path) -> list[str]:
+    flags = ("--index", toy_index(folder), "--epochs", 1, "--batch", 8, "--threads", 1)
+    return command("bc-train", "--name", "toy", *flags)
 
 
 @pytest.mark.parametrize("closed", ["2>&-", ">&-", ">&- 2>&-", "<&- >&- 2>&-"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import shutil
 import signal
 import time
@@ -12,13 +13,15 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
 
 from dataset import IndexConfig, build_index
+from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.evaluation.aggregation import Aggregation, AggregationFolders
 from drive.evaluation.simulator_process import BuiltInSimulator
-from driving import Process, command, one_line_of, run
+from driving import Process, command, one_line_in, run
 from model import TrainConfig, train
 from model.cli import main
 from model.runs.checkpoint import read_position
@@ -40,22 +43,42 @@ class Aggregated:
     folder: Path
     exit_code: int
     table: list[str]
+    said: list[str]
 
 
 @pytest.fixture(scope="module")
 def aggregated(tmp_path_factory: pytest.TempPathFactory) -> Aggregated:
-    """A network that has learnt next to nothing, and drives another track."""
+    """A network that has learnt next to nothing, and drives another track; by now, one of its two sessions is
+    damaged."""
     folder = tmp_path_factory.mktemp("aggregated")
-    session = record_simulated(SimulatedDrive(track="lake", laps=0.01), folder / "sessions" / "lake.mcap").path
-    build_index([session], folder / "index", SETTINGS)
-    train(folder / "index", folder / "runs" / "first", TrainConfig(epochs=1, batch=32), show_progress=False)
-    done = run(
-        *("bc-drive", "first", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED),
-        *("--aggregate", 1, "--epochs", 1),
-        cwd=folder,
-    )
-    assert done.returncode == 0, done.stderr
-    return Aggregated(folder, done.returncode, done.stdout.splitlines())
+    train_on_what_is_damaged(folder, "first")
+    return aggregate(folder, "first", 1)
+
+
+def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
+    """A run that was trained on two sessions, lake and hurt, of which the second is damaged now."""
+    logs = [
+        record_simulated(SimulatedDrive(track=track, laps=laps), folder / "sessions" / f"{name}.mcap").path
+        for name, track, laps in (("lake", "lake", 0.01), ("hurt", "mountain", 0.005))
+    ]
+    build_index(logs, folder / "index", SETTINGS)
+    config = TrainConfig(epochs=1, batch=32)
+    train(folder / "index", folder / "runs" / run_name, config, figures=False, show_progress=False)
+    with logs[1].open("r+b") as hurt:
+        summary = make_reader(hurt).get_summary()
+        assert summary is not None
+        (states,) = (number for number, channel in summary.channels.items() if channel.topic == "/vehicle")
+        chunk = next(chunk for chunk in summary.chunk_indexes if states in chunk.message_index_offsets)
+        hurt.seek(chunk.chunk_start_offset + chunk.chunk_length // 2)
+        (byte,) = hurt.read(1)
+        hurt.seek(-1, os.SEEK_CUR)
+        hurt.write(bytes([byte ^ 1]))
+
+
+def aggregate(folder: Path, run_name: str, rounds: int) -> Aggregated:
+    drive = ("bc-drive", run_name, "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
+    done = run(*drive, "--aggregate", rounds, "--epochs", 1, cwd=folder)
+    return Aggregated(folder, done.returncode, done.stdout.splitlines(), done.stderr.splitlines())
 
 
 def commands(log: Path) -> list[PilotCommand]:
@@ -74,6 +97,24 @@ def test_every_round_is_driven_logged_and_shown(aggregated: Aggregated) -> None:
         with Log(log) as opened:
             assert opened.metadata["run"] == runs[number]
             assert not opened.problem
+
+
+def check_what_is_damaged_was_left_out(done: Aggregated, run_name: str, rounds: int) -> None:
+    assert done.exit_code == 3, done.said
+    (warning,) = (line for line in done.said if "left out" in line)  # once, and not in each round
+    assert warning.startswith("sessions/hurt.mcap: ")
+    learnt = json.loads((done.folder / "runs" / f"{run_name}-random-3-{rounds}" / "config.json").read_text())
+    assert set(learnt["data"]["logs"]) == {"lake", *(f"{run_name}-random-3-{driven}" for driven in range(rounds))}
+
+
+def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggregated) -> None:
+    check_what_is_damaged_was_left_out(aggregated, "first", 1)
+
+
+@pytest.mark.long  # one round: above
+def test_a_session_that_is_damaged_is_said_once_in_all_rounds(tmp_path: Path) -> None:
+    train_on_what_is_damaged(tmp_path, "two")
+    check_what_is_damaged_was_left_out(aggregate(tmp_path, "two", 2), "two", 2)
 
 
 def test_the_expert_took_over_and_steered(aggregated: Aggregated) -> None:
@@ -113,18 +154,21 @@ def test_the_new_run_can_go_on_from_there(aggregated: Aggregated) -> None:
 def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
     aggregated: Aggregated, tmp_path: Path
 ) -> None:
+    shutil.copy(aggregated.folder / "sessions" / "hurt.mcap", tmp_path)
     record_simulated(SimulatedDrive(track="mountain", laps=0.01), tmp_path / "lake.mcap")
     with pytest.raises(DriveError, match=r"lake\.mcap: changed since .*first was trained on it"):
         aggregation(aggregated, "first", tmp_path)
 
 
-def test_a_second_aggregation_of_the_same_names_is_refused_at_once(aggregated: Aggregated) -> None:
-    again = run("bc-drive", "first", "--simulator", TRACK, "--aggregate", 1, cwd=aggregated.folder)
-    assert again.returncode == 1
+def test_a_second_aggregation_of_the_same_names_is_refused_at_once(
+    aggregated: Aggregated, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(aggregated.folder)
+    assert call(drive_main, "first", "--simulator", TRACK, "--aggregate", 1) == 1
     in_the_way = (
         "drives/first-random-3-0.mcap drives/first-random-3-1.mcap index-first-random-3 runs/first-random-3-1"
     )
-    assert one_line_of(again).endswith(f"move them away: {in_the_way}")
+    assert one_line_in(capsys).endswith(f"move them away: {in_the_way}")
 
 
 def start_aggregation(aggregated: Aggregated, track: str, *flags: object) -> Process:
@@ -170,30 +214,33 @@ def simulate(port: str, *flags: object) -> Process:
 
 
 def test_a_simulator_that_connects_by_itself_is_waited_for_in_every_round(aggregated: Aggregated) -> None:
-    """It disconnects after the first one, and is stopped by the laps that it tells in the second."""
-    aggregate = ("first", "--port", 0, "--speed", SPEED, "--aggregate", 1, "--epochs", 1, "--laps", LAPS)
+    """It disconnects after the first one, and is stopped by the laps that it tells in the second. The network is
+    that of an aggregation before."""
+    runs = aggregated.folder / "runs"
+    shutil.copytree(runs / "first-random-3-1", runs / "next")
+    aggregate = ("next", "--port", 0, "--speed", SPEED, "--aggregate", 1, "--epochs", 1, "--laps", LAPS)
     with Process(command("bc-drive", *aggregate), aggregated.folder) as process:
-        port = process.wait_for(r"first is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        port = process.wait_for(r"next is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
         with simulate(port, "--laps", 0.9 * LAPS) as short:
-            process.wait_for("training runs/first-connected-1")
+            process.wait_for("training runs/next-connected-1")
             assert short.join() == 0
-        port = process.wait_for(r"first-connected-1 is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+        port = process.wait_for(r"next-connected-1 is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
         with simulate(port, "--laps", 50):
             assert process.join() == 0, process.stderr
     assert any(line.endswith("the car is braked to a stand") for line in process.stderr)
     assert not any("Ctrl-C" in line for line in process.stderr)  # nobody pressed it
     _, first, second = process.stdout.splitlines()
-    assert (first.split()[0], second.split()[0]) == ("first", "first-connected-1")
-    assert second.split()[-1] == "drives/first-connected-1.mcap"
+    assert (first.split()[0], second.split()[0]) == ("next", "next-connected-1")
+    assert second.split()[-1] == "drives/next-connected-1.mcap"
     laps, drivers = [], []
-    for log in sorted((aggregated.folder / "drives").glob("first-connected-*.mcap")):
+    for log in sorted((aggregated.folder / "drives").glob("next-connected-*.mcap")):
         drivers.append({each.driver for each in commands(log)})
         with Log(log) as opened:
             laps.append(float(opened.read_metadata(DRIVE_METADATA)["laps"]))
     assert laps[0] < LAPS <= laps[1] < 2 * LAPS
     assert PilotCommand.EXPERT in drivers[0]
-    learnt = json.loads((aggregated.folder / "runs" / "first-connected-1" / "config.json").read_text())
-    assert set(learnt["data"]["logs"]) == {"lake", "first-connected-0"}
+    learnt = json.loads((runs / "next-connected-1" / "config.json").read_text())
+    assert set(learnt["data"]["logs"]) == {"lake", "first-random-3-0", "next-connected-0"}
 
 
 def test_a_second_ctrl_c_brakes_no_longer_and_finishes_the_log(aggregated: Aggregated) -> None:
@@ -237,26 +284,12 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
     ],
 )
 def test_what_cannot_be_aggregated_is_one_line(
-    aggregated: Aggregated, flags: tuple[str, ...], expected: str
+    aggregated: Aggregated,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: tuple[str, ...],
+    expected: str,
 ) -> None:
-    done = run("bc-drive", "first", *flags, cwd=aggregated.folder)
-    assert done.returncode in (1, 2)
-    assert expected in one_line_of(done)
-
-
-@pytest.mark.parametrize("rounds", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_a_session_that_is_damaged_by_now_is_left_out_and_said(aggregated: Aggregated, rounds: int) -> None:
-    folder = aggregated.folder
-    hurt = record_simulated(SimulatedDrive(track="mountain", laps=0.005), folder / "sessions" / "hurt.mcap").path
-    build_index([folder / "sessions" / "lake.mcap", hurt], folder / "index-two", SETTINGS)
-    train(folder / "index-two", folder / "runs" / "two", TrainConfig(epochs=1, batch=32), show_progress=False)
-    data = bytearray(hurt.read_bytes())
-    data[len(data) // 2] ^= 1
-    hurt.write_bytes(data)
-    drive = ("bc-drive", "two", "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
-    done = run(*drive, "--aggregate", rounds, "--epochs", 1, cwd=folder)
-    assert done.returncode == 3, done.stderr
-    (warning,) = (line for line in done.stderr.splitlines() if "left out" in line)  # once, and not in each round
-    assert warning.startswith("sessions/hurt.mcap: ")
-    learnt = json.loads((folder / "runs" / f"two-random-3-{rounds}" / "config.json").read_text())
-    assert set(learnt["data"]["logs"]) == {"lake", *(f"two-random-3-{driven}" for driven in range(rounds))}
+    monkeypatch.chdir(aggregated.folder)
+    assert call(drive_main, "first", *flags) in (1, 2)
+    assert expected in one_line_in(capsys)

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,11 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from common import UserError
 from driving import environment
 from model import train
+from model.cli import Train
+from model.cli import train as bc_train
 from model.config import TrainConfig
 from repository import ROOT
 from toy import toy_index
@@ -45,28 +49,44 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return toy_index(tmp_path_factory.mktemp("toy"))
 
 
-def first_line(run: Path) -> dict[str, Any]:
-    [line] = (run / "metrics.jsonl").read_text().splitlines()
-    return dict(json.loads(line))
+def epochs_of(run: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
 
 
-def losses(run: Path) -> list[float]:
-    return [json.loads(line)["training_loss"] for line in (run / "metrics.jsonl").read_text().splitlines()]
+# Several command lines of `bc-train`, one after the other, in processes that load PyTorch once.
+IN_TURN = """
+import json, shutil, sys
+import model.cli
+from model.training.distributed import rank_of_process
+
+model.cli.end_process = lambda code: sys.exit(code) if code else None
+for number, flags in enumerate(json.loads(sys.argv[1])):
+    sys.argv[1:] = flags
+    model.cli.main()
+    if rank_of_process() == 0:
+        shutil.copy("two/model.safetensors", f"{number}.safetensors")
+"""
 
 
 @pytest.mark.parametrize("batch", [pytest.param(10, marks=pytest.mark.long), 25])
-def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path, batch: int) -> None:
+def test_two_processes_learn_what_one_does_and_go_on_together(index: Path, tmp_path: Path, batch: int) -> None:
     """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing."""
+    (tmp_path / "in_turn.py").write_text(IN_TURN)
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
-    done = torchrun("--name", "two", *FLAGS, "--batch", batch, *places)
+    lines = [["--name", "two", *FLAGS, "--batch", batch, *places], ["--resume", "two", "--epochs", 2, *places]]
+    in_turn = json.dumps([[str(word) for word in line] for line in lines])
+    done = torchrun(in_turn, begin=["in_turn.py"], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("epoch  1:") == 1  # one of them speaks, and writes
+    assert done.stdout.count("epoch  1:") == done.stdout.count("epoch  2:") == 1  # one of them speaks, and writes
+
     config = TrainConfig(epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
-    one, two = first_line(tmp_path / "one"), first_line(tmp_path / "two")
-    assert two["training_loss"] == pytest.approx(one["training_loss"], rel=1e-5)
-    assert two["validation"]["rmse_deg"] == pytest.approx(one["validation"]["rmse_deg"], rel=1e-4)
-    weights = [load_file(tmp_path / name / "model.safetensors") for name in ("one", "two")]
+    weights = [load_file(path) for path in (tmp_path / "one" / "model.safetensors", tmp_path / "0.safetensors")]
+    train(index, tmp_path / "one", replace(config, epochs=2), resume=True, figures=False)
+    one, two = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "two")
+    assert two[0]["training_loss"] == pytest.approx(one[0]["training_loss"], rel=1e-5)
+    assert two[0]["validation"]["rmse_deg"] == pytest.approx(one[0]["validation"]["rmse_deg"], rel=1e-4)
+    assert two[1]["training_loss"] == pytest.approx(one[1]["training_loss"], rel=1e-4)
     moved = [np.abs(weights[0][name] - weights[1][name]) for name in weights[0]]
     # few: one step of Adam moves a weight by its rate, also where the gradient is nothing but its last bit
     assert np.mean(np.concatenate([each.ravel() for each in moved]) > 1e-6) < 0.02
@@ -100,11 +120,11 @@ def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Pa
     assert done.returncode == 0, done.stderr
     config = TrainConfig(epochs=1, batch=25, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
-    expected = first_line(tmp_path / "one")["training_loss"]
-    assert first_line(tmp_path / "three")["training_loss"] == pytest.approx(expected, rel=1e-5)
+    (expected,), (found,) = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "three")
+    assert found["training_loss"] == pytest.approx(expected["training_loss"], rel=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.long  # in the same processes: test_two_processes_learn_what_one_does_and_go_on_together
 def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path) -> None:
     """In two epochs, stopped between them, they learn what they do in one go; a part of a batch at a time."""
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
@@ -113,13 +133,7 @@ def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path)
     assert torchrun("--resume", "run", "--epochs", 2, *places).returncode == 0
     config = TrainConfig(epochs=2, batch=10, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
-    found, expected = (
-        [
-            json.loads(line)["training_loss"]
-            for line in (tmp_path / name / "metrics.jsonl").read_text().splitlines()
-        ]
-        for name in ("run", "one")
-    )
+    found, expected = ([epoch["training_loss"] for epoch in epochs_of(tmp_path / name)] for name in ("run", "one"))
     assert found == pytest.approx(expected, rel=1e-4)
 
 
@@ -133,10 +147,14 @@ def test_a_run_that_exists_is_said_and_ends_all(index: Path, tmp_path: Path, scr
     assert "Traceback" not in done.stderr.split("torch/distributed/elastic")[0]
 
 
-def test_without_an_index_nothing_is_built_by_several_at_once(tmp_path: Path) -> None:
-    done = torchrun("--index", tmp_path / "index", "--runs", tmp_path)
-    assert done.returncode != 0
-    assert "build it with `bc-index` before torchrun" in done.stderr
+@pytest.mark.parametrize("rank", [0, 1])
+def test_without_an_index_nothing_is_built_by_several_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rank: int
+) -> None:
+    for name, value in (("WORLD_SIZE", 2), ("RANK", rank), ("LOCAL_RANK", rank)):  # as torchrun says
+        monkeypatch.setenv(name, str(value))
+    with pytest.raises(UserError, match="build it with `bc-index` before torchrun"):
+        bc_train(Train(index=tmp_path / "index", runs=tmp_path))
     assert not (tmp_path / "index").exists()
 
 
