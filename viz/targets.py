@@ -11,11 +11,11 @@ from typing import Final, Protocol
 from urllib.parse import urlsplit
 
 from common import UserError
-from common.command import DONE, warn, warn_skipped
+from common.command import DONE, DONE_BUT_SKIPPED, warn, warn_skipped
 from common.interrupts import stop_signals
 from common.output import print_result
 from common.preview import has_display
-from viz.console import print_error, print_notice
+from viz.console import print_error, print_notice, print_skipped
 from viz.live.follow import VIEWER_MEMORY, follow_log, save_growing
 from viz.playback.rerun_recording import PreparedRecording, save_prepared
 from viz.training_curves import follow_training, prepare_training, wait_until_trained
@@ -59,7 +59,7 @@ class FinishedContent:
     def save(self, rrd: Path, *, overwrite: bool) -> int:
         with self._prepare() as prepared:
             save_prepared(prepared, rrd, overwrite=overwrite)
-            return warn_all(prepared.notices)
+            return max(warn_all(prepared.notices), print_skipped(prepared.skipped))
 
     def show(self, destination: Destination) -> int:
         # The viewer starts while the logs are read. The server of a page holds all of them: it may be opened late.
@@ -73,7 +73,7 @@ class FinishedContent:
         ):
             notice_code = warn_all(prepared.notices)
             code = feed_viewer(_ContentFeed(url, prepared), viewer)
-            if viewer is None and code == DONE:
+            if viewer is None and code in (DONE, DONE_BUT_SKIPPED):
                 print_result(f"{prepared.name}: sent to {urlsplit(url).netloc}")
             return max(notice_code, code)
 
@@ -160,4 +160,7 @@ class _ContentFeed(ViewerFeed):
                 return
         except UserError as error:
             self.code = print_error(error)
+        finally:
+            skipped = print_skipped(self._prepared.skipped)
+            self.code = self.code or skipped
         self._disconnect(recording)

@@ -99,6 +99,20 @@ def test_a_viewer_that_runs_gets_all_of_the_log(
     assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
 
 
+def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "a.mcap", [row / 100 for row in range(ROWS)], picture)
+    damaged = bytearray(log.read_bytes())
+    damaged[damaged.index(picture("center", 0)) + 30] ^= 1
+    log.write_bytes(damaged)
+    with running_viewer() as ports:
+        assert call(main, log, "--connect", ports.data) == 3
+    said = capsys.readouterr()
+    assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
+    assert said.err.splitlines()[-1].startswith("bc-play: skipped pictures in damaged chunks of ")
+
+
 def test_of_a_viewer_that_is_closed_too_early_it_is_not_said_that_it_has_all(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -9,29 +9,16 @@ from typing import Any, Final
 import numpy as np
 import rerun as rr
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import Message as ProtobufMessage
 
-from recorder.log.topics import EVENTS, PICTURE_TOPICS, POSE, TOPICS
+from recorder.log.topics import EVENTS, PICTURE_TOPICS, TOPICS
 from viz.playback.blueprint import CENTER, log_layout
 from viz.playback.curves import Drawing, frame_size
+from viz.playback.picture_columns import picture_columns
 from viz.timelines import Times, log_clock
 
-SHOWN: Final[Mapping[str, type[ProtobufMessage]]] = {
-    name: topic.message.load()
-    for name, topic in TOPICS.items()
-    if topic.is_picture or topic.lines or name in (POSE, EVENTS)
-}
+SHOWN: Final[Mapping[str, type[ProtobufMessage]]] = {name: topic.message.load() for name, topic in TOPICS.items()}
 """The topics that are shown, and what their messages must be."""
-
-# As Rerun's MCAP reader calls them.
-_LEVELS: Final = {
-    LogMessage.Level.DEBUG: "DEBUG",
-    LogMessage.Level.INFO: "INFO",
-    LogMessage.Level.WARNING: "WARN",
-    LogMessage.Level.ERROR: "ERROR",
-    LogMessage.Level.FATAL: "CRITICAL",
-}
 
 
 @dataclass(frozen=True)
@@ -67,8 +54,6 @@ class LiveMessageSender:
             contents = [message.content for message in found]
             if TOPICS[topic].is_picture:
                 self._send_pictures(topic, time_ns, contents)
-            elif topic == EVENTS:
-                self._send_events(topic, time_ns, contents)
             else:
                 self._drawing.send(topic, time_ns, contents)
 
@@ -90,14 +75,5 @@ class LiveMessageSender:
         if topic == CENTER and not self._has_size:
             self._has_size = True
             self._drawing.picture_size = frame_size(pictures[0].data) or self._drawing.picture_size
-        columns = rr.EncodedImage.columns(
-            blob=[picture.data for picture in pictures],
-            media_type=[f"image/{picture.format or 'jpeg'}" for picture in pictures],
-        )
-        self._recording.send_columns(topic, self._clock(time_ns), columns)
-
-    def _send_events(self, topic: str, time_ns: Times, events: list[LogMessage]) -> None:
-        columns = rr.TextLog.columns(
-            text=[event.message for event in events], level=[_LEVELS.get(event.level, "INFO") for event in events]
-        )
+        columns = picture_columns([each.data for each in pictures], [each.format for each in pictures])
         self._recording.send_columns(topic, self._clock(time_ns), columns)

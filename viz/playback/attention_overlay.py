@@ -10,6 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from dataset.preprocess import Image
+from viz.playback.picture_columns import picture_columns
 from viz.timelines import Clock, Times
 
 QUALITY: Final = 90  # of the JPEGs, some 7 KB each
@@ -38,5 +39,4 @@ def send_overlays(
     """Send attention maps over their crops, as JPEGs at their log times."""
     settings = (cv2.IMWRITE_JPEG_QUALITY, QUALITY)
     jpegs = [cv2.imencode(".jpg", picture, settings)[1].tobytes() for picture in overlay(crops, maps)]
-    columns = rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * len(jpegs))
-    recording.send_columns(entity, clock(time_ns), columns)
+    recording.send_columns(entity, clock(time_ns), picture_columns(jpegs, ["jpeg"] * len(jpegs)))

@@ -13,25 +13,26 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk
 
-from common import UserError
+from common import Skipped, UserError
 from recorder import Log
 from recorder.log.topics import POSE
 from viz.playback.along_track import distances_along
 from viz.playback.blueprint import LOG_COLORS, comparison_layout, log_entity
 from viz.playback.curves import Drawing
+from viz.playback.log_chunks import read_chunks
 from viz.playback.rerun_recording import (
     DrawnMessages,
     PreparedRecording,
     check_moment,
     draw,
+    drawn_topics,
     open_whole_log,
     predicted_curves,
-    read_chunks,
     read_drawn,
     send_chunks,
     topics_with_messages,
 )
-from viz.timelines import SINCE_START, Clock, Times, on_clock, start_clock
+from viz.timelines import SINCE_START, Clock, Times, start_clock
 
 By = Literal["time", "place"]
 
@@ -76,8 +77,14 @@ def prepare_comparison(
         layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START, at_s=at_s)
         notices = [notice for _, notice in opened if notice]
         name = " | ".join(topics)
+        skipped = Skipped()
         yield PreparedRecording(
-            name, layout, lambda recording, flush: _send(logs, recording, flush), notices, at_s=at_s
+            name,
+            layout,
+            lambda recording, flush: _send(logs, recording, flush, skipped),
+            notices,
+            at_s=at_s,
+            skipped=skipped,
         )
 
 
@@ -126,7 +133,12 @@ def _way(path: Path, drawn: DrawnMessages) -> tuple[Times, NDArray[np.float64]]:
     return time_ns[known][order], way[known][order]
 
 
-def _send(logs: Sequence[_ComparedLog], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+def _send(
+    logs: Sequence[_ComparedLog],
+    recording: rr.RecordingStream,
+    flush: Callable[[], object],
+    skipped: Skipped,
+) -> None:
     for number, each in enumerate(logs):
         color = LOG_COLORS[number % len(LOG_COLORS)]
         drawing = Drawing(recording, each.clock, log_entity(each.name), each.name, color)
@@ -134,12 +146,12 @@ def _send(logs: Sequence[_ComparedLog], recording: rr.RecordingStream, flush: Ca
         for curve, time_ns, values in predicted_curves(each.log):
             drawing.curve(curve, time_ns, values)
     for each in logs:
-        send_chunks(_moved(each), recording, flush)
+        send_chunks(_moved(each, skipped), recording, flush)
 
 
-def _moved(one: _ComparedLog) -> Generator[Chunk]:
-    """Chunks of Rerun's reader for one log, under its own entity and on the common time line."""
-    chunks = read_chunks(one.log)
-    with contextlib.closing(chunks):
-        for chunk in on_clock((chunk for chunk in chunks if not chunk.is_static), one.clock, left_out=_LEFT_OUT):
-            yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)
+def _moved(one: _ComparedLog, skipped: Skipped) -> Generator[Chunk]:
+    """What is not drawn of one log, under its own entity and on the common time line."""
+    with contextlib.closing(read_chunks(one.log, drawn_topics(one.log), one.clock, skipped, _LEFT_OUT)) as chunks:
+        for chunk in chunks:
+            if not chunk.is_static:
+                yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)

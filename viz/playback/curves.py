@@ -1,4 +1,4 @@
-"""Drawings of a log beside its pictures: curves, arcs over the frame, histogram, path, who drives."""
+"""Drawings of a log beside its pictures: curves, arcs over the frame, histogram, path, who drives, events."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import rerun as rr
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from numpy.typing import NDArray
 
 from dataset.steering_bins import bin_of
-from recorder.log.topics import PILOT_COMMAND, POSE, TOPICS, VEHICLE
+from recorder.log.topics import EVENTS, PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from recorder.pictures.picture_size import can_be_decoded, width_and_height
 from viz.playback.blueprint import (
     ARCS,
@@ -42,6 +43,14 @@ _STRIPS: Final = pa.list_(
 _CAR_M: Final = 8.0  # length of the arrow that is the car, seen from above
 _PATH_COLOR: Final = (110, 150, 110)
 MAX_PATH_POINTS: Final = 2000  # of longer paths, every second one
+# As Rerun's MCAP reader calls them.
+_LEVELS: Final = {
+    LogMessage.Level.DEBUG: "DEBUG",
+    LogMessage.Level.INFO: "INFO",
+    LogMessage.Level.WARNING: "WARN",
+    LogMessage.Level.ERROR: "ERROR",
+    LogMessage.Level.FATAL: "CRITICAL",
+}
 
 
 class Drawing:
@@ -84,6 +93,8 @@ class Drawing:
             self._drivers(time_ns, np.array([command.driver for command in contents], np.int64))
         elif topic == POSE:
             self._poses(time_ns, contents)
+        elif topic == EVENTS:
+            self._events(time_ns, contents)
 
     def curve(self, curve: Curve, time_ns: Times, values: Values) -> None:
         """One line of a plot, also one that is not of the log: log times (N,) in ns, values (N,)."""
@@ -147,7 +158,14 @@ class Drawing:
             self._recording.log(entity, style, static=True)
         ahead = _CAR_M * np.stack([np.cos(placed[:, 2]), -np.sin(placed[:, 2])], axis=1)
         self._send(entity, time_ns[known], rr.Arrows2D.columns(origins=points, vectors=ahead))
+        in_space = _pose_columns([poses[at].pose for at in np.flatnonzero(known).tolist()])
+        self._send(self._prefix + POSE, time_ns[known], in_space)
         self._has_new = True
+
+    def _events(self, time_ns: Times, events: Sequence[Any]) -> None:
+        levels = [_LEVELS.get(event.level, "INFO") for event in events]
+        columns = rr.TextLog.columns(text=[event.message for event in events], level=levels)
+        self._send(self._prefix + EVENTS, time_ns, columns)
 
     def _is_new(self, entity: str) -> bool:
         is_new = entity not in self._styled
@@ -219,6 +237,13 @@ def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
     middles = (np.arange(bins) + 0.5) * 2 / bins - 1
     widths = np.full(bins, 0.9 * 2 / bins, np.float32)
     return rr.BarChart(counts, abscissa=middles, widths=widths, color=BLUE)
+
+
+def _pose_columns(poses: Sequence[Any]) -> rr.ComponentColumnList:
+    """Poses in space, for those who add a view of them."""
+    places = [(pose.position.x, pose.position.y, pose.position.z) for pose in poses]
+    turns = [(pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w) for pose in poses]
+    return rr.InstancePoses3D.columns(translations=np.array(places), quaternions=np.array(turns))
 
 
 def _place(pose: Any) -> tuple[float, float, float]:

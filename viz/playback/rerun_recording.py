@@ -1,12 +1,11 @@
-"""A log as a Rerun recording: pictures through Rerun's own MCAP reader, all that is drawn as columns."""
+"""A log as a Rerun recording: what is drawn of it first, then its pictures and all else."""
 
 from __future__ import annotations
 
 import contextlib
-import re
 import tempfile
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,22 +14,24 @@ import rerun as rr
 import rerun.blueprint as rrb
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
-from rerun.chunk import Chunk, McapReader
+from rerun.chunk import Chunk
 
-from common import UserError
+from common import Skipped, UserError
 from common.errors import printable
 from common.files import refuse_existing
-from common.progress import progress_bar, track
-from recorder import Log
+from common.progress import track
+from recorder import Log, LogError
 from recorder.log.recover import recover
 from recorder.log.topics import POSE, TOPICS, VEHICLE
 from viz.playback.blueprint import CENTER, Curve, log_layout
 from viz.playback.curves import Drawing, Values, curve_values, frame_size
+from viz.playback.log_chunks import protobuf_topics, read_chunks
 from viz.playback.prediction_curves import prediction_curves
 from viz.playback.prediction_log import prediction_topics, read_predictions
 from viz.rrd_file import rrd_file
-from viz.timelines import Times, log_clock, on_clock
+from viz.timelines import Times, log_clock
 
+_DRAWN: Final = tuple(name for name, topic in TOPICS.items() if not topic.is_picture)
 _ROWS_AT_ONCE: Final = 500  # pictures on their way to a viewer, some megabytes: more would only pile up here
 
 
@@ -63,6 +64,7 @@ class PreparedRecording:
     notices: Sequence[str]  # of logs that were never finished
     recording_id: str | None = None  # in a file: the same log, the same recording
     at_s: float | None = None  # where it opens, in seconds since the start; None: at the start
+    skipped: Skipped = field(default_factory=Skipped)  # filled while it is sent
 
 
 def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
@@ -75,7 +77,7 @@ def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
     refuse_existing(rrd, overwrite)
     with prepare_log(path) as prepared:
         save_prepared(prepared, rrd, overwrite=overwrite)
-        return "".join(prepared.notices)
+        return "\n".join([*prepared.notices, *prepared.skipped.lines()])
 
 
 def save_prepared(prepared: PreparedRecording, rrd: Path, *, overwrite: bool) -> None:
@@ -97,7 +99,8 @@ def prepare_log(
     """
     with open_whole_log(path) as (log, notice):
         check_moment(at_s, [(path, log)])
-        drawn = read_drawn(log)  # before Rerun starts: it must not be given damage
+        drawn = read_drawn(log)  # before a viewer opens: without them nothing is worth showing
+        skipped = Skipped()
 
         def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
             clock = log_clock(log.time_range_ns[0])
@@ -105,14 +108,19 @@ def prepare_log(
             draw(drawn, drawing)
             for curve, time_ns, values in predicted_curves(log):
                 drawing.curve(curve, time_ns, values)
-            with contextlib.closing(read_chunks(log)) as chunks:
-                send_chunks(on_clock(chunks, clock), recording, flush)
+            send_chunks(read_chunks(log, drawn_topics(log), clock, skipped), recording, flush)
             if predictions is not None:
                 predictions.send(recording, drawing, flush)
 
         recording_id = f"{path.name}-{log.fingerprint[:12]}"
         yield PreparedRecording(
-            path.name, _layout(log, predictions, at_s), send, [notice] if notice else [], recording_id, at_s
+            path.name,
+            _layout(log, predictions, at_s),
+            send,
+            [notice] if notice else [],
+            recording_id,
+            at_s,
+            skipped,
         )
 
 
@@ -140,7 +148,7 @@ def read_drawn(log: Log) -> DrawnMessages:
     Raises LogError where it is damaged."""
     found: dict[str, tuple[Times, list[Any]]] = {}
     log.messages(VEHICLE)  # the pass over the file, with a bar of its own
-    for topic in (name for name, topic in TOPICS.items() if topic.lines or name == POSE):
+    for topic in _DRAWN:
         messages = _poses(log) if topic == POSE else log.decoded(topic)
         pairs = list(track(messages, f"reading {topic}", log.counts[topic])) if _is_ours(log, topic) else []
         if pairs:
@@ -169,16 +177,10 @@ def topics_with_messages(log: Log) -> list[str]:
     return [topic for topic, count in log.counts.items() if count]
 
 
-def read_chunks(log: Log) -> Generator[Chunk]:
-    """Read with Rerun's own reader all that is not drawn; with a progress bar."""
-    drawn = [name for name, topic in TOPICS.items() if topic.lines and _is_ours(log, name)]
-    drawn += prediction_topics(log)
-    others = sum(count for topic, count in log.counts.items() if topic not in drawn)
-    with progress_bar() as bar:
-        task = bar.add_task("sending messages", total=others, note="")
-        for chunk in McapReader(log.path, exclude_topic_regex=[f"^{re.escape(each)}$" for each in drawn]).stream():
-            yield chunk
-            bar.advance(task, 0 if chunk.is_static else len(chunk))
+def drawn_topics(log: Log) -> set[str]:
+    """The topics of a log whose messages are drawn: Rerun's reader need not see them."""
+    of_registry = {name for name in _DRAWN if _is_ours(log, name)}
+    return {*of_registry, *prediction_topics(log)}
 
 
 def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
@@ -217,7 +219,7 @@ def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
 
 
 def _is_ours(log: Log, topic: str) -> bool:
-    return log.schemas.get(topic, "") == TOPICS[topic].message.name
+    return protobuf_topics(log).get(topic) == TOPICS[topic].message.name
 
 
 def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
@@ -230,4 +232,7 @@ def _picture_size(log: Log) -> tuple[int, int] | None:
     if CENTER not in topics_with_messages(log) or not _is_ours(log, CENTER):
         return None
     found = log.pictures(CENTER)
-    return frame_size(log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0])))
+    for place in zip(found.offset, found.length, found.chunk, strict=True):
+        with contextlib.suppress(LogError):  # that chunk is damaged, which is told when pictures are sent
+            return frame_size(log.read(*map(int, place)))
+    return None

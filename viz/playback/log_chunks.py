@@ -1,0 +1,155 @@
+"""What is not drawn of a log, as chunks of a Rerun recording: its pictures, and topics that only Rerun knows.
+
+Rerun's reader compares no CRC, and may not end where a log is damaged. Of a log of ours it is therefore given the
+summary, and a copy of the topics that nothing here sends; pictures are sent chunk by chunk of the file, each read
+once, when its CRC is compared. A log of another program it reads by itself: all of that was read for its index.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.message import DecodeError
+from mcap.well_known import MessageEncoding
+from rerun.chunk import Chunk, McapReader
+
+from common import Skipped
+from common.progress import progress_bar
+from recorder import Log, LogError, LogWriter
+from recorder.log.mcap_file import Chunk as LogChunk
+from recorder.log.message_index import LAST_TIME_NS
+from recorder.log.topics import COMPRESSED_IMAGE
+from viz.playback.picture_columns import picture_columns
+from viz.timelines import Clock, on_clock
+
+_SENT_BYTES: Final = 1 << 20  # of pictures that are sent at once
+_OF_SUMMARY: Final = ("metadata", "recording_info", "schema", "stats")  # decoders of what is no message
+_NOT_OF_SUMMARY: Final = tuple(each for each in McapReader.available_decoders() if each not in _OF_SUMMARY)
+
+
+def read_chunks(
+    log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str = ""
+) -> Generator[Chunk]:
+    """All of a log but the topics `drawn`, on the time lines of `clock`, without the component `left_out`; with a
+    progress bar.
+
+    Pictures that cannot be read are added to `skipped`. Raises LogError where anything else is damaged.
+    """
+    others = sum(count for topic, count in log.counts.items() if topic not in drawn)
+    with progress_bar() as bar:
+        task = bar.add_task("sending messages", total=others, note="")
+        for chunk in _chunks(log, drawn, clock, skipped, left_out):
+            yield chunk
+            bar.advance(task, 0 if chunk.is_static else len(chunk))
+
+
+def protobuf_topics(log: Log) -> dict[str, str]:
+    """The name of the schema of each topic whose messages are written in Protobuf."""
+    schemas = log.schemas
+    channels = log.channels.values()
+    return {
+        each.topic: schemas[each.topic] for each in channels if each.message_encoding == MessageEncoding.Protobuf
+    }
+
+
+def _chunks(log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str) -> Iterator[Chunk]:
+    if not log.is_ours:
+        yield from on_clock(McapReader(log.path, exclude_topic_regex=_exactly(drawn)).stream(), clock, left_out)
+        return
+    pictures = [topic for topic, schema in protobuf_topics(log).items() if schema == COMPRESSED_IMAGE.name]
+    yield from _summary(log.path, drawn)
+    yield from on_clock(_others(log, {*drawn, *pictures}), clock, left_out)
+    yield from _pictures(log, pictures, clock, skipped)
+
+
+def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
+    """What is told by metadata, and by the summary of a finished log, whose CRC was compared when it was opened.
+    No chunk is read: no message has this time."""
+    reader = McapReader(
+        path,
+        decoders=_OF_SUMMARY,
+        exclude_topic_regex=_exactly(drawn),
+        start_time_ns=LAST_TIME_NS - 1,
+        end_time_ns=LAST_TIME_NS,
+    )
+    yield from reader.stream()
+
+
+def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
+    """What Rerun's reader makes of attachments and of the topics that are not left out."""
+    topics = {channel.topic for channel in log.channels.values()}.difference(left_out)
+    if not topics and not log.attachments:
+        return
+    with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
+        copy = Path(folder) / log.path.name
+        with LogWriter(copy, None) as writer:
+            for offset in log.attachments:
+                writer.copy_attachment(log.attachment(offset))
+            for chunk in _chunks_with(log, topics):
+                for schema, channel, message in log.messages_of(chunk):
+                    if channel.topic in topics:
+                        writer.copy(schema, channel, message, message.sequence)
+        yield from McapReader(copy, decoders=_NOT_OF_SUMMARY).stream()
+
+
+def _pictures(log: Log, topics: Collection[str], clock: Clock, skipped: Skipped) -> Iterator[Chunk]:
+    """Pictures in the order of the file, some of each topic at a time."""
+    waiting: dict[str, list[tuple[int, CompressedImage]]] = {}
+    waiting_bytes = 0
+    for chunk in _chunks_with(log, topics):
+        try:
+            messages = list(log.messages_of(chunk))
+        except LogError:
+            _add_damaged(log, topics, chunk, skipped)
+            continue
+        for _, channel, message in messages:
+            if channel.topic not in topics:
+                continue
+            try:
+                picture = CompressedImage.FromString(message.data)
+            except DecodeError:
+                skipped.add("messages that cannot be decoded", f"{channel.topic} row {message.sequence}")
+                continue
+            waiting.setdefault(channel.topic, []).append((message.log_time, picture))
+            waiting_bytes += len(picture.data)
+        if waiting_bytes >= _SENT_BYTES:
+            yield from _columns(waiting, clock)
+            waiting, waiting_bytes = {}, 0
+    yield from _columns(waiting, clock)
+
+
+def _columns(found: Mapping[str, Sequence[tuple[int, CompressedImage]]], clock: Clock) -> Iterator[Chunk]:
+    for topic, timed in found.items():
+        times, pictures = zip(*timed, strict=True)
+        yield Chunk.from_columns(
+            rr.new_entity_path(topic.strip("/").split("/")),
+            clock(np.array(times, np.int64)),
+            picture_columns([each.data for each in pictures], [each.format for each in pictures]),
+        )
+
+
+def _add_damaged(log: Log, topics: Collection[str], chunk: LogChunk, skipped: Skipped) -> None:
+    """Name the pictures that lie in a damaged chunk, by what the end of the log tells of them."""
+    reason = f"pictures in damaged chunks of {log.path} (`bc-log recover {log.path}` saves the others)"
+    for topic in topics:
+        found = log.pictures(topic)
+        is_inside = (found.offset >= chunk.start) & (found.offset < chunk.end)
+        for row in found.sequence[is_inside].tolist():
+            skipped.add(reason, f"{topic} row {row}")
+
+
+def _chunks_with(log: Log, topics: Collection[str]) -> list[LogChunk]:
+    """The chunks that have a message on one of these topics, as far as the summary tells."""
+    numbers = {number for number, channel in log.channels.items() if channel.topic in topics}
+    return [chunk for chunk in log.chunks if chunk.channels is None or chunk.channels & numbers]
+
+
+def _exactly(topics: Collection[str]) -> list[str]:
+    return [f"^{re.escape(topic)}$" for topic in topics]
