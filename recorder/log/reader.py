@@ -6,6 +6,7 @@ A log that was never finished is read as far as it goes, and says so (`Log.notic
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import struct
 from collections.abc import Iterable, Iterator, Sequence
@@ -196,7 +197,11 @@ class Log(Closeable):
     def fingerprint(self) -> str:
         """A name for this content: that of the file, or that of the log which `bc-log rewrite` made it of and
         which holds the same messages at other places."""
-        rewritten = self.read_metadata(topics.REWRITTEN_METADATA) if self.is_ours and not self.problem else {}
+        rewritten: dict[str, str] = {}
+        for offset in self.metadata_records if self.is_ours and not self.problem else ():
+            with contextlib.suppress(LogError):  # of a damaged one, who asks for it hears
+                name, values = self.metadata_record(offset)
+                rewritten = values if name == topics.REWRITTEN_METADATA else rewritten
         original = rewritten.get("fingerprint", "")
         # the record is about these chunks: another program, or an earlier version, may have copied it with others
         is_about_this = original and rewritten.get("chunks") == _sha256(*self._chunk_headers)
