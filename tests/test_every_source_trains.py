@@ -8,11 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow.parquet as pq
+import pytest
 from rosbags.rosbag2 import StoragePlugin
 
-from driving import road_jpeg, run
+from dataset.cli import main as bc_index
+from driving import road_jpeg
+from model.cli import main as bc_train
 from other_logs import CAMERA, write_bag
+from recorder.cli import main as bc_record
 from tubs import record_1, record_2, write_tub_1, write_tub_2
+from udacity import call
 
 PICTURES = 60
 STEERING = [math.sin(number / 5) * 0.8 for number in range(PICTURES)]
@@ -41,17 +46,19 @@ def ros_2_bag(folder: Path) -> list[object]:
 SOURCES: dict[str, Callable[[Path], list[object]]] = {"tub_1": tub_1, "tub_2": tub_2, "bag": ros_2_bag}
 
 
-def test_tubs_of_both_versions_and_a_bag_are_trained_on(tmp_path: Path) -> None:
+def test_tubs_of_both_versions_and_a_bag_are_trained_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     for name, write in SOURCES.items():
-        recorded = run("bc-record", name, *write(tmp_path / name), cwd=tmp_path)
-        assert (recorded.returncode, recorded.stderr) == (0, "")
-        assert f"{PICTURES} rows, {PICTURES} pictures" in recorded.stdout
+        assert call(bc_record, name, *write(tmp_path / name)) == 0
+        said = capsys.readouterr()
+        assert said.err == ""
+        assert f"{PICTURES} rows, {PICTURES} pictures" in said.out
     # some seconds of driving: the usual blocks, and the margin around them, would leave nothing to train on
-    indexed = run("bc-index", "--block-s", 1, "--gap-s", 0, "--no-balance", "--no-flip", cwd=tmp_path)
-    assert indexed.returncode == 0, indexed.stderr
+    assert call(bc_index, "--block-s", 1, "--gap-s", 0, "--no-balance", "--no-flip") == 0
     samples = pq.read_table(tmp_path / "index" / "samples.parquet")
     assert Counter(samples["session"].to_pylist()) == dict.fromkeys(SOURCES, PICTURES)
-    trained = run("bc-train", "--epochs", 1, "--batch", 32, "--name", "first", cwd=tmp_path)
-    assert trained.returncode == 0, trained.stderr
+    assert call(bc_train, "--epochs", 1, "--batch", 32, "--name", "first", "--threads", 1) == 0
     written = {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert written >= {"model.safetensors", "config.json", "metrics.jsonl"}

@@ -45,7 +45,7 @@ from dataset.index.build_state import (
     stat_of,
     write_state,
 )
-from dataset.index.duplicates import refuse_shared_pictures
+from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictures
 from dataset.index.sessions import name_problem
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.parquet_file import read_metadata, write_table
@@ -109,11 +109,16 @@ def build_index(
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
         finish_interrupted_build(index)
-        state = read_state(index)
-        try:
-            return _build(by_name, index, config, state, leave_out_unreadable, passed_over)
-        except _StaleStateError:
-            return _build(by_name, index, config, BuildState.nothing(), leave_out_unreadable, passed_over)
+        state, damaged = read_state(index), dict[str, str]()
+        while True:
+            try:
+                return _build(by_name, index, config, state, leave_out_unreadable, passed_over, damaged)
+            except _StaleStateError:
+                state = BuildState.nothing()
+            except UnreadablePictureError as error:  # nobody else looks at pictures here
+                if not leave_out_unreadable or error.session in config.validation:
+                    raise
+                damaged[error.session] = str(error)
 
 
 def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> None:
@@ -140,11 +145,15 @@ def _build(
     state: BuildState,
     leave_out_unreadable: bool,
     passed_over: Sequence[str],
+    damaged: Mapping[str, str],
 ) -> Indexed:
+    """`damaged`: what was found of logs that look sound while their pictures are not read."""
     entries: dict[str, BuiltLog] = {}
     with staged(index) as stage:
         for name, path in track(by_name.items(), "indexing", len(by_name)):
             try:
+                if name in damaged:
+                    raise LogError(damaged[name])
                 entries[name] = _unchanged(name, path, index, config, state) or _read(
                     name, path, index, config, stage
                 )

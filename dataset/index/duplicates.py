@@ -22,13 +22,14 @@ from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.frames_file import read_frames
-from recorder import Log
+from recorder import Log, LogError
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path]) -> None:
-    """Raise DatasetError if two sessions hold the same picture; frames tagged `exclude` do not count.
+    """Raise DatasetError if two sessions hold the same picture; frames tagged `exclude` do not count. Raises
+    UnreadablePictureError for a damaged log.
 
     `frames` and `logs`: the frames file and the log of each session.
     """
@@ -58,7 +59,10 @@ def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path])
                 if number not in opened:
                     log = stack.enter_context(Log(logs[names[number]]))
                     opened[number] = _Session(log, frames[names[number]])
-                row, data = opened[number].picture(int(position[at]))
+                try:
+                    row, data = opened[number].picture(int(position[at]))
+                except LogError as error:
+                    raise UnreadablePictureError(error, names[number]) from None
                 other, other_row = seen.setdefault(hashlib.sha256(data).digest(), (number, row))
                 if other != number:
                     one, two = logs[names[other]], logs[names[number]]
@@ -66,6 +70,14 @@ def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path])
                         f"{one} and {two}: the same picture in both (rows {other_row} and {row}); index only one"
                         " of them, or tag the rows `exclude` in one: `bc-log tag`"
                     )
+
+
+class UnreadablePictureError(LogError):
+    """A log of which a picture cannot be read that may be in another one, too."""
+
+    def __init__(self, error: LogError, session: str) -> None:
+        super().__init__(str(error))
+        self.session = session
 
 
 class _Session:

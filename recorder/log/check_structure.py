@@ -13,6 +13,7 @@ from mcap.opcode import Opcode
 
 from recorder.errors import LogError
 from recorder.log.check_contents import Finding
+from recorder.log.check_places import PlacesCheck
 from recorder.log.mcap_file import CHUNK_HEADER, MAGIC, RECORD, Chunk, McapFile, StoredMessage
 from recorder.log.scan import Structure, read_structure
 
@@ -59,6 +60,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
     """Reads a finished log from its start, record by record, and yields its sound chunks."""
     position, crc = len(MAGIC), zlib.crc32(MAGIC)
     indexed = {chunk.start: chunk for chunk in structure.chunks}
+    places = PlacesCheck(file, structure, findings)
     counts: Counter[int] = Counter()
     expected: dict[int, list[tuple[int, int]]] = {}
     while True:
@@ -81,7 +83,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
         crc = zlib.crc32(record, crc)
         if opcode == Opcode.CHUNK:
             chunk = Chunk(position, position + len(record))
-            if indexed.pop(position, chunk).end != chunk.end:
+            told = indexed.pop(position, chunk)
+            if told.end != chunk.end:
                 findings.append(Finding("chunks that are not where the summary says", f"at byte {position:,}"))
             try:
                 records = file.unpacked(record, position)
@@ -96,6 +99,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 times = [message.log_time_ns for message in messages] or [0]
                 if (min(times), max(times)) != (first_ns, last_ns):
                     findings.append(Finding("chunks of other times than they tell", f"at byte {position:,}"))
+                places.add(told, record, {message.channel for message in messages})
                 yield records, messages
         elif opcode == Opcode.MESSAGE and indexed.pop(position, None) is not None:  # of a file without chunks
             messages = list(file.messages(record))

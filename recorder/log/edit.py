@@ -35,7 +35,7 @@ from recorder.log.derived_log import (
 from recorder.log.reader import Log
 from recorder.log.row_quality import drive_numbers
 from recorder.log.tags import Tag, read_tags
-from recorder.log.topics import ROW_TOPICS
+from recorder.log.topics import COMPRESSED_IMAGE, ROW_TOPICS
 from recorder.log.writer import LogWriter
 
 _MOST_DRIVES: Final = 500  # a log of each is open at once
@@ -126,8 +126,8 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
     """Write each drive of the log at `path` to a log of its own in `folder`: NAME-1.mcap, NAME-2.mcap ...
 
     A new drive begins after a gap of a second, or where time goes back. Messages without a row go to the drive
-    beside whose rows they lie in the file. Either all of them are written or none. Raises LogError if there is
-    only one drive.
+    beside whose vehicle states they lie in the file, pictures without one to that beside whose pictures they do.
+    Either all of them are written or none. Raises LogError if there is only one drive.
     """
     with Log(path) as log, contextlib.ExitStack() as stack:
         number, time_ns = _rows(log)
@@ -147,10 +147,15 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             writers.append(new_log(target, session, about, overwrite))
             stack.callback(writers[-1].discard)
         drive_of = dict(zip(number.tolist(), drives.tolist(), strict=True))
-        counts, at = [0] * len(writers), 0
+        counts, beside = (
+            [0] * len(writers),
+            {True: 0, False: 0},
+        )  # the drive of pictures, and of all else, before it
         for schema, channel, message in _messages(log, "splitting"):
+            is_picture = schema is not None and schema.name == COMPRESSED_IMAGE.name
             if channel.topic in ROW_TOPICS:
-                at = drive_of.get(message.sequence, at)
+                beside[is_picture] = drive_of.get(message.sequence, beside[is_picture])
+            at = beside[is_picture]
             writers[at].copy(schema, channel, message, message.sequence)
             counts[at] += 1
         skipped = [Skipped() for _ in writers]

@@ -66,23 +66,8 @@ class PlacesWritten:
     def add_chunk(self, start: int, record: bytes) -> None:
         """A chunk that begins at byte `start` of the file."""
         *_, crc = CHUNK_HEADER.unpack_from(record)
+        self._places += places_in(record, len(self._chunks), self.channels)
         self._chunks.append((start, crc))
-        if not self.channels:
-            return
-        number, position, end = len(self._chunks) - 1, RECORDS_AT, len(record)
-        places, channels = self._places, self.channels
-        while position < end:
-            opcode, length = RECORD.unpack_from(record, position)
-            if opcode == _OP_MESSAGE:
-                _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
-                if channel in channels:
-                    at, size = position + _CONTENT_AT, length - _LEAST_MESSAGE
-                    picture, picture_size = image_data(record, at, size)
-                    picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
-                    places += _PLACE.pack(
-                        channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
-                    )
-            position += _RECORD_BYTES + length
 
     def take_pictures(self) -> Attached:
         """The attachment about the pictures that were not taken yet."""
@@ -92,6 +77,24 @@ class PlacesWritten:
 
     def take_chunks(self) -> Attached:
         return 0, 0, CHUNKS_ATTACHMENT, MEDIA_TYPE, np.array(self._chunks, CHUNK_CRC).tobytes()
+
+
+def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
+    """The PLACE of each picture in a sound chunk: its record, its number in the file, the channels of pictures."""
+    places, position, end = bytearray(), RECORDS_AT, len(record) if channels else 0
+    while position < end:
+        opcode, length = RECORD.unpack_from(record, position)
+        if opcode == _OP_MESSAGE:
+            _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
+            if channel in channels:
+                at, size = position + _CONTENT_AT, length - _LEAST_MESSAGE
+                picture, picture_size = image_data(record, at, size)
+                picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
+                places += _PLACE.pack(
+                    channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
+                )
+        position += _RECORD_BYTES + length
+    return bytes(places)
 
 
 def is_about_places(name: str) -> bool:
@@ -116,20 +119,15 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
 
     None where that is missing, or does not fit the file's summary: then only reading all of it tells.
     """
-    if read_chunk_crcs(file, structure) is None or structure.statistics is None:
+    places = None if read_chunk_crcs(file, structure) is None else stored_places(file, structure)
+    if places is None:
         return None
     images = structure.image_channels
-    counts = structure.statistics.channel_message_counts
-    stored = {number: counts[number] for number in images if counts.get(number)}
-    content = _attached(file, structure, PICTURES_ATTACHMENT, sum(stored.values()) * PLACE.itemsize)
-    if content is None:
-        return None
-    places = np.frombuffer(content, PLACE)
     of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
     if np.unique(places["chunk"]).tolist() != of_pictures:
         return None
     counted = dict(zip(*(each.tolist() for each in np.unique(places["channel"], return_counts=True)), strict=True))
-    if counted != stored or (places["log_time_ns"] > LAST_TIME_NS).any():
+    if counted != _picture_counts(structure) or (places["log_time_ns"] > LAST_TIME_NS).any():
         return None
     starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
     ends = np.array([chunk.end for chunk in structure.chunks], np.int64)
@@ -143,7 +141,21 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     is_inside = table["offset"] + table["length"] <= end
     is_inside &= (table["picture"] < 0) | (table["picture"] >= table["offset"])
     is_inside &= table["picture"] + table["picture_length"] <= table["offset"] + table["length"]
-    return table if is_inside.all() else None
+    is_in_order = (np.diff(table["offset"]) > 0).all()
+    return table if is_inside.all() and is_in_order else None
+
+
+def stored_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
+    """The PLACE of each picture as they are stored, whether or not they are true; None where they cannot be."""
+    count = sum(_picture_counts(structure).values())
+    content = _attached(file, structure, PICTURES_ATTACHMENT, count * PLACE.itemsize)
+    return None if content is None else np.frombuffer(content, PLACE)
+
+
+def _picture_counts(structure: Structure) -> dict[int, int]:
+    """By the summary: messages on each channel of pictures that has any."""
+    counts = {} if structure.statistics is None else structure.statistics.channel_message_counts
+    return {number: counts[number] for number in structure.image_channels if counts.get(number)}
 
 
 def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:

@@ -6,9 +6,10 @@ A log that was never finished is read as far as it goes, and says so (`Log.notic
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,9 +27,9 @@ from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.chunk_reader import ChunkReader
-from recorder.log.double_fields import decode_doubles
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, index_messages
+from recorder.log.number_fields import decode_numbers
 from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.log.salvage import salvage
 from recorder.log.scan import read_structure
@@ -40,6 +41,7 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 
 _PLACE: Final = ("offset", "length", "chunk")
+_NEAR_BYTES: Final = 4096  # takes as long to read, and for its CRC, as a message to be read alone
 
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
 
@@ -195,7 +197,11 @@ class Log(Closeable):
     def fingerprint(self) -> str:
         """A name for this content: that of the file, or that of the log which `bc-log rewrite` made it of and
         which holds the same messages at other places."""
-        rewritten = self.read_metadata(topics.REWRITTEN_METADATA) if self.is_ours and not self.problem else {}
+        rewritten: dict[str, str] = {}
+        for offset in self.metadata_records if self.is_ours and not self.problem else ():
+            with contextlib.suppress(LogError):  # of a damaged one, who asks for it hears
+                name, values = self.metadata_record(offset)
+                rewritten = values if name == topics.REWRITTEN_METADATA else rewritten
         original = rewritten.get("fingerprint", "")
         # the record is about these chunks: another program, or an earlier version, may have copied it with others
         is_about_this = original and rewritten.get("chunks") == _sha256(*self._chunk_headers)
@@ -246,17 +252,23 @@ class Log(Closeable):
 
     def table(self, topic_name: str) -> pa.Table:
         """The messages on a topic of the registry, one a row: row, log_time_ns, and the columns it has there."""
+        columns = topics.TOPICS[topic_name].columns
+        found = self.numbers(topic_name, [column.field for column in columns])
+        return found.rename_columns([*found.column_names[:2], *(column.name for column in columns)])
+
+    def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
+        """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field
+        by its name; NaN where a message lacks one that is optional."""
         from google.protobuf.message import DecodeError
 
-        topic = topics.TOPICS[topic_name]
         found = self._of_topic(topic_name)
-        kind = topic.message.load()
+        kind = topics.TOPICS[topic_name].message.load()
         try:
-            values = decode_doubles(list(self._contents(found)), kind, [column.field for column in topic.columns])
+            values = decode_numbers(list(self._contents(found)), kind, fields)
         except DecodeError as error:
             raise self._no_such_message(topic_name, kind) from error
         columns = {"row": found["sequence"].astype(np.int64), "log_time_ns": found["log_time_ns"].astype(np.int64)}
-        return pa.table(columns | {column.name: row for column, row in zip(topic.columns, values, strict=True)})
+        return pa.table(columns | dict(zip(fields, values, strict=True)))
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
         """The JPEG (or PNG) of a camera at a row, byte for byte. Raises LogError if there is none."""
@@ -358,9 +370,13 @@ class Log(Closeable):
 
     def _contents(self, found: NDArray[np.void]) -> Iterator[bytes]:
         """The contents of messages of the index; of messages that lie together, the chunk is read once."""
+        # Where they lie far apart, among pictures, each is read alone: the rest of its chunk is not needed.
+        is_near = np.diff(found["offset"], prepend=-_NEAR_BYTES, append=2**62) < _NEAR_BYTES
+        are_near = is_near[:-1] | is_near[1:]  # the one before, or the next
         records_at, records = 0, b""
-        for offset, length, chunk in zip(*(found[name].tolist() for name in _PLACE), strict=True):
-            if chunk != UNCOMPRESSED:
+        places = zip(*(found[name].tolist() for name in _PLACE), are_near.tolist(), strict=True)
+        for offset, length, chunk, is_beside in places:
+            if chunk != UNCOMPRESSED or not is_beside:
                 yield self._chunk_reader.read(offset, length, chunk)
                 continue
             if not records_at <= offset <= offset + length <= records_at + len(records):

@@ -15,6 +15,7 @@ from mcap.writer import Writer as McapWriter
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, find_logs
 from dataset.cli import main
+from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, write_log
 from recorder import Log
 from recorder.log.edit import merge, trim
@@ -114,11 +115,13 @@ def test_equal_times_and_lengths_alone_are_no_shared_picture(tmp_path: Path) -> 
     assert len(build_index(logs, tmp_path / "index").frames) == 720
 
 
+@pytest.mark.parametrize("layout", [two_kinds, mixed])
 def test_an_unfinished_log_is_indexed_as_far_as_it_goes_and_said_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layout: Layout
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    whole = write_log(tmp_path / "whole.mcap", STEERING, picture)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1000)  # rows are written every few of them
+    whole = layout(write_log(tmp_path / "whole.mcap", STEERING, picture))
     (tmp_path / "sessions").mkdir()
     cut = tmp_path / "sessions" / "lake.mcap"
     cut.write_bytes(whole.read_bytes())

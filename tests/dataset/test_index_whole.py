@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from dataset import DatasetError, IndexConfig, build_index, find_logs
 from dataset.cli import main
 from disk import files_of_at_most
+from layouts import Layout, mixed, two_kinds
 from logs import write_log
 from recorder import Log, LogError
 from recorder.log.recover import recover
@@ -34,15 +35,25 @@ def log_of(path: Path, content: str = "") -> Path:
     )
 
 
-def flip_a_picture(log: Path, row: int = 20) -> None:
-    """One bit of one picture, as a failing disk has it; all else stays."""
-    with Log(log) as opened:
-        frame = next(frame for frame in opened.frames().to_pylist() if frame["row"] == row)
+def flip(log: Path, position: int) -> None:
+    """One bit, as a failing disk has it; all else stays."""
     with log.open("rb+") as stream:
-        stream.seek(frame["offset"])
+        stream.seek(position)
         (byte,) = stream.read(1)
-        stream.seek(frame["offset"])
+        stream.seek(position)
         stream.write(bytes([byte ^ 1]))
+
+
+def flip_a_row(log: Path, row: int = 20) -> None:
+    with Log(log) as opened:
+        position = opened.messages("/vehicle")[row].offset + 5
+    flip(log, position)
+
+
+def flip_a_picture(log: Path, row: int = 20) -> None:
+    with Log(log) as opened:
+        position = next(frame["offset"] for frame in opened.frames().to_pylist() if frame["row"] == row)
+    flip(log, position)
 
 
 def files_of(index: Path) -> dict[str, bytes]:
@@ -77,12 +88,12 @@ def replaced(log: Path) -> None:
 
 def damaged(log: Path) -> None:
     good(log)
-    flip_a_picture(log)
+    flip_a_row(log)
 
 
 def replaced_by_a_damaged_one(log: Path) -> None:
     replaced(log)
-    flip_a_picture(log)
+    flip_a_row(log)
 
 
 def cut_off(log: Path) -> None:
@@ -197,9 +208,12 @@ def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
     assert call(main, "flipped", "lake") == 1
 
 
-def test_a_log_whose_damage_its_time_does_not_tell_is_left_out_where_it_is_met(tmp_path: Path) -> None:
+@pytest.mark.parametrize("layout", [two_kinds, mixed])
+def test_a_log_whose_damage_its_time_does_not_tell_is_left_out_where_it_is_met(
+    tmp_path: Path, layout: Layout
+) -> None:
     """Both are read because a session may share a picture with another one."""
-    logs = [log_of(tmp_path / "a.mcap"), tmp_path / "b.mcap"]
+    logs = [layout(log_of(tmp_path / "a.mcap")), tmp_path / "b.mcap"]
     shutil.copy(logs[0], logs[1])
     with pytest.raises(DatasetError, match="the same picture in both"):
         build_index(logs, tmp_path / "index")
@@ -207,6 +221,11 @@ def test_a_log_whose_damage_its_time_does_not_tell_is_left_out_where_it_is_met(t
     status = logs[0].stat()
     flip_a_picture(logs[0])
     os.utime(logs[0], ns=(status.st_atime_ns, status.st_mtime_ns))
+    with pytest.raises(LogError, match=r"a\.mcap: damaged.*CRC"):
+        build_index(logs, tmp_path / "index")
+    indexed = build_index(logs, tmp_path / "index", leave_out_unreadable=True)
+    assert indexed.sessions == ["b"]
+    assert "a.mcap: damaged" in indexed.notices[0]
     assert build_index(logs, tmp_path / "index", leave_out_unreadable=True).sessions == ["b"]
 
 

@@ -12,17 +12,21 @@ from pathlib import Path
 
 import pytest
 
-from driving import COMMANDS, Process, command, environment, one_line_of, run
+from drive.demo import main as bc_demo
+from driving import COMMANDS, Process, command, environment, one_line_in
+from udacity import call
 from waiting import wait_until
 
 
 @pytest.mark.parametrize(
     "flag", ["--epochs=0", "--laps=0", "--laps=nan", "--share=0", "--share=nan", "--share=-1"]
 )
-def test_what_would_fail_after_minutes_is_refused_before_the_first_step(flag: str, tmp_path: Path) -> None:
-    done = run("bc-demo", "--folder", "demo", flag, cwd=tmp_path)
-    assert done.returncode == 2
-    assert one_line_of(done).startswith(f"bc-demo: {flag.partition('=')[0]} ")
+def test_what_would_fail_after_minutes_is_refused_before_the_first_step(
+    flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(bc_demo, "--folder", "demo", flag) == 2
+    assert one_line_in(capsys).startswith(f"bc-demo: {flag.partition('=')[0]} ")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -47,8 +47,20 @@ class Contents(NamedTuple):
     def messages(self) -> list[Stored]:
         return [message for chunk in self.chunks for message in chunk.messages]
 
+    @property
+    def by_topic(self) -> dict[str, list[Stored]]:
+        return by_topic(self.messages)
+
     def of(self, *topics: str) -> list[Stored]:
         return [message for message in self.messages if message.topic in topics]
+
+
+def by_topic(messages: Iterable[Stored]) -> dict[str, list[Stored]]:
+    """Messages in their order within each topic, which is all the order that a log keeps."""
+    found: dict[str, list[Stored]] = {}
+    for message in messages:
+        found.setdefault(message.topic, []).append(message)
+    return found
 
 
 def contents(path: Path) -> Contents:

@@ -57,7 +57,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_log(folder / "sessions" / "b.mcap", LEFT, left_road, cameras=["center", "left"], step_ns=STEP_NS),
     ]
     index = build_index(logs, folder / "index", SPLIT).path
-    train(index, folder / "runs" / "toy", replace(TINY, epochs=2), show_progress=False)
+    config = replace(TINY, epochs=2, batch=8)
+    train(index, folder / "runs" / "toy", config, figures=False, show_progress=False)
     write_log(folder / "sessions" / "new.mcap", STEERING[::-1], road, step_ns=STEP_NS + 1)
     return folder
 
@@ -317,7 +318,8 @@ def test_without_worst_frames_none_is_shown(here: Path, capsys: pytest.CaptureFi
 @pytest.fixture
 def run(here: Path, tmp_path: Path) -> Path:
     """A copy of the run that a test may change."""
-    run = Path(shutil.copytree(here / "runs" / "toy", tmp_path / "changed"))
+    without_its_checkpoint = shutil.ignore_patterns("last")  # 60 MB
+    run = Path(shutil.copytree(here / "runs" / "toy", tmp_path / "changed", ignore=without_its_checkpoint))
     change(run, index=str(here / "index"))
     return run
 

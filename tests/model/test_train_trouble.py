@@ -108,7 +108,7 @@ def test_no_picture_at_all_that_decodes_is_one_line(tmp_path: Path) -> None:
 
 def test_a_training_stops_early_when_nothing_gets_better(index: Path, tmp_path: Path) -> None:
     """A rate at which nothing moves: the first epoch stays the best one."""
-    trained = train(index, tmp_path / "run", replace(TINY, epochs=9, rate=1e-30, patience=2), figures=False)
+    trained = train(index, tmp_path / "run", replace(ONE, epochs=9, rate=1e-30, patience=2), figures=False)
     assert [epoch.is_best for epoch in trained.epochs] == [True, False, False]
     assert trained.is_stopped_early
     again = train(index, tmp_path / "run", resume=True, figures=False)
@@ -139,7 +139,7 @@ def test_that_the_run_it_starts_from_knows_what_is_held_out_is_said(
 
 
 def test_the_last_epoch_can_be_asked_for_instead_of_the_best(index: Path, tmp_path: Path) -> None:
-    train(index, tmp_path / "run", replace(TINY, epochs=1), figures=False)
+    train(index, tmp_path / "run", ONE, figures=False)
     last, best = load_pilot(tmp_path / "run" / "last"), load_pilot(tmp_path / "run")
     picture = best.crop(np.zeros((160, 320, 3), np.uint8))
     assert last.predict(picture) == best.predict(picture)

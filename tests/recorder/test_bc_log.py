@@ -17,6 +17,7 @@ from mcap.writer import Writer as McapWriter
 
 from common.car import Camera
 from driving import PATIENCE_S, command, environment, run
+from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, read_messages, write_log
 from plain_mcap import contents
 from recorder import LogError, LogWriter
@@ -25,6 +26,8 @@ from recorder.log.check import check
 from recorder.log.check_contents import Finding
 from recorder.log_cli import main
 from udacity import call, jpeg
+
+LAYOUTS = pytest.mark.parametrize("layout", [two_kinds, mixed])
 
 
 def picture(camera: Camera, row: int) -> bytes:
@@ -195,8 +198,12 @@ def test_info_reads_only_the_end_of_a_finished_log(tmp_path: Path, capsys: pytes
     assert info_of(path, capsys) == before
 
 
-def test_info_of_an_unfinished_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000))
+@LAYOUTS
+def test_info_of_an_unfinished_log_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layout: Layout
+) -> None:
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1000)
+    path = layout(write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000)))
     os.truncate(path, path.stat().st_size // 2)
     assert call(main, "info", path) == 3
     said = capsys.readouterr()
@@ -318,19 +325,21 @@ def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
     assert read_messages(tmp_path / "b.mcap").keys() == read_messages(path).keys()
 
 
+@LAYOUTS
 @pytest.mark.parametrize("what", ["chunk", "index", "summary", "metadata"])
 def test_what_is_not_whole_in_every_byte_is_recovered(
-    tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, layout: Layout, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    path = layout(write_log(tmp_path / "a.mcap", [0.1] * 5))
     data = bytearray(path.read_bytes())
     chunk = contents(path).chunks[0]
     place = {"chunk": chunk.end - 1, "index": chunk.end + 20, "summary": -60, "metadata": data.index(b"toolkit")}
     data[place[what]] ^= 1
     path.write_bytes(data)
-    code = {"chunk": 1, "metadata": 3}.get(what, 0)  # its only chunk; what nobody can tell the truth of
+    is_all = what == "chunk" and layout is mixed  # else there are the rows
+    code = 1 if is_all else 3 if what in ("chunk", "metadata") else 0  # what nobody can tell the truth of
     assert call(main, "recover", path) == code
-    assert (tmp_path / "a.recovered.mcap").exists() == (what != "chunk")
+    assert (tmp_path / "a.recovered.mcap").exists() is not is_all
     assert "whole, nothing to recover" not in capsys.readouterr().out
 
 

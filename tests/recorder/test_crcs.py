@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -13,20 +14,23 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
-from common.car import Camera
+from common.car import CAMERAS, Camera
 from dataset.cli import main as bc_index
+from dataset.loader.log_crops import LogCrops
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import run, untrained_run
-from logs import write_log
+from layouts import mixed
+from logs import START_NS, STEP_NS, write_log
 from model.cli import main as bc_train
 from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
-from plain_mcap import contents, write_plain
-from recorder import Log, LogError
-from recorder.bc_pb2 import VehicleState
+from plain_mcap import by_topic, contents, write_plain
+from recorder import Log, LogError, LogWriter
+from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.cli import main as bc_record
 from recorder.log.check import check, is_whole
 from recorder.log.edit import merge, split, trim, trim_times
 from recorder.log.recover import recover
+from recorder.log.topics import ROW_TOPICS
 from recorder.log_cli import main as bc_log
 from udacity import call, jpeg
 from viz.cli import main as bc_play
@@ -41,7 +45,7 @@ def picture(camera: Camera, row: int) -> bytes:
 
 
 def without_crc(path: Path, number: int) -> Path:
-    """A chunk's CRC becomes 0, and a bit in the middle of the picture that it ends with is flipped."""
+    """A chunk's CRC becomes 0, and a bit in the middle of it is flipped."""
     chunk = contents(path).chunks[number]
     data = bytearray(path.read_bytes())
     data[chunk.start + CRC_AT : chunk.start + CRC_AT + 4] = bytes(4)
@@ -55,21 +59,38 @@ def relative_log_path(path: Path, number: int) -> tuple[int, int]:
         return log.chunks[number].start, log.chunks[number].end
 
 
+def forty_rows(path: Path) -> Path:
+    """Every kind of message, in two drives."""
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(40):
+            time_ns = START_NS + row * STEP_NS + (row >= 20) * 5 * 10**9
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, picture(camera, row))
+            writer.vehicle(time_ns, row, VehicleState(steering=row % 2 / 4, throttle=0.5, speed_mph=9.0))
+            writer.command(time_ns, row, PilotCommand(steering=row / 50))
+            writer.prediction("lake", time_ns, row, Prediction(steering=row / 50))
+    return path
+
+
+DAMAGED = {"mixed": 3, "pictures": 3, "rows": -1}
+"""What is in the damaged chunk, and which one it is."""
+
+
+@pytest.fixture(params=DAMAGED)
+def damaged(request: pytest.FixtureRequest) -> str:
+    kind: str = request.param
+    return kind
+
+
 @pytest.fixture
-def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Forty rows in chunks of a few pictures; the fourth one has no CRC, and a wrong bit."""
+def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damaged: str) -> Path:
+    """Forty rows in chunks of a few pictures, or of all rows; one of them has no CRC, and a wrong bit."""
     monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 20_000)
-    return without_crc(write_log(tmp_path / "a.mcap", [0.0, 0.25] * 20, picture), 3)
-
-
-READERS: dict[str, Callable[[Path, Path], object]] = {
-    "trim": lambda path, to: trim(path, to, (0, 39)),
-    "trim by time": lambda path, to: trim_times(path, to, 0, 9),
-    "merge": lambda path, to: merge([path, path], to),
-    "split": lambda path, to: split(path, to),
-    "frames": lambda path, to: asked(path, Log.frames),
-    "vehicle": lambda path, to: asked(path, Log.vehicle),
-}
+    path = forty_rows(tmp_path / "a.mcap")
+    if damaged == "mixed":
+        mixed(path, 20_000)
+    path = without_crc(path, DAMAGED[damaged])
+    return path
 
 
 def asked(path: Path, what: Callable[[Log], object]) -> None:
@@ -77,13 +98,65 @@ def asked(path: Path, what: Callable[[Log], object]) -> None:
         what(log)
 
 
-@pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
-def test_no_reader_believes_a_chunk_without_its_crc(
-    forged: Path, tmp_path: Path, reader: Callable[[Path, Path], object]
-) -> None:
+def every_picture(log: Log) -> None:
+    for row in range(40):
+        for camera in CAMERAS:
+            log.picture(row, camera)
+
+
+def every_range(log: Log) -> None:
+    for frame in log.frames().to_pylist():
+        log.read(frame["offset"], frame["length"], frame["chunk"])
+
+
+def every_message(log: Log) -> None:
+    for topic in log.counts:
+        for message in log.messages(topic):
+            log.read(message.offset, message.length, message.chunk)
+
+
+def every_crop(path: Path) -> None:
+    with LogCrops(path) as crops:
+        for _ in crops.batches(8):
+            pass
+
+
+Reader = Callable[[Path, Path], object]
+READS_ALL: dict[str, Reader] = {
+    "trim": lambda path, to: trim(path, to, (0, 39)),
+    "trim by time": lambda path, to: trim_times(path, to, 0, 12),
+    "merge": lambda path, to: merge([path, path], to),
+    "split": split,
+    "picture": lambda path, _: asked(path, every_picture),
+    "read": lambda path, _: asked(path, every_range),
+    "messages": lambda path, _: asked(path, every_message),
+    "crops": lambda path, _: every_crop(path),
+}
+READS_ROWS: dict[str, Reader] = {
+    "frames": lambda path, _: asked(path, Log.frames),
+    "vehicle": lambda path, _: asked(path, Log.vehicle),
+    "table": lambda path, _: asked(path, lambda log: log.table("/vehicle")),
+    "vehicle_states": lambda path, _: asked(path, lambda log: list(log.vehicle_states())),
+    "commands": lambda path, _: asked(path, lambda log: list(log.commands())),
+    "predictions": lambda path, _: asked(path, lambda log: list(log.predictions("lake"))),
+}
+
+
+@pytest.mark.parametrize("reader", READS_ALL.values(), ids=READS_ALL)
+def test_no_reader_believes_a_chunk_without_its_crc(forged: Path, tmp_path: Path, reader: Reader) -> None:
     with pytest.raises(LogError, match=r"a\.mcap: damaged: .*CRC.*bc-log recover"):
         reader(forged, tmp_path / "new.mcap")
     assert list(tmp_path.iterdir()) == [forged]
+
+
+@pytest.mark.parametrize("reader", READS_ROWS.values(), ids=READS_ROWS)
+def test_whoever_wants_no_picture_reads_none(forged: Path, damaged: str, reader: Reader) -> None:
+    """Where a picture is damaged, all else is given out if it has chunks of its own."""
+    if damaged == "pictures":
+        reader(forged, forged)
+        return
+    with pytest.raises(LogError, match=r"a\.mcap: damaged: .*CRC.*bc-log recover"):
+        reader(forged, forged)
 
 
 def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
@@ -96,29 +169,42 @@ def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
         log.read(frame["offset"], frame["length"], frame["chunk"])
 
 
-def test_the_commands_say_so(forged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    start, end = relative_log_path(forged, 3)
-    assert call(bc_index, forged, "--index", tmp_path / "index") == 1
-    assert "a.mcap: damaged" in capsys.readouterr().err
-    assert not (tmp_path / "index" / "samples.parquet").exists()
-    done = run("bc-play", forged, "--save", tmp_path / "a.rrd")
-    assert (done.returncode, "a.mcap: damaged" in done.stderr) == (1, True)
-    assert not (tmp_path / "a.rrd").exists()
+def test_the_commands_say_so(
+    forged: Path, damaged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An index is of places alone: whose picture is damaged is said by who reads it."""
+    start, end = relative_log_path(forged, DAMAGED[damaged])
+    index = tmp_path / "index"
+    if damaged == "pictures":
+        assert call(bc_index, forged, "--index", index, "--gap-s", 0, "--block-s", 0.5) == 0
+        capsys.readouterr()
+        assert call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", "--index", index) == 1
+        said = capsys.readouterr().err
+        assert re.search(r"(\S+/a\.mcap): damaged: .*CRC.*`bc-log recover \1` saves the rest\n", said)
+    else:
+        assert call(bc_index, forged, "--index", index) == 1
+        assert "a.mcap: damaged" in capsys.readouterr().err
+        assert not (index / "samples.parquet").exists()
+        done = run("bc-play", forged, "--save", tmp_path / "a.rrd")
+        assert (done.returncode, "a.mcap: damaged" in done.stderr) == (1, True)
+        assert not (tmp_path / "a.rrd").exists()
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in check(forged).findings
 
 
-def test_recovering_gives_it_no_new_crc(forged: Path, tmp_path: Path) -> None:
-    start, end = relative_log_path(forged, 3)
+def test_recovering_gives_it_no_new_crc(forged: Path, damaged: str, tmp_path: Path) -> None:
+    start, end = relative_log_path(forged, DAMAGED[damaged])
     written = recover(forged, tmp_path / "b.mcap")
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in list(written.skipped)
-    whole = write_log(tmp_path / "whole.mcap", [0.0, 0.25] * 20, picture)
-    recovered, recorded = contents(written.path).messages, contents(whole)
-    lost = {message.sequence for message in recorded.chunks[3].messages}  # nothing is kept of a row in the hole
-    assert set(recovered) == {message for message in recorded.messages if message.sequence not in lost}
+    whole = forty_rows(tmp_path / "whole.mcap")
+    recorded = contents(mixed(whole, 20_000) if damaged == "mixed" else whole)
+    hit = recorded.chunks[DAMAGED[damaged]].messages
+    lost = {message.sequence for message in hit} if damaged == "mixed" else set()  # nothing of a row in the hole
+    kept = [m for m in recorded.messages if m not in hit and (m.sequence not in lost or m.topic not in ROW_TOPICS)]
+    assert contents(written.path).by_topic == by_topic(kept)
 
 
-def test_a_killed_recording_is_read_without_it(forged: Path) -> None:
-    start, end = relative_log_path(forged, 3)
+def test_a_killed_recording_is_read_without_it(forged: Path, damaged: str) -> None:
+    start, end = relative_log_path(forged, DAMAGED[damaged])
     part = forged.with_name("a.mcap.0a1b2c.part")
     part.write_bytes(forged.read_bytes()[: relative_log_path(forged, -1)[1]])
     with Log(part) as log:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,8 +20,9 @@ from mcap.writer import Writer as McapWriter
 
 from common import UserError
 from common.car import CAMERAS
+from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, not_a_picture, write_log
-from plain_mcap import Contents, Stored, contents, write_plain
+from plain_mcap import Contents, Stored, by_topic, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.check import check
@@ -52,7 +54,7 @@ def drive(path: Path, rows: Iterable[int], *, gap_after: int | None = None, name
             writer.event(time_ns, f"at row {row}")
         writer.event(time_ns + 1, f"end {name}")
         writer.add_metadata("bc.run", {"sha256": "abc"})
-    return path
+    return laid_out(path)
 
 
 def killed(whole: Path) -> tuple[Path, list[Stored]]:
@@ -84,9 +86,18 @@ def tags_of(path: Path) -> list[tuple[int, int, str]]:
         return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
 
 
-@pytest.fixture(autouse=True)
-def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True, params=["two kinds", "mixed"])
+def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The layout of logs that are edited; those that are written have the one of today."""
     monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 2048)
+    if request.param == "mixed":
+        monkeypatch.setattr(f"{__name__}.laid_out", partial(mixed, chunk_bytes=2048))
+    name: str = request.param
+    return name
+
+
+laid_out: Layout = two_kinds
+MIXED_ALONE = pytest.mark.parametrize("layout", ["mixed"], indirect=True)
 
 
 # Recover
@@ -96,7 +107,7 @@ def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> N
     whole = drive(tmp_path / "a.mcap", range(20))
     done = recover(whole, tmp_path / "b.mcap")
     original, found = contents(whole), contents(done.path)
-    assert found.messages == original.messages
+    assert found.by_topic == original.by_topic
     assert (done.messages, done.rows, list(done.skipped)) == (len(original.messages), 20, [])
     assert found.profile == "bc"
     session = {**dict(original.metadata)["bc.session"], "recovered_from": "a.mcap", "rewritten_by": VERSION}
@@ -109,7 +120,7 @@ def test_an_unfinished_log_is_recovered_up_to_its_last_whole_chunk(tmp_path: Pat
     rows = [message.sequence for message in complete if message.topic == "/vehicle"]
     begun = [m for m in complete if m.topic in ROW_TOPICS and m.sequence > max(rows)]
     assert begun
-    assert contents(done.path).messages == [message for message in complete if message not in begun]
+    assert contents(done.path).by_topic == by_topic(message for message in complete if message not in begun)
     assert done.rows == len(rows)
     *unfinished, (reason, where) = done.skipped
     assert unfinished == [
@@ -130,6 +141,7 @@ def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_pa
         assert check(to, look=False).findings == [], chunk.start
 
 
+@MIXED_ALONE
 def test_a_log_that_lost_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
     """What is left at the edges of the hole, of rows whose pictures or steering were in it, is named as lost."""
     whole = drive(tmp_path / "a.mcap", range(20))
@@ -143,7 +155,8 @@ def test_a_log_that_lost_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path)
         assert [f for f in check(to, look=False).findings if "gap" not in f.kind] == [], chunk.start
         lost = {m.sequence for m in chunk.messages if m.topic in ROW_TOPICS}
         kept = [m for m in original.messages if m not in chunk.messages]
-        assert contents(to).messages == [m for m in kept if m.topic not in ROW_TOPICS or m.sequence not in lost]
+        rest = [m for m in kept if m.topic not in ROW_TOPICS or m.sequence not in lost]
+        assert contents(to).by_topic == by_topic(rest)
         assert done.skipped.counts["damaged chunks"] == 1
 
 
@@ -206,7 +219,7 @@ def test_a_trimmed_log_holds_its_rows_and_the_events_between_them(tmp_path: Path
     done = trim(whole, tmp_path / "b.mcap", (5, 8))
     found = contents(done.path)
     times = range(START_NS + 5 * STEP_NS, START_NS + 8 * STEP_NS + 1)
-    assert found.messages == [message for message in contents(whole).messages if message.log_time in times]
+    assert found.by_topic == by_topic(m for m in contents(whole).messages if m.log_time in times)
     assert (done.messages, done.rows) == (4 * 8, 4)
     assert events_in(found) == [f"at row {row}" for row in range(5, 9)]
     assert dict(found.metadata)["bc.session"].items() >= {"trimmed_from": "a.mcap", "rows": "5-8"}.items()
@@ -217,7 +230,7 @@ def test_an_unfinished_log_can_be_trimmed(tmp_path: Path) -> None:
     part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
     done = trim(part, tmp_path / "b.mcap", (2, 4))
     expected = [m for m in complete if m.topic in ROW_TOPICS and 2 <= m.sequence <= 4]
-    assert [m for m in contents(done.path).messages if m.topic in ROW_TOPICS] == expected
+    assert by_topic(m for m in contents(done.path).messages if m.topic in ROW_TOPICS) == by_topic(expected)
 
 
 def test_rows_that_are_not_there_are_told_with_those_that_are(tmp_path: Path) -> None:
@@ -273,7 +286,7 @@ def test_seconds_of_a_log_with_rows_are_those_of_its_rows(tmp_path: Path) -> Non
     whole = drive(tmp_path / "a.mcap", range(3, 20))
     by_time = trim_times(whole, tmp_path / "b.mcap", 0.45, 1.0)
     by_rows = trim(whole, tmp_path / "c.mcap", (8, 13))
-    assert contents(by_time.path).messages == contents(by_rows.path).messages
+    assert contents(by_time.path).by_topic == contents(by_rows.path).by_topic
     assert (by_time.rows, by_time.messages) == (by_rows.rows, by_rows.messages)
 
 
@@ -293,7 +306,7 @@ def test_a_merged_log_holds_all_messages_in_order_and_every_row_has_its_own_numb
     done = merge(logs, tmp_path / "all.mcap")
     one, two, three = (contents(log).messages for log in logs)
     found = contents(done.path)
-    assert found.messages == [*one, *numbered_on(two, 20), *numbered_on(three, 35)]
+    assert found.by_topic == by_topic([*one, *numbered_on(two, 20), *numbered_on(three, 35)])
     numbers = [message.sequence for message in found.of("/vehicle")]
     assert len(set(numbers)) == len(numbers) == done.rows == 20 + 10 + 5
     assert {name for name, _ in found.metadata} >= {"bc.session of one.mcap", "bc.session of three.mcap"}
@@ -312,11 +325,9 @@ def test_a_log_is_merged_with_itself_and_with_an_unfinished_one(tmp_path: Path) 
     done = merge([whole, part, whole], tmp_path / "b.mcap")
     messages = contents(whole).messages
     second = 1 + max(m.sequence for m in complete if m.topic in ROW_TOPICS)
-    assert contents(done.path).messages == [
-        *messages,
-        *numbered_on(complete, 8),
-        *numbered_on(messages, 8 + second),
-    ]
+    assert contents(done.path).by_topic == by_topic(
+        [*messages, *numbered_on(complete, 8), *numbered_on(messages, 8 + second)]
+    )
 
 
 def test_rows_beyond_the_largest_number_are_a_log_error(tmp_path: Path) -> None:
@@ -336,7 +347,7 @@ def test_each_drive_becomes_a_log_and_no_message_is_lost(tmp_path: Path) -> None
     done = split(whole, tmp_path / "drives")
     assert [written.path.name for written in done] == ["a-1.mcap", "a-2.mcap"]
     first, second = (contents(written.path) for written in done)
-    assert first.messages + second.messages == contents(whole).messages
+    assert by_topic(first.messages + second.messages) == contents(whole).by_topic
     assert [message.sequence for message in first.of("/vehicle")] == list(range(12))
     assert (events_in(first)[0], events_in(second)[-1]) == ("begin ", "end ")
     assert [(w.rows, w.messages) for w in done] == [(12, len(first.messages)), (8, len(second.messages))]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from common.car import CAMERAS
 from dataset import IndexConfig, build_index
 from layouts import write_as_before
 from logs import START_NS, STEP_NS, not_a_picture
-from plain_mcap import Contents, Stored, contents
+from plain_mcap import Contents, contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.check import check
@@ -37,13 +36,6 @@ def drive(path: Path, *, live: bool = False, rows: int = ROWS) -> Path:
             if row % 10 == 0:
                 writer.event(time_ns, f"at row {row}")
     return path
-
-
-def by_topic(found: Contents) -> dict[str, list[Stored]]:
-    topics: dict[str, list[Stored]] = defaultdict(list)
-    for message in found.messages:
-        topics[message.topic].append(message)
-    return topics
 
 
 @pytest.fixture(autouse=True)
@@ -76,10 +68,10 @@ def test_no_chunk_holds_both_and_every_topic_is_in_its_order(tmp_path: Path, liv
     for chunk in found.chunks:
         assert len({message.topic in PICTURES for message in chunk.messages}) == 1
     assert len(found.chunks) > 10
-    for messages in by_topic(found).values():
+    for messages in found.by_topic.values():
         times = [message.log_time for message in messages]
         assert times == sorted(times)
-    assert {topic: len(messages) for topic, messages in by_topic(found).items()} == {
+    assert {topic: len(messages) for topic, messages in found.by_topic.items()} == {
         **dict.fromkeys((*PICTURES, "/vehicle", "/pilot/command", "/pose"), ROWS),
         "/events": ROWS // 10,
     }
@@ -97,7 +89,7 @@ def test_a_row_is_written_after_its_pictures(tmp_path: Path) -> None:
 def test_the_places_of_pictures_are_those_that_reading_the_whole_file_gives(tmp_path: Path) -> None:
     path = drive(tmp_path / "a.mcap")
     data = path.read_bytes()
-    found = by_topic(contents(path))
+    found = contents(path).by_topic
     with Log(path) as log:
         for topic in sorted(PICTURES):
             places = log.pictures(topic)

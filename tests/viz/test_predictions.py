@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from safetensors.numpy import load_file, save_file
 
 from common import UserError
 from common.car import Camera
 from dataset import decode
-from driving import one_line_of, road_jpeg, run, untrained_run
+from drive.cli import main as drive_main
+from driving import one_line_in, road_jpeg, untrained_run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
@@ -122,8 +124,9 @@ def test_how_far_each_run_is_off_is_printed(here: Path, shown: Path, said: dict[
 def test_the_network_that_drove_says_again_what_it_said_then(here: Path, tmp_path: Path) -> None:
     log = tmp_path / "drive.mcap"
     flags = ("--simulator", "lake", "--laps", 0.01, "--precision", "float32", "--log", log)
-    done = run("bc-drive", "first", *flags, cwd=here)
-    assert done.returncode == 0, done.stderr
+    threads = torch.get_num_threads()
+    assert call(drive_main, "first", *flags) == 0
+    torch.set_num_threads(threads)  # a pilot drives on one
     found = predict_log(log, [here / "runs" / "first"])
     commands = read_messages(log)["/pilot/command"]
     assert len(commands) > 20
@@ -152,14 +155,13 @@ def test_their_steering_is_drawn_over_the_frame(shown: Path, said: dict[str, lis
     assert first["LineStrips2D:colors"] != second["LineStrips2D:colors"]
 
 
-def test_a_viewer_that_runs_gets_it_and_bc_play_ends(here: Path, said: dict[str, list[float]]) -> None:
+def test_a_viewer_that_runs_gets_it_and_bc_play_ends(capsys: pytest.CaptureFixture[str]) -> None:
     web, data = free_ports(2)
     ports = Ports(web, data)
     with open_viewer(ports, web=True) as viewer:
         wait_until_it_listens(viewer, ports.data_address)
-        done = run("bc-play", "session.mcap", "--run", "first", "--connect", data, cwd=here)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"first: {ROWS} frames, RMSE")
+        assert call(main, "session.mcap", "--run", "first", "--connect", data) == 0
+    assert capsys.readouterr().out.startswith(f"first: {ROWS} frames, RMSE")
 
 
 def test_where_an_expert_took_over_his_command_counts_as_in_an_index(here: Path, tmp_path: Path) -> None:
@@ -347,12 +349,13 @@ def test_flags_that_contradict_each_other_are_one_line(
     assert sorted(here.iterdir()) == before
 
 
-def test_a_damaged_log_is_one_line_and_an_end(here: Path, tmp_path: Path) -> None:
+def test_a_damaged_log_is_one_line_and_an_end(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = tmp_path / "hurt.mcap"
     data = bytearray((here / "session.mcap").read_bytes())
     data[len(data) // 2 : len(data) // 2 + 1000] = bytes(1000)
     log.write_bytes(data)
-    done = run("bc-play", log, "--run", "first", "--save", tmp_path / "x.rrd", cwd=here)
-    assert done.returncode == 1
-    assert "damaged" in one_line_of(done)
+    assert call(main, log, "--run", "first", "--save", tmp_path / "x.rrd") == 1
+    assert "damaged" in one_line_in(capsys)
     assert list(tmp_path.iterdir()) == [log]

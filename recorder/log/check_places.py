@@ -1,0 +1,66 @@
+"""Checking what a log tells at its end of its chunks and pictures, by which it is read: that it is so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from recorder.errors import LogError
+from recorder.log.check_contents import Finding
+from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
+from recorder.log.picture_places import (
+    CHUNKS_ATTACHMENT,
+    PICTURES_ATTACHMENT,
+    is_about_places,
+    places_in,
+    read_chunk_crcs,
+    read_places,
+    stored_places,
+)
+from recorder.log.scan import Structure
+
+
+class PlacesCheck:
+    """Compares each chunk with what the summary tells of it, and with the lists of chunks and pictures.
+
+    Logs of earlier versions have no such lists, and other programs' are not read by them.
+    """
+
+    def __init__(self, file: McapFile, structure: Structure, findings: list[Finding]) -> None:
+        self._findings = findings
+        self._images = structure.image_channels
+        self._numbers = {chunk.start: number for number, chunk in enumerate(structure.chunks)}
+        self._crcs, self._places = None, None
+        names = structure.attachment_names
+        for at, name in sorted(names.items()):
+            try:
+                file.attachment(at)
+            except LogError:
+                findings.append(Finding("damaged attachments", f"{name} at byte {at:,}"))
+        if not file.is_ours or not any(map(is_about_places, names.values())):
+            return
+        self._crcs = read_chunk_crcs(file, structure)
+        if self._crcs is None:
+            findings.append(Finding("lists that are not about this file", CHUNKS_ATTACHMENT))
+        elif read_places(file, structure) is None:
+            findings.append(Finding("lists that are not about this file", PICTURES_ATTACHMENT))
+        else:
+            self._places = stored_places(file, structure)
+
+    def add(self, told: Chunk, record: bytes, channels: set[int]) -> None:
+        """A sound chunk: as the summary tells it, as it is, and the channels of its messages."""
+        where = f"at byte {told.start:,}"
+        if told.channels is not None and told.channels != channels:
+            self._findings.append(Finding("chunks of other topics than the summary tells", where))
+        if told.head and told.head != record[: len(told.head)]:
+            self._findings.append(Finding("chunks of other times or sizes than the summary tells", where))
+        number = self._numbers.get(told.start)
+        if number is None or self._crcs is None:
+            return
+        *_, crc = CHUNK_HEADER.unpack_from(record)
+        if self._crcs[number] != crc:
+            self._findings.append(Finding("chunks of other CRCs than are listed", where))
+        if self._places is None or told.compression:
+            return
+        first, end = np.searchsorted(self._places["chunk"], (number, number + 1))
+        if self._places[first:end].tobytes() != places_in(record, number, self._images):
+            self._findings.append(Finding("chunks of other pictures than are listed", where))
