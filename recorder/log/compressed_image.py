@@ -1,10 +1,24 @@
-"""Finding the picture within a serialised foxglove.CompressedImage."""
+"""Telling which messages are pictures, and finding the picture within a serialised foxglove.CompressedImage."""
 
 from __future__ import annotations
 
 from typing import Final
 
+from mcap.records import Channel, Schema
+from mcap.well_known import MessageEncoding
+
+from recorder.log.topics import COMPRESSED_IMAGE
+
 _DATA_FIELD: Final = 2
+
+
+def is_image_channel(schema: Schema | None, channel: Channel) -> bool:
+    """True if a channel's messages are CompressedImages in Protobuf; other programs write some as JSON too."""
+    return (
+        schema is not None
+        and schema.name == COMPRESSED_IMAGE.name
+        and channel.message_encoding == MessageEncoding.Protobuf
+    )
 
 
 def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int, int]:

@@ -22,6 +22,7 @@ from common.files import final_path, refuse_existing
 from common.progress import track
 from recorder.errors import LogError
 from recorder.log import topics
+from recorder.log.compressed_image import is_image_channel
 from recorder.log.derived_log import (
     LAST_ROW,
     Written,
@@ -35,7 +36,7 @@ from recorder.log.derived_log import (
 from recorder.log.reader import Log
 from recorder.log.row_quality import drive_numbers
 from recorder.log.tags import Tag, read_tags
-from recorder.log.topics import COMPRESSED_IMAGE, ROW_TOPICS
+from recorder.log.topics import ROW_TOPICS
 from recorder.log.writer import LogWriter
 
 _MOST_DRIVES: Final = 500  # a log of each is open at once
@@ -152,7 +153,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             {True: 0, False: 0},
         )  # the drive of pictures, and of all else, before it
         for schema, channel, message in _messages(log, "splitting"):
-            is_picture = schema is not None and schema.name == COMPRESSED_IMAGE.name
+            is_picture = is_image_channel(schema, channel)
             if channel.topic in ROW_TOPICS:
                 beside[is_picture] = drive_of.get(message.sequence, beside[is_picture])
             at = beside[is_picture]

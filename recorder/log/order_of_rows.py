@@ -19,9 +19,10 @@ from common import Skipped
 from common.stretches import consecutive
 from recorder.errors import LogError
 from recorder.log import topics
+from recorder.log.compressed_image import is_image_channel
 from recorder.log.mcap_file import Chunk
 from recorder.log.reader import Log
-from recorder.log.topics import CAMERA_TOPICS, COMPRESSED_IMAGE, PICTURE_TOPICS, ROW_TOPICS
+from recorder.log.topics import CAMERA_TOPICS, PICTURE_TOPICS, ROW_TOPICS
 
 MISSING: Final = "stretches of rows that are missing"
 _NO_ROW: Final = 2**32  # numbers have 32 bits
@@ -120,7 +121,7 @@ def _read(log: Log, chunk: Chunk) -> tuple[_Part, bytes]:
     rows, digest, are_pictures = [], hashlib.sha256(), set[bool]()
     try:
         for schema, channel, message in log.messages_of(chunk, Skipped()):
-            are_pictures.add(schema is not None and schema.name == COMPRESSED_IMAGE.name)
+            are_pictures.add(is_image_channel(schema, channel))
             if channel.topic in ROW_TOPICS:
                 rows.append((channel.topic, message.sequence))
             key = (message.channel_id, message.sequence, message.log_time, message.publish_time, len(message.data))

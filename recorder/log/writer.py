@@ -28,7 +28,7 @@ from common.locks import lock
 from common.versions import version_of
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.log import topics
-from recorder.log.compressed_image import image_data
+from recorder.log.compressed_image import image_data, is_image_channel
 from recorder.log.copied_channels import CopiedChannels
 from recorder.log.row_quality import StatesWritten, summary
 from recorder.log.split_chunks import SplitChunks
@@ -167,11 +167,7 @@ class LogWriter:
 
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
         """A message of another log, as it is but for its sequence number."""
-        is_picture = (
-            schema is not None
-            and schema.name == COMPRESSED_IMAGE.name
-            and channel.message_encoding == MessageEncoding.Protobuf
-        )
+        is_picture = is_image_channel(schema, channel)
         number_of = partial(self._copied_channels.number_of, schema, channel)
         self._message(number_of, is_picture, message.log_time, message.publish_time, sequence, message.data)
         if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
@@ -179,7 +175,7 @@ class LogWriter:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
-        elif channel.topic in CAMERA_TOPICS and schema is not None and schema.name == COMPRESSED_IMAGE.name:
+        elif is_picture and channel.topic in CAMERA_TOPICS:
             at, length = image_data(message.data, 0, len(message.data))
             if at >= 0:
                 self._sizes.add(channel.topic, sequence, width_and_height(message.data[at : at + length]))

@@ -29,6 +29,7 @@ from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.cli import main as bc_record
 from recorder.log.check import check, is_whole
 from recorder.log.edit import merge, split, trim, trim_times
+from recorder.log.log_info import describe
 from recorder.log.recover import recover
 from recorder.log.topics import ROW_TOPICS
 from recorder.log_cli import main as bc_log
@@ -211,6 +212,10 @@ def test_a_killed_recording_is_read_without_it(forged: Path, damaged: str) -> No
         assert start not in [chunk.start for chunk in log.chunks]
         assert any(lost_from <= start and end <= lost_to for lost_from, lost_to in log.lost)
         assert len(log.frames())
+        rows = log.vehicle()["steering"].to_pylist() if "/vehicle" in log.counts else []
+    told = {topic.topic: topic.messages for topic in describe(part).topics}
+    assert told.get("/vehicle", 0) == len(rows)
+    assert set(rows) <= {0.0, 0.25}
 
 
 def test_the_summary_and_attachments_have_one_too(tmp_path: Path) -> None:
