@@ -10,7 +10,7 @@ import contextlib
 import hashlib
 import struct
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -82,6 +82,7 @@ class Log(Closeable):
         self._file = McapFile(self.path)
         try:
             self._structure = read_structure(self._file)
+            self._as_found = replace(self._structure, chunks=list(self._structure.chunks))
             if salvages:
                 salvage(self._file, self._structure)
         except BaseException:
@@ -216,12 +217,13 @@ class Log(Closeable):
     @cached_property
     def _chunk_headers(self) -> list[bytes]:
         """The header of each chunk, from the end of a log of ours; else they are read, some 50 bytes a chunk."""
-        crcs = read_chunk_crcs(self._file, self._structure) if self.is_ours else None
+        chunks = self._as_found.chunks  # also of a salvaged one, whose tags are of this fingerprint
+        crcs = read_chunk_crcs(self._file, self._as_found) if self.is_ours else None
         if crcs is not None:
-            return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(self.chunks, crcs, strict=True)]
+            return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(chunks, crcs, strict=True)]
         return [
             self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start)
-            for chunk, has_crc in ((chunk, self._file.has_crc(chunk)) for chunk in self.chunks)
+            for chunk, has_crc in ((chunk, self._file.has_crc(chunk)) for chunk in chunks)
         ]
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:

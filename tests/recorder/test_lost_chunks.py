@@ -163,9 +163,10 @@ def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Pat
     found = contents(written.path)
     assert found.by_topic == by_topic(m for chunk in original.chunks if chunk not in lost for m in chunk.messages)
     assert numbers(written, MISSING) == driven(original.messages)
+    damaged, count = whole.with_name("damaged.mcap"), len(original.messages)
     assert written.notices == [
-        f"{whole.with_name('damaged.mcap')}: lost in all:"
-        f" {len(original.messages) - len(found.messages):,} of {len(original.messages):,} messages"
+        f"{damaged}: lost in all: {count - len(found.messages):,} of {count:,} messages",
+        f"{damaged}: no row is whole in it: what is kept has no rows",
     ]
 
 
