@@ -36,6 +36,7 @@ POLL_S: Final = 0.02
 LIVE_S: Final = 10.0
 LIVE_ROWS: Final = 5000
 WRITTEN_GB: Final = 0.5
+PARTS: Final = ("writing", "indexing", "opening", "loading")
 LONG_GB_AN_HOUR: Final = 4.2  # 25 rows a second of that recording's pictures
 
 Result = dict[str, float]
@@ -119,16 +120,21 @@ def main() -> None:
     parser.add_argument("--gigabytes", type=float, default=2.0, help="of the log that is indexed")
     parser.add_argument("--hours", type=float, default=2.0, help="of the log that is opened")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--folder", type=Path, default=Path(), help="where there is room for logs")
     chosen = parser.parse_args()
     versions = [Version("before", chosen.before.absolute()), Version("now", HERE.parent)]
     print(f"| {chosen.rounds} rounds | before | now | ratio |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory(dir=chosen.folder) as name:
         folder = Path(name)
-        writing(versions, chosen.recording, folder, chosen.rounds)
-        indexing(versions, chosen.recording, folder, chosen.gigabytes, chosen.rounds)
-        opening(versions, chosen.recording, folder, chosen.hours * LONG_GB_AN_HOUR, chosen.rounds)
-        loading(versions, chosen.recording, folder, chosen.rounds)
+        if "writing" in chosen.only:
+            writing(versions, chosen.recording, folder, chosen.rounds)
+        if "indexing" in chosen.only:
+            indexing(versions, chosen.recording, folder, chosen.gigabytes, chosen.rounds)
+        if "opening" in chosen.only:
+            opening(versions, chosen.recording, folder, chosen.hours * LONG_GB_AN_HOUR, chosen.rounds)
+        if "loading" in chosen.only:
+            loading(versions, chosen.recording, folder, chosen.rounds)
 
 
 def writing(versions: list[Version], recording: Path, folder: Path, rounds: int) -> None:

@@ -23,7 +23,7 @@ from common.files import refuse_existing
 from common.progress import track
 from common.versions import TOOLKIT
 from dataset.preprocess import decode
-from recorder import Log
+from recorder import Log, LogError
 from recorder.log.row_quality import GAP_S
 from recorder.log.topics import camera_topic
 from viz.video_overlay import Image, Panel
@@ -60,7 +60,7 @@ class Video:
     cut_s: float
     """Seconds of the log that these gaps took."""
     skipped: Skipped
-    """Pictures that do not decode: the one before is shown in their place."""
+    """Pictures that are damaged or do not decode: the one before is shown in their place."""
     notice: str
     """Says that the log was never finished; empty if it was."""
 
@@ -178,10 +178,9 @@ class _Pictures:
     def _decoded(self, number: int) -> Image | None:
         found = self._found
         place = int(found.offset[number]), int(found.length[number]), int(found.chunk[number])
-        encoded = self._log.read(*place)
         try:
-            return decode(encoded)
-        except ValueError:
+            return decode(self._log.read(*place))
+        except (LogError, ValueError):  # its chunk is damaged, or it is no picture
             return None
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import struct
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -27,9 +27,9 @@ from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.chunk_reader import ChunkReader
-from recorder.log.double_fields import decode_doubles
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, index_messages
+from recorder.log.number_fields import decode_numbers
 from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.log.salvage import salvage
 from recorder.log.scan import read_structure
@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 
 _PLACE: Final = ("offset", "length", "chunk")
+_NEAR_BYTES: Final = 4096  # takes as long to read, and for its CRC, as a message to be read alone
 
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
 
@@ -81,6 +82,7 @@ class Log(Closeable):
         self._file = McapFile(self.path)
         try:
             self._structure = read_structure(self._file)
+            self._as_found = replace(self._structure, chunks=list(self._structure.chunks))
             if salvages:
                 salvage(self._file, self._structure)
         except BaseException:
@@ -215,12 +217,13 @@ class Log(Closeable):
     @cached_property
     def _chunk_headers(self) -> list[bytes]:
         """The header of each chunk, from the end of a log of ours; else they are read, some 50 bytes a chunk."""
-        crcs = read_chunk_crcs(self._file, self._structure) if self.is_ours else None
+        chunks = self._as_found.chunks  # also of a salvaged one, whose tags are of this fingerprint
+        crcs = read_chunk_crcs(self._file, self._as_found) if self.is_ours else None
         if crcs is not None:
-            return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(self.chunks, crcs, strict=True)]
+            return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(chunks, crcs, strict=True)]
         return [
             self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start)
-            for chunk, has_crc in ((chunk, self._file.has_crc(chunk)) for chunk in self.chunks)
+            for chunk, has_crc in ((chunk, self._file.has_crc(chunk)) for chunk in chunks)
         ]
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
@@ -251,17 +254,23 @@ class Log(Closeable):
 
     def table(self, topic_name: str) -> pa.Table:
         """The messages on a topic of the registry, one a row: row, log_time_ns, and the columns it has there."""
+        columns = topics.TOPICS[topic_name].columns
+        found = self.numbers(topic_name, [column.field for column in columns])
+        return found.rename_columns([*found.column_names[:2], *(column.name for column in columns)])
+
+    def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
+        """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field
+        by its name; NaN where a message lacks one that is optional."""
         from google.protobuf.message import DecodeError
 
-        topic = topics.TOPICS[topic_name]
         found = self._of_topic(topic_name)
-        kind = topic.message.load()
+        kind = topics.TOPICS[topic_name].message.load()
         try:
-            values = decode_doubles(list(self._contents(found)), kind, [column.field for column in topic.columns])
+            values = decode_numbers(list(self._contents(found)), kind, fields)
         except DecodeError as error:
             raise self._no_such_message(topic_name, kind) from error
         columns = {"row": found["sequence"].astype(np.int64), "log_time_ns": found["log_time_ns"].astype(np.int64)}
-        return pa.table(columns | {column.name: row for column, row in zip(topic.columns, values, strict=True)})
+        return pa.table(columns | dict(zip(fields, values, strict=True)))
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
         """The JPEG (or PNG) of a camera at a row, byte for byte. Raises LogError if there is none."""
@@ -363,9 +372,13 @@ class Log(Closeable):
 
     def _contents(self, found: NDArray[np.void]) -> Iterator[bytes]:
         """The contents of messages of the index; of messages that lie together, the chunk is read once."""
+        # Where they lie far apart, among pictures, each is read alone: the rest of its chunk is not needed.
+        is_near = np.diff(found["offset"], prepend=-_NEAR_BYTES, append=2**62) < _NEAR_BYTES
+        are_near = is_near[:-1] | is_near[1:]  # the one before, or the next
         records_at, records = 0, b""
-        for offset, length, chunk in zip(*(found[name].tolist() for name in _PLACE), strict=True):
-            if chunk != UNCOMPRESSED:
+        places = zip(*(found[name].tolist() for name in _PLACE), are_near.tolist(), strict=True)
+        for offset, length, chunk, is_beside in places:
+            if chunk != UNCOMPRESSED or not is_beside:
                 yield self._chunk_reader.read(offset, length, chunk)
                 continue
             if not records_at <= offset <= offset + length <= records_at + len(records):

@@ -83,6 +83,8 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     lost = (log.message_count or 0) - count - left_out
     if lost > 0:
         notices.append(f"{path}: lost in all: {lost:,} of {counted(log.message_count or 0, 'message')}")
+    if log.is_ours and not rows and len(skipped):
+        notices.append(f"{path}: no row is whole in it: what is kept has no rows")
     if not len(skipped) and is_damaged_beside_chunks(path):
         notices.append(
             f"{path}: metadata, or what describes topics, may be wrong: the CRC of all data does not hold,"

@@ -422,6 +422,19 @@ def test_tags_go_where_their_rows_go(tmp_path: Path) -> None:
     assert tags_of(tmp_path / "recovered.mcap") == [(0, 19, "exclude"), (2, 3, "bend"), (8, 15, "recovery")]
 
 
+def test_a_damaged_log_keeps_its_tags_when_it_is_recovered(tmp_path: Path) -> None:
+    """Whichever chunk is damaged; they are cut to the rows that are left."""
+    whole = tag(drive(tmp_path / "a.mcap", range(20)), (0, 19, "exclude"))
+    chunks, data = contents(whole).chunks, whole.read_bytes()
+    to = tmp_path / "b.mcap"
+    for chunk in chunks:
+        whole.write_bytes(data[: chunk.end - 1] + bytes([data[chunk.end - 1] ^ 1]) + data[chunk.end :])
+        tags_path(to).unlink(missing_ok=True)
+        recover(whole, to, overwrite=True)
+        rows = [message.sequence for message in contents(to).of("/vehicle")]
+        assert tags_of(to) == [(min(rows), max(rows), "exclude")], chunk.start
+
+
 def test_tags_of_rows_that_are_not_there_and_of_another_content_do_not_come_along(tmp_path: Path) -> None:
     whole = tag(drive(tmp_path / "a.mcap", range(20)), (0, 5, "bend"))
     trim(whole, tmp_path / "b.mcap", (6, 10))

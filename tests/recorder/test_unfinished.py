@@ -417,9 +417,108 @@ def test_recordings_killed_at_any_moment_lose_no_row_of_more_than_a_second_befor
             assert promised >= LEAST_PROMISED
             is_whole = images == pictures[: len(rows)]
             is_whole &= rows == [(row, row / MOST_ROWS) for row in range(len(rows))]
-            is_whole &= check(written.path).findings == []
+            others = {finding.kind for finding in check(written.path).findings}
+            is_whole &= others <= {"gaps in time"}  # this computer's clock goes on while others have the processor
             if len(rows) < promised or not is_whole:
                 complaints.append(f"{drive.log}: {len(rows)} rows, {len(images)} pictures, {promised} promised")
+    assert complaints == []
+
+
+LIVE_DRIVES = """
+import os, random, sys, time
+from pathlib import Path
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from common.car import CAMERAS
+from recorder import LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log import split_chunks
+
+split_chunks.PLACES_AT_ONCE = 50
+
+def drive(log):
+    told = os.open(log.with_suffix(".txt"), os.O_WRONLY | os.O_CREAT)
+    with LogWriter(log, {"source": "drive"}, live=True) as writer:
+        for row in range(10_000):
+            time_ns = 1_720_880_000_000_000_000 + row * 50_000_000
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, random.Random(f"{camera} {row}").randbytes(9_000))
+            writer.vehicle(time_ns, row, VehicleState(steering=row % 200 / 200, throttle=0.5, speed_mph=9.0))
+            writer.crop(time_ns, row, random.Random(row).randbytes(5_000))
+            writer.command(time_ns, row, PilotCommand(steering=row % 200 / 200))
+            writer.pose(time_ns, row, PoseInFrame(frame_id="world"))
+            if row % 10 == 0:
+                writer.event(time_ns, f"at row {row}")
+            os.write(told, b"%d\\n" % time.monotonic_ns())
+            time.sleep(0.05)
+
+children = []
+for log in map(Path, sys.argv[1:]):
+    child = os.fork()
+    if not child:
+        drive(log)
+    children.append(child)
+print("children", *children, file=sys.stderr, flush=True)
+for child in children:
+    os.waitpid(child, 0)
+"""
+
+
+def written_ns(log: Path) -> list[int]:
+    """When each row was handed to the writer, by the clock of its process."""
+    told = log.with_suffix(".txt")
+    return [int(line) for line in told.read_text().splitlines()] if told.exists() else []
+
+
+def drives_killed_at(moments_s: list[float], folder: Path) -> list[Path]:
+    """Logs of all kinds of messages, 20 rows a second, and each process killed so long after its log has rows of
+    more than a second."""
+    logs = [folder / f"drive{number}.mcap" for number in range(len(moments_s))]
+    with Process([sys.executable, "-c", LIVE_DRIVES, *map(str, logs)]) as parent:
+        pids = [int(pid) for pid in parent.wait_for(r"^children ([\d ]+)$")[1].split()]
+        due_s: dict[int, float] = {}
+        killed: set[int] = set()
+
+        def are_killed() -> bool:
+            for number, (log, pid) in enumerate(zip(logs, pids, strict=True)):
+                if number not in due_s and len(written_ns(log)) > 25:
+                    due_s[number] = time.monotonic() + moments_s[number]
+                if number not in killed and time.monotonic() >= due_s.get(number, math.inf):
+                    os.kill(pid, signal.SIGKILL)
+                    killed.add(number)
+            return len(killed) == len(logs)
+
+        try:
+            wait_until(are_killed)
+        finally:
+            for number, pid in enumerate(pids):
+                if number not in killed:
+                    os.kill(pid, signal.SIGKILL)
+    return logs
+
+
+@pytest.mark.parametrize("count", [3, pytest.param(30, marks=pytest.mark.long)])
+def test_drives_killed_at_any_moment_lose_less_than_a_second_and_are_sound(tmp_path: Path, count: int) -> None:
+    """Chunks of pictures, of everything else, and between them what tells the places of pictures until then."""
+    chance = random.Random(count)
+    complaints = []
+    for first in range(0, count, 10):
+        folder = tmp_path / str(first)
+        folder.mkdir()
+        moments_s = [chance.uniform(0.0, 1.5) for _ in range(min(10, count - first))]
+        for log in drives_killed_at(moments_s, folder):
+            [part] = log.parent.glob(f"{log.name}.*.part")
+            told_ns = written_ns(log)
+            promised = sum(each < told_ns[-1] - PROMISED_S * 1e9 for each in told_ns)
+            written = recover(part, recovered_name(part))
+            found = contents(written.path)
+            rows = [message.sequence for message in found.of("/vehicle")]
+            if rows != list(range(len(rows))) or not 0 < promised <= len(rows) <= len(told_ns) + 1:
+                complaints.append(f"{log}: {len(rows)} rows, {promised} promised, {len(told_ns)} told")
+            for camera in CAMERAS:
+                images = [CompressedImage.FromString(m.data).data for m in found.of(f"/camera/{camera}")]
+                if images != [random.Random(f"{camera} {row}").randbytes(9_000) for row in rows]:
+                    complaints.append(f"{log}: {len(images)} pictures of {camera}, {len(rows)} rows")
+            complaints += [f"{log}: {finding}" for finding in check(written.path, look=False).findings]
     assert complaints == []
 
 

@@ -19,7 +19,7 @@ from driving import Process, command, one_line_of, road_jpeg, run
 from layouts import write_as_before
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import PICTURE_TOPICS, VEHICLE
+from recorder.log.topics import EVENTS, PICTURE_TOPICS
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from rrd import contents, free_ports, listening, view_names
 from udacity import call
@@ -374,7 +374,7 @@ def test_what_may_take_long_shows_how_far_it_is(
     with Log(log) as read:
         sent = sum(count for topic, count in read.counts.items() if topic in PICTURE_TOPICS)
     assert f"reading {log.name}" in shown
-    assert f"reading {VEHICLE}" in shown
+    assert f"reading {EVENTS}" in shown
     assert f"{sent}/{sent}" in shown.partition("sending messages")[2]
 
 

@@ -314,6 +314,20 @@ def test_a_broken_picture_is_named_and_the_one_before_is_shown(tmp_path: Path, p
     assert levels(decoded(tmp_path / "x.mp4").frames) == pytest.approx([50, 100, 100, 100, 200], abs=2)
 
 
+def test_pictures_in_a_damaged_chunk_are_named_too(
+    tmp_path: Path, play: Callable[..., Done], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1)  # a chunk for each
+    log = write_log(tmp_path / "x.mcap", [grey(50), grey(100), grey(150), grey(200)])
+    data = bytearray(log.read_bytes())
+    data[data.index(grey(100)) + 20] ^= 1  # in its header: it would still decode
+    log.write_bytes(data)
+    done = play(log, "--video", tmp_path / "x.mp4")
+    assert done.code == 3
+    assert done.stderr == "skipped broken pictures, in whose place the one before is shown: 1 (row 1)\n"
+    assert levels(decoded(tmp_path / "x.mp4").frames) == pytest.approx([50, 50, 150, 200], abs=2)
+
+
 def test_before_a_first_picture_that_is_broken_it_is_black(tmp_path: Path) -> None:
     log = write_log(tmp_path / "x.mcap", [b"", grey(200)])
     made = write_video(log, tmp_path / "x.mp4")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -39,6 +39,7 @@ class LiveMessageSender:
         self._start_ns: int | None = None
         self._drawing = Drawing(recording, self._clock)
         self._topics: set[str] = set()
+        self._laid_out: set[str] = set()
         self._has_size = False
 
     def send(self, messages: Sequence[LiveMessage]) -> None:
@@ -47,7 +48,9 @@ class LiveMessageSender:
         by_topic: dict[str, list[LiveMessage]] = {}
         for message in messages:
             by_topic.setdefault(message.topic, []).append(message)
-        self._prepare(by_topic.keys())
+        self._topics |= by_topic.keys()
+        if not self._topics <= PICTURE_TOPICS:  # those come first; what belongs to them comes within a second
+            self._lay_out()
         for topic in sorted(by_topic, key=lambda topic: topic not in PICTURE_TOPICS):
             found = by_topic[topic]
             time_ns = np.array([message.log_time_ns for message in found], np.int64)
@@ -59,17 +62,18 @@ class LiveMessageSender:
 
     def finish(self) -> None:
         """Send what is drawn of all messages until now: histogram and path. To be called now and then."""
+        self._lay_out()
         self._drawing.finish()
 
     def _clock(self, time_ns: Times) -> list[rr.TimeColumn]:
         return log_clock(self._start_ns or 0)(time_ns)
 
-    def _prepare(self, topics: Iterable[str]) -> None:
-        new = set(topics) - self._topics
-        if new - {EVENTS} or (new and not self._topics):
+    def _lay_out(self) -> None:
+        new = self._topics - self._laid_out
+        if new - {EVENTS} or (new and not self._laid_out):
             # The first event may come late, and must not change a layout that somebody has arranged meanwhile.
-            self._recording.send_blueprint(log_layout({*self._topics, *new, EVENTS}, grows=True))
-        self._topics |= new
+            self._recording.send_blueprint(log_layout({*self._topics, EVENTS}, grows=True))
+            self._laid_out |= new
 
     def _send_pictures(self, topic: str, time_ns: Times, pictures: list[CompressedImage]) -> None:
         if topic == CENTER and not self._has_size:

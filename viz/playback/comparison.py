@@ -28,7 +28,6 @@ from viz.playback.rerun_recording import (
     drawn_topics,
     open_whole_log,
     predicted_curves,
-    read_drawn,
     send_chunks,
     topics_with_messages,
 )
@@ -66,7 +65,7 @@ def prepare_comparison(
     with contextlib.ExitStack() as stack:
         opened = [stack.enter_context(open_whole_log(path)) for path in paths]
         check_moment(at_s, zip(paths, (log for log, _ in opened), strict=True))
-        drawn = [read_drawn(log) for log, _ in opened]
+        drawn = [DrawnMessages(log) for log, _ in opened]
         by_time = [start_clock(log.time_range_ns[0]) for log, _ in opened]
         clocks = _by_place(paths, drawn) if by == "place" else by_time
         logs = [
@@ -124,7 +123,7 @@ def _place_clock(pose_ns: Times, placed_m: NDArray[np.float64]) -> Clock:
 
 
 def _way(path: Path, drawn: DrawnMessages) -> tuple[Times, NDArray[np.float64]]:
-    time_ns, poses = drawn.messages.get(POSE, (np.zeros(0, np.int64), []))
+    time_ns, poses = drawn.others.get(POSE, (np.zeros(0, np.int64), []))
     way = np.array([(each.pose.position.x, each.pose.position.y) for each in poses], np.float64).reshape(-1, 2)
     known = np.isfinite(way).all(axis=1)
     order = np.argsort(time_ns[known], kind="stable")

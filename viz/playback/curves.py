@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -34,6 +34,8 @@ from viz.timelines import Clock, Times
 BINS: Final = 25  # as the index has by default
 
 Values = NDArray[np.float64]
+Numbers = Mapping[str, Values]
+"""Fields of N messages: values (N,) of each, by its name."""
 
 _FRAME: Final = (320, 160)  # width and height of the simulator's pictures
 _ALONG: Final = np.linspace(0, 1, 9)  # along an arc
@@ -83,18 +85,23 @@ class Drawing:
 
     def send(self, topic: str, time_ns: Times, contents: Sequence[Any]) -> None:
         """Messages on one topic: log times (N,) in ns, and N contents."""
-        for curve, curve_ns, values in curve_values(topic, time_ns, contents):
+        if topic == POSE:
+            self._poses(time_ns, contents)
+        elif topic == EVENTS:
+            self._events(time_ns, contents)
+        else:
+            self.send_numbers(topic, time_ns, _numbers(topic, contents))
+
+    def send_numbers(self, topic: str, time_ns: Times, numbers: Numbers) -> None:
+        """Messages on one topic: log times (N,) in ns, and N values of each of its `number_fields`."""
+        for curve, curve_ns, values in curve_values(topic, time_ns, numbers):
             self.curve(curve, curve_ns, values)
             if curve.entity in ARCS:
                 self.arcs(curve, curve_ns, values)
         if topic == VEHICLE:
-            self._count(np.array([state.steering for state in contents], np.float64))
+            self._count(numbers["steering"])
         elif topic == PILOT_COMMAND:
-            self._drivers(time_ns, np.array([command.driver for command in contents], np.int64))
-        elif topic == POSE:
-            self._poses(time_ns, contents)
-        elif topic == EVENTS:
-            self._events(time_ns, contents)
+            self._drivers(time_ns, numbers["driver"].astype(np.int64))
 
     def curve(self, curve: Curve, time_ns: Times, values: Values) -> None:
         """One line of a plot, also one that is not of the log: log times (N,) in ns, values (N,)."""
@@ -147,7 +154,9 @@ class Drawing:
         self._driver = int(drivers[-1]) if len(drivers) else self._driver
 
     def _poses(self, time_ns: Times, poses: Sequence[Any]) -> None:
-        placed = np.array([_place(message.pose) for message in poses], np.float64).reshape(-1, 3)
+        x, y, z, qx, qy, qz, qw = _places_and_turns(poses).T
+        heading = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy**2 + qz**2))  # radians from x towards y
+        placed = np.stack([x, y, heading], axis=1)
         known = np.isfinite(placed).all(axis=1) & (np.abs(placed) < 1e6).all(axis=1)
         placed = placed[known]
         points = placed[:, :2] * (1, -1)  # in a picture, y points down
@@ -158,7 +167,9 @@ class Drawing:
             self._recording.log(entity, style, static=True)
         ahead = _CAR_M * np.stack([np.cos(placed[:, 2]), -np.sin(placed[:, 2])], axis=1)
         self._send(entity, time_ns[known], rr.Arrows2D.columns(origins=points, vectors=ahead))
-        in_space = _pose_columns([poses[at].pose for at in np.flatnonzero(known).tolist()])
+        in_space = rr.InstancePoses3D.columns(
+            translations=np.stack([x, y, z], axis=1)[known], quaternions=np.stack([qx, qy, qz, qw], axis=1)[known]
+        )
         self._send(self._prefix + POSE, time_ns[known], in_space)
         self._has_new = True
 
@@ -194,18 +205,35 @@ class Trail:
                 self._apart_m *= 2
 
 
-def curve_values(topic: str, time_ns: Times, contents: Sequence[Any]) -> Iterator[tuple[Curve, Times, Values]]:
+def number_fields(topic: str) -> list[str]:
+    """The fields of a topic's messages that are drawn as numbers; none where something else is drawn of it."""
+    others = ("driver",) if topic == PILOT_COMMAND else ()
+    return list(dict.fromkeys((*(line.field for line in TOPICS[topic].lines), *others)))
+
+
+def curve_values(topic: str, time_ns: Times, numbers: Numbers) -> Iterator[tuple[Curve, Times, Values]]:
     """The lines that are drawn of N messages on `topic`: which, log times and values; a field that a message may
     lack has no value there."""
     for line in TOPICS[topic].lines:
-        curve, value = Curve(line.path, line.label, COLORS[line.color]), operator.attrgetter(line.field)
+        curve, values = Curve(line.path, line.label, COLORS[line.color]), numbers[line.field]
         if not line.is_optional:
-            yield curve, time_ns, np.array([value(content) for content in contents], np.float64)
+            yield curve, time_ns, values
             continue
-        known = np.array([content.HasField(line.field) for content in contents], np.bool_)
-        if known.any():
-            values = [value(content) for content, is_known in zip(contents, known, strict=True) if is_known]
-            yield curve, time_ns[known], np.array(values, np.float64)
+        is_known = ~np.isnan(values)
+        if is_known.any():
+            yield curve, time_ns[is_known], values[is_known]
+
+
+def _numbers(topic: str, contents: Sequence[Any]) -> Numbers:
+    """The fields `number_fields` of N messages; NaN where one lacks it."""
+    optional = {line.field for line in TOPICS[topic].lines if line.is_optional}
+
+    def values(field: str) -> Iterator[float]:
+        value = operator.attrgetter(field)
+        for content in contents:
+            yield math.nan if field in optional and not content.HasField(field) else value(content)
+
+    return {name: np.fromiter(values(name), np.float64, len(contents)) for name in number_fields(topic)}
 
 
 def arcs(steering: Values, size: tuple[int, int]) -> NDArray[np.float32]:
@@ -239,15 +267,10 @@ def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
     return rr.BarChart(counts, abscissa=middles, widths=widths, color=BLUE)
 
 
-def _pose_columns(poses: Sequence[Any]) -> rr.ComponentColumnList:
-    """Poses in space, for those who add a view of them."""
-    places = [(pose.position.x, pose.position.y, pose.position.z) for pose in poses]
-    turns = [(pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w) for pose in poses]
-    return rr.InstancePoses3D.columns(translations=np.array(places), quaternions=np.array(turns))
-
-
-def _place(pose: Any) -> tuple[float, float, float]:
-    """x and y in m, and the heading: radians from x towards y."""
-    q = pose.orientation
-    heading = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
-    return pose.position.x, pose.position.y, float(heading)
+def _places_and_turns(messages: Sequence[Any]) -> Values:
+    """Positions in m and attitudes as quaternions of N poses: x, y, z, x, y, z, w (N, 7)."""
+    found = np.empty((len(messages), 7))
+    for row, message in zip(found, messages, strict=True):
+        at, turn = message.pose.position, message.pose.orientation
+        row[:] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
+    return found

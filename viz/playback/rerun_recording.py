@@ -6,6 +6,7 @@ import contextlib
 import tempfile
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,16 +23,15 @@ from common.files import refuse_existing
 from common.progress import track
 from recorder import Log, LogError
 from recorder.log.recover import recover
-from recorder.log.topics import POSE, TOPICS, VEHICLE
+from recorder.log.topics import EVENTS, POSE, TOPICS
 from viz.playback.blueprint import CENTER, Curve, log_layout
-from viz.playback.curves import Drawing, Values, curve_values, frame_size
+from viz.playback.curves import Drawing, Numbers, Values, curve_values, frame_size, number_fields
 from viz.playback.log_chunks import protobuf_topics, read_chunks
 from viz.playback.prediction_curves import prediction_curves
 from viz.playback.prediction_log import prediction_topics, read_predictions
 from viz.rrd_file import rrd_file
 from viz.timelines import Times, log_clock
 
-_DRAWN: Final = tuple(name for name, topic in TOPICS.items() if not topic.is_picture)
 _ROWS_AT_ONCE: Final = 500  # pictures on their way to a viewer, some megabytes: more would only pile up here
 
 
@@ -45,12 +45,35 @@ class PredictionLayer:
     """To a recording, or as what is drawn there. The third argument is the second of `PreparedRecording.send`."""
 
 
-@dataclass(frozen=True)
 class DrawnMessages:
-    """The messages of a log that are drawn: log times (N,) in ns and N contents, by topic."""
+    """The messages of a log that are drawn, without those of another program on topics of the same names."""
 
-    messages: dict[str, tuple[Times, list[Any]]]
-    picture_size: tuple[int, int] | None  # width, height of the centre camera's first picture
+    def __init__(self, log: Log) -> None:
+        """Reads all numbers. Raises LogError where the log is damaged."""
+        log.messages(EVENTS)  # the index comes first, with a bar of its own
+        self._log = log
+        self.numbers: dict[str, tuple[Times, Numbers]] = {}
+        """Log times (N,) in ns and values (N,) of each field, by topic."""
+        for topic in _of_registry(log):
+            if fields := number_fields(topic):
+                found = log.numbers(topic, fields)
+                times = found["log_time_ns"].to_numpy()
+                self.numbers[topic] = times, {name: found[name].to_numpy() for name in fields}
+        self.picture_size = _picture_size(log)
+        """Width and height of the centre camera's first picture that can be read."""
+
+    @cached_property
+    def others(self) -> dict[str, tuple[Times, list[Any]]]:
+        """Poses and events: log times (N,) in ns and N contents, by topic."""
+        found = {}
+        for topic in _of_registry(self._log):
+            if topic in self.numbers:
+                continue
+            messages = _poses(self._log) if topic == POSE else self._log.decoded(topic)
+            pairs = list(track(messages, f"reading {topic}", self._log.counts[topic]))
+            time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
+            found[topic] = time_ns, [content for _, content in pairs]
+        return found
 
 
 @dataclass(frozen=True)
@@ -99,7 +122,9 @@ def prepare_log(
     """
     with open_whole_log(path) as (log, notice):
         check_moment(at_s, [(path, log)])
-        drawn = read_drawn(log)  # before a viewer opens: without them nothing is worth showing
+        drawn = DrawnMessages(
+            log
+        )  # before a viewer gets anything: it shows nothing of a log without sound numbers
         skipped = Skipped()
 
         def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
@@ -143,31 +168,19 @@ def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
                 yield recovered, log.notice
 
 
-def read_drawn(log: Log) -> DrawnMessages:
-    """Read the messages of a log that are drawn, without those of another program on topics of the same names.
-    Raises LogError where it is damaged."""
-    found: dict[str, tuple[Times, list[Any]]] = {}
-    log.messages(VEHICLE)  # the pass over the file, with a bar of its own
-    for topic in _DRAWN:
-        messages = _poses(log) if topic == POSE else log.decoded(topic)
-        pairs = list(track(messages, f"reading {topic}", log.counts[topic])) if _is_ours(log, topic) else []
-        if pairs:
-            time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
-            found[topic] = time_ns, [content for _, content in pairs]
-    return DrawnMessages(found, _picture_size(log))
-
-
 def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
     """The curves of a log, each with its log times (N,) in ns and values (N,)."""
-    for topic, (time_ns, contents) in read_drawn(log).messages.items():
-        yield from curve_values(topic, time_ns, contents)
+    for topic, (time_ns, numbers) in DrawnMessages(log).numbers.items():
+        yield from curve_values(topic, time_ns, numbers)
     yield from predicted_curves(log)
 
 
 def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
     """Draw the messages of a whole log."""
     drawing.picture_size = drawn.picture_size or drawing.picture_size
-    for topic, (time_ns, contents) in drawn.messages.items():
+    for topic, (time_ns, numbers) in drawn.numbers.items():
+        drawing.send_numbers(topic, time_ns, numbers)
+    for topic, (time_ns, contents) in drawn.others.items():
         drawing.send(topic, time_ns, contents)
     drawing.finish()
 
@@ -177,10 +190,9 @@ def topics_with_messages(log: Log) -> list[str]:
     return [topic for topic, count in log.counts.items() if count]
 
 
-def drawn_topics(log: Log) -> set[str]:
+def drawn_topics(log: Log) -> list[str]:
     """The topics of a log whose messages are drawn: Rerun's reader need not see them."""
-    of_registry = {name for name in _DRAWN if _is_ours(log, name)}
-    return {*of_registry, *prediction_topics(log)}
+    return [*_of_registry(log), *prediction_topics(log)]
 
 
 def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
@@ -216,6 +228,14 @@ def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
     """The curves of the predictions in a log. Raises LogError where it is damaged."""
     for number, predictions in enumerate(read_predictions(log)):
         yield from prediction_curves(predictions, number)
+
+
+def _of_registry(log: Log) -> list[str]:
+    """The drawn topics that every log may have and this one has, but for the same names in another program's."""
+    counts = log.counts
+    return [
+        name for name, topic in TOPICS.items() if not topic.is_picture and counts.get(name) and _is_ours(log, name)
+    ]
 
 
 def _is_ours(log: Log, topic: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.double_fields import decode_doubles
+from recorder.log.number_fields import decode_numbers
 
 NAMES = ("steering", "throttle", "brake", "speed_mph")
 
@@ -46,24 +47,57 @@ def test_any_bytes_give_what_protobuf_makes_of_them(contents: list[bytes]) -> No
         expected = one_by_one(contents)
     except DecodeError:
         with pytest.raises(DecodeError):
-            decode_doubles(contents, VehicleState, NAMES)
+            decode_numbers(contents, VehicleState, NAMES)
     else:
-        found = decode_doubles(contents, VehicleState, NAMES)
+        found = decode_numbers(contents, VehicleState, NAMES)
         assert found.shape == (4, len(contents))
         assert found.astype("<f8").tobytes() == expected
 
 
+commands = st.builds(
+    PilotCommand,
+    predicted_steering=numbers,
+    steering=numbers,
+    driver=st.integers(-1, 200),
+    total_ms=numbers,
+    expert_steering=st.one_of(st.none(), numbers),
+).map(PilotCommand.SerializeToString)
+
+
+@given(
+    st.lists(
+        st.tuples(commands, st.binary(max_size=2), st.integers(0, 2)).map(
+            lambda a: a[0][: len(a[0]) - a[2]] + a[1]
+        )
+    )
+)
+@example([b"\x20"])
+@example([b"\x20\x80\x01", b"\x20\x01\x20\x02"])
+@example([b"\x20" + b"\xff" * 9 + b"\x01"])
+def test_enums_and_fields_that_may_be_missing_are_those_of_protobuf(contents: list[bytes]) -> None:
+    names = ("predicted_steering", "driver", "total_ms", "expert_steering")
+    try:
+        messages = [PilotCommand.FromString(content) for content in contents]
+    except DecodeError:
+        with pytest.raises(DecodeError):
+            decode_numbers(contents, PilotCommand, names)
+        return
+    expected = [[getattr(message, name) for message in messages] for name in names[:3]]
+    expected.append([each.expert_steering if each.HasField(names[3]) else math.nan for each in messages])
+    assert np.array_equal(decode_numbers(contents, PilotCommand, names), np.array(expected), equal_nan=True)
+
+
 def test_fields_are_given_in_the_order_that_is_asked_for() -> None:
     contents = [VehicleState(steering=0.5, speed_mph=row).SerializeToString() for row in range(3)]
-    found = decode_doubles(contents, VehicleState, ("speed_mph", "steering"))
+    found = decode_numbers(contents, VehicleState, ("speed_mph", "steering"))
     assert found.tolist() == [[0, 1, 2], [0.5, 0.5, 0.5]]
 
 
 def test_messages_with_other_fields_and_fields_of_fields_are_read_as_well() -> None:
     command = PilotCommand(steering=0.25, driver=PilotCommand.EXPERT, expert_steering=0.5)
-    found = decode_doubles([command.SerializeToString()], PilotCommand, ("steering", "driver", "expert_steering"))
+    found = decode_numbers([command.SerializeToString()], PilotCommand, ("steering", "driver", "expert_steering"))
     assert found[:, 0].tolist() == [0.25, PilotCommand.EXPERT, 0.5]
     pose = PoseInFrame()
     pose.pose.position.x = 3.0
-    assert decode_doubles([pose.SerializeToString()], PoseInFrame, ("pose.position.x",)).tolist() == [[3.0]]
-    assert np.shape(decode_doubles([], VehicleState, NAMES)) == (4, 0)
+    assert decode_numbers([pose.SerializeToString()], PoseInFrame, ("pose.position.x",)).tolist() == [[3.0]]
+    assert np.shape(decode_numbers([], VehicleState, NAMES)) == (4, 0)

@@ -1,0 +1,202 @@
+"""What a lost chunk costs where pictures have chunks of their own: a chunk of rows costs these rows, and their
+pictures with them; a chunk of pictures costs no row. All of it is told by its numbers, and the rest is sound.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from common.car import CAMERAS
+from logs import START_NS, STEP_NS, not_a_picture
+from plain_mcap import Contents, Stored, StoredChunk, by_topic, contents
+from recorder import LogError, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.check import check
+from recorder.log.derived_log import Written
+from recorder.log.recover import recover
+from recorder.log.topics import PICTURE_TOPICS, ROW_TOPICS
+
+ROWS = 120
+MISSING = "stretches of rows that are missing"
+WITHOUT_PICTURE = "stretches of rows without a picture"
+REST_LOST = "messages of a row of which the rest is lost"
+
+
+@pytest.fixture(autouse=True)
+def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 2048)
+
+
+def drive(path: Path, first: int = 0) -> Path:
+    """A drive with events and crops; chunks of pictures are of about four rows, others of about fifteen."""
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(first, first + ROWS):
+            time_ns = START_NS + row * STEP_NS
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, not_a_picture(camera, row) * 8)
+            writer.vehicle(time_ns, row, VehicleState(steering=row % 1000 / 1000, throttle=0.5, speed_mph=9.0))
+            writer.crop(time_ns, row, b"\x89PNG\r\n\x1a\n" + bytes([row % 256]))
+            writer.command(time_ns, row, PilotCommand(steering=row % 1000 / 500))
+            if row % 7 == 0:
+                writer.event(time_ns, f"at row {row}")
+    return path
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    return drive(tmp_path / "whole.mcap", first=1000)
+
+
+def is_of_pictures(chunk: StoredChunk) -> bool:
+    return chunk.messages[0].topic in PICTURE_TOPICS
+
+
+def behind_descriptions(chunks: list[StoredChunk]) -> list[StoredChunk]:
+    """Those behind the first message of every topic: nothing else describes the topic in a killed log."""
+    firsts: dict[str, int] = {}
+    for number, chunk in enumerate(chunks):
+        for message in chunk.messages:
+            firsts.setdefault(message.topic, number)
+    return chunks[max(firsts.values()) + 1 :]
+
+
+def driven(messages: list[Stored]) -> set[int]:
+    return {message.sequence for message in messages if message.topic == "/vehicle"}
+
+
+def without(path: Path, lost: list[StoredChunk], *, is_killed: bool = False) -> Path:
+    """A copy in which these chunks are zeros: what a failing disk, or a pulled plug, leaves."""
+    data = bytearray(path.read_bytes())
+    for chunk in lost:
+        data[chunk.start : chunk.end] = bytes(chunk.end - chunk.start)
+    damaged = path.with_name("damaged.mcap")
+    damaged.write_bytes(data[: contents(path).chunks[-1].end] if is_killed else data)
+    return damaged
+
+
+def expected(original: Contents, lost: list[StoredChunk]) -> tuple[list[Stored], set[int]]:
+    """What is whole and has its row; and the rows that are gone."""
+    left = [message for chunk in original.chunks if chunk not in lost for message in chunk.messages]
+    rows = driven(left)
+    gone = driven(original.messages) - rows
+    return [m for m in left if m.topic not in ROW_TOPICS or m.sequence in rows], gone
+
+
+def numbers(written: Written, reason: str, topic: str = "") -> set[int]:
+    """The rows that are named for a reason."""
+    found: set[int] = set()
+    for why, where in written.skipped:
+        if why == reason and where.startswith(topic):
+            words = where.split()
+            found.update(range(int(words[words.index("rows") + 1]), int(words[-1]) + 1) if "rows" in words else ())
+            found.update([int(words[-1])] if "row" in words else ())
+    return found
+
+
+def complaints_of(whole: Path, lost: list[StoredChunk], *, is_killed: bool = False) -> Iterator[str]:
+    original = contents(whole)
+    left, gone = expected(original, lost)
+    to = whole.with_name("recovered.mcap")
+    written = recover(without(whole, lost, is_killed=is_killed), to, overwrite=True)
+    found = contents(to)
+    if found.by_topic != by_topic(left):
+        yield f"{len(found.messages)} messages, not {len(left)}"
+    hit = [m for chunk in original.chunks if chunk not in lost for m in chunk.messages if m not in left]
+    last = (
+        max(driven(left)) if is_killed else max(m.sequence for m in [*left, *hit])
+    )  # of the rest, nothing is left
+    if numbers(written, MISSING) != {row for row in gone if row <= last}:
+        yield f"named as missing: {sorted(numbers(written, MISSING))}, not {sorted(gone)}"
+    told = numbers(written, REST_LOST) | numbers(written, "messages of a row that was never finished")
+    if told != {m.sequence for m in hit}:
+        yield f"named as torn: {sorted(told)}"
+    kept, findings = driven(left), check(to, look=False).findings
+    for topic in sorted(PICTURE_TOPICS & original.by_topic.keys()):
+        dark = kept - {m.sequence for m in left if m.topic == topic}
+        if numbers(written, WITHOUT_PICTURE, topic) != dark:
+            yield f"{topic}: named {sorted(numbers(written, WITHOUT_PICTURE, topic))}, not {sorted(dark)}"
+        if topic.startswith("/camera/"):
+            of_check = {where for kind, where in findings if kind == WITHOUT_PICTURE}
+            of_recover = {where for why, where in written.skipped if why == WITHOUT_PICTURE and "camera" in where}
+            if of_check != of_recover:
+                yield f"check: {of_check}, recover: {of_recover}"
+    others = {kind for kind, _ in findings} - {WITHOUT_PICTURE, "gaps in time"}
+    if others:
+        yield f"check: {others}"
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+def test_whatever_chunk_is_lost_costs_no_more_than_it_must(whole: Path, is_killed: bool) -> None:
+    chunks = contents(whole).chunks
+    assert sum(map(is_of_pictures, chunks)) > 20
+    assert len(chunks) - sum(map(is_of_pictures, chunks)) > 5
+    complaints = [
+        f"chunk {chunks.index(chunk)}: {what}"
+        for chunk in (behind_descriptions(chunks) if is_killed else chunks)
+        for what in complaints_of(whole, [chunk], is_killed=is_killed)
+    ]
+    assert complaints == []
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+@pytest.mark.parametrize("times", [10, pytest.param(200, marks=pytest.mark.long)])
+def test_whatever_chunks_are_lost_cost_no_more_than_they_must(whole: Path, is_killed: bool, times: int) -> None:
+    chunks = contents(whole).chunks
+    chance = random.Random(5)
+    complaints = []
+    for turn in range(times):
+        lost = chance.sample(behind_descriptions(chunks), chance.randint(2, 5))
+        complaints += [f"turn {turn}: {what}" for what in complaints_of(whole, lost, is_killed=is_killed)]
+    assert complaints == []
+
+
+def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Path) -> None:
+    """Pictures are worth something, and there is nothing else."""
+    original = contents(whole)
+    lost = [chunk for chunk in original.chunks if not is_of_pictures(chunk)]
+    written = recover(without(whole, lost), whole.with_name("recovered.mcap"))
+    found = contents(written.path)
+    assert found.by_topic == by_topic(m for chunk in original.chunks if chunk not in lost for m in chunk.messages)
+    assert numbers(written, MISSING) == driven(original.messages)
+    damaged, count = whole.with_name("damaged.mcap"), len(original.messages)
+    assert written.notices == [
+        f"{damaged}: lost in all: {count - len(found.messages):,} of {count:,} messages",
+        f"{damaged}: no row is whole in it: what is kept has no rows",
+    ]
+
+
+def test_without_any_chunk_nothing_is_recovered(whole: Path) -> None:
+    with pytest.raises(LogError, match="not one whole message"):
+        recover(without(whole, contents(whole).chunks), whole.with_name("recovered.mcap"))
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
+def test_chunks_that_have_moved_and_others_that_are_lost(whole: Path, is_killed: bool) -> None:
+    """Nobody knows then where the lost ones were: what is whole is kept, in the order of its rows."""
+    original, data = contents(whole), whole.read_bytes()
+    chunks = original.chunks
+    chance = random.Random(3)
+    complaints = []
+    for turn in range(12):
+        movable = behind_descriptions(chunks)
+        order = chunks[: -len(movable)] + chance.sample(movable, len(movable))
+        lost = chance.sample(movable, 2)
+        parts = [data[one.end : other.start] for one, other in itertools.pairwise(chunks)]  # indexes stay
+        bodies = [bytes(c.end - c.start) if c in lost else data[c.start : c.end] for c in order]
+        mixed_up = b"".join(itertools.chain.from_iterable(zip(bodies, [*parts, b""], strict=True)))
+        path = whole.with_name("damaged.mcap")
+        path.write_bytes(data[: chunks[0].start] + mixed_up + (b"" if is_killed else data[chunks[-1].end :]))
+        to = whole.with_name("recovered.mcap")
+        written = recover(path, to, overwrite=True)
+        left, gone = expected(original, lost)
+        if contents(to).by_topic != by_topic(left):
+            complaints.append(f"turn {turn}: not what was whole")
+        named = numbers(written, MISSING)
+        if not gone >= named >= {row for row in gone if row < max(driven(left))}:
+            complaints.append(f"turn {turn}: named {named}, gone {gone}")
+    assert complaints == []
