@@ -43,7 +43,7 @@ def _size_at(picture: bytes) -> tuple[tuple[int, int], int] | None:
 
 
 class SizeReader:
-    """Gives the sizes of many pictures. Those of a camera mostly begin alike, and are not searched through then."""
+    """Gives the sizes of many pictures, most of which begin as the one before: those are not searched through."""
 
     def __init__(self) -> None:
         self._header = b""

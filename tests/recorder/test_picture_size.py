@@ -30,7 +30,9 @@ ENCODED = {
 
 @pytest.mark.parametrize("data", ENCODED.values(), ids=ENCODED)
 def test_it_is_that_of_the_picture_when_it_is_decoded(data: bytes) -> None:
-    height, width, _ = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    height, width, _ = decoded.shape
     assert width_and_height(data) == (width, height)
 
 
