@@ -29,7 +29,7 @@ demo: install
 test: install
 	$(PYTEST)
 
-# what takes long by nature (every byte, every moment), and ten times the examples of what holds for whatever is given
+# what takes long by nature (every byte, every moment), and twenty times the examples of what holds for whatever is given
 test-long: install
 	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
 

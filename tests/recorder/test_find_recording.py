@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 
-from driving import one_line_of, run
+from driving import one_line_in
 from logs import read_messages
 from other_logs import DRIVE, write_bag, write_mcap
 from recorder import Log, RecordingError, import_udacity
@@ -88,13 +88,15 @@ def test_folders_that_go_in_circles_end(tmp_path: Path) -> None:
 # Logs of this toolkit
 
 
-def test_a_log_of_this_toolkit_needs_no_import(tmp_path: Path) -> None:
+def test_a_log_of_this_toolkit_needs_no_import(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     make_recording(tmp_path / "drive", CSV, [0])
     log = import_udacity(tmp_path / "drive", tmp_path / "mine" / "log.mcap").path
-    done = run("bc-record", "x", "--from", log, cwd=tmp_path)
-    assert done.returncode == 1
+    assert call(main, "x", "--from", log) == 1
     assert "a log of this toolkit, which is a session without being imported: copy it into sessions/" in (
-        one_line_of(done)
+        one_line_in(capsys)
     )
     with pytest.raises(RecordingError, match="a session already: `bc-index`"):
         import_recording(log, log.with_name("x.mcap"))
@@ -147,14 +149,16 @@ def steerings(log: Path) -> list[float]:
     return [state.steering for _, state in read_messages(log)["/vehicle"]]
 
 
-def test_catalogues_that_the_manifest_does_not_name_are_taken_if_asked_for(tmp_path: Path) -> None:
+def test_catalogues_that_the_manifest_does_not_name_are_taken_if_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     folder = without_its_last_catalogue(tmp_path / "data")
-    done = run("bc-record", "few", "--from", folder, cwd=tmp_path)
-    assert done.returncode == 3
-    assert "(--all-catalogs takes them): 1 (catalog_1.catalog)" in done.stderr
+    assert call(main, "few", "--from", folder) == 3
+    assert "(--all-catalogs takes them): 1 (catalog_1.catalog)" in capsys.readouterr().err
     assert steerings(tmp_path / "sessions" / "few.mcap") == [-1.0, 0.25]
-    done = run("bc-record", "all", "--from", folder, "--all-catalogs", cwd=tmp_path)
-    assert "catalog_1" not in done.stderr
+    call(main, "all", "--from", folder, "--all-catalogs")
+    assert "catalog_1" not in capsys.readouterr().err
     assert steerings(tmp_path / "sessions" / "all.mcap") == [-1.0, 0.25, 1.0, -1.0]
 
 
@@ -171,11 +175,14 @@ def test_a_tub_without_any_manifest_is_still_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("make", [lambda folder: make_recording(folder, CSV, [0]), None])
 def test_all_catalogues_of_what_is_no_tub_is_refused(
-    tmp_path: Path, make: Callable[[Path], object] | None
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    make: Callable[[Path], object] | None,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     flags = ["--from", tmp_path / "drive"] if make is not None else []
     if make is not None:
         make(tmp_path / "drive")
-    done = run("bc-record", "x", *flags, "--all-catalogs", cwd=tmp_path)
-    assert done.returncode == (1 if flags else 2)
-    assert "--all-catalogs" in one_line_of(done)
+    assert call(main, "x", *flags, "--all-catalogs") == (1 if flags else 2)
+    assert "--all-catalogs" in one_line_in(capsys)

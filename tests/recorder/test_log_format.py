@@ -25,7 +25,7 @@ from model.evaluation.predict_log import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.log.edit import merge, split, trim
+from recorder.log.edit import merge, rewrite, split, trim
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
@@ -229,6 +229,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
 
     recover(path["udacity"], path["recovered"])
     trim(path["simulator"], path["trimmed"], (1, 2))
+    path["rewritten"] = rewrite(path["udacity"], folder / "rewritten.mcap").path
     merge([path["udacity"], path["drive"]], path["merged"])
     path["split"] = split(path["udacity"], folder)[1].path
     path["prediction"] = folder / "prediction.mcap"

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from driving import one_line_of, run
+from driving import one_line_in
 from logs import read_messages
 from recorder import Imported, Log, RecordingError, import_udacity
 from recorder.cli import main
@@ -87,14 +87,17 @@ def test_cameras_that_a_row_leaves_out_are_not_missed(tmp_path: Path, record: ob
         assert (done.rows, done.pictures, reasons) == (2, 3 + row.count("{}"), set())
 
 
-def test_pictures_without_times_name_the_flag(tmp_path: Path) -> None:
+def test_pictures_without_times_name_the_flag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     make_folder(tmp_path / "torcs")
-    done = run("bc-record", "torcs", "--from", tmp_path / "torcs", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "no time in their pictures' names (--rate 20 takes them as 20 a second)" in one_line_of(done)
-    done = run("bc-record", "torcs", "--from", tmp_path / "torcs", "--rate", 20, cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "torcs.mcap: 4 rows, 4 pictures" in done.stdout
+    assert call(main, "torcs", "--from", tmp_path / "torcs") == 1
+    assert "no time in their pictures' names (--rate 20 takes them as 20 a second)" in one_line_in(capsys)
+    assert call(main, "torcs", "--from", tmp_path / "torcs", "--rate", 20) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "torcs.mcap: 4 rows, 4 pictures" in said.out
 
 
 @both_ways

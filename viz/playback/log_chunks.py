@@ -29,7 +29,7 @@ from recorder.log.topics import COMPRESSED_IMAGE
 from viz.playback.picture_columns import picture_columns
 from viz.timelines import Clock, on_clock
 
-_SENT_BYTES: Final = 1 << 20  # of pictures that are sent at once
+_SENT_BYTES: Final = 1 << 18  # of pictures that are sent at once: of larger parts, a viewer needs more memory
 _OF_SUMMARY: Final = ("metadata", "recording_info", "schema", "stats")  # decoders of what is no message
 _NOT_OF_SUMMARY: Final = tuple(each for each in McapReader.available_decoders() if each not in _OF_SUMMARY)
 
