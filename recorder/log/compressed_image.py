@@ -14,10 +14,14 @@ def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int,
     """
     position, end = offset, offset + length
     while position < end:
-        # most numbers are of a single byte: a call for each would be half of the time
+        # most numbers are of one to three bytes: a call for each would be half of the time
         tag, position = (data[position], position + 1) if data[position] < 0x80 else _varint(data, position, end)
-        if position < end and data[position] < 0x80:
-            size, position = data[position], position + 1
+        if position < end and (first := data[position]) < 0x80:
+            size, position = first, position + 1
+        elif position + 1 < end and (second := data[position + 1]) < 0x80:
+            size, position = first & 0x7F | second << 7, position + 2
+        elif position + 2 < end and (third := data[position + 2]) < 0x80:
+            size, position = first & 0x7F | (second & 0x7F) << 7 | third << 14, position + 3
         else:
             size, position = _varint(data, position, end)
         if tag & 7 != 2 or size < 0 or position + size > end:  # each field of it is length-delimited

@@ -56,23 +56,22 @@ class PlacesWritten:
 
     def __init__(self) -> None:
         self.channels: set[int] = set()  # those of pictures
+        self.count = 0
+        """Pictures that are not taken yet."""
         self._places = bytearray()
         self._chunks: list[tuple[int, int]] = []
-
-    def __len__(self) -> int:
-        """Pictures that are not taken yet."""
-        return len(self._places) // _PLACE.size
 
     def add_chunk(self, start: int, record: bytes) -> None:
         """A chunk that begins at byte `start` of the file."""
         *_, crc = CHUNK_HEADER.unpack_from(record)
         self._places += places_in(record, len(self._chunks), self.channels)
+        self.count = len(self._places) // _PLACE.size
         self._chunks.append((start, crc))
 
     def take_pictures(self) -> Attached:
         """The attachment about the pictures that were not taken yet."""
         content = bytes(self._places)
-        self._places = bytearray()
+        self._places, self.count = bytearray(), 0
         return 0, 0, PICTURES_ATTACHMENT, MEDIA_TYPE, content
 
     def take_chunks(self) -> Attached:

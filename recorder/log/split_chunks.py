@@ -4,25 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from hashlib import sha256
-from typing import Any, BinaryIO, Final, NamedTuple, cast
+from typing import Any, BinaryIO, Final, cast
 
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
-from recorder.log.mcap_file import CHUNK_HEADER
+from recorder.log.mcap_file import CHUNK_HEADER, MESSAGE
 from recorder.log.picture_places import PLACES_AT_ONCE, PlacesWritten
 
 CHUNK_BYTES: Final = 256 * 1024
-
-
-class _Waiting(NamedTuple):
-    """A message that is no picture, on its way into a chunk."""
-
-    number_of: Callable[[], int]  # its channel's, which is registered in that chunk
-    log_time_ns: int
-    data: bytes
-    publish_time_ns: int
-    sequence: int
 
 
 class SplitChunks:
@@ -41,7 +31,7 @@ class SplitChunks:
             compression=CompressionType.NONE,
             enable_data_crcs=True,
         )
-        self._waiting: list[_Waiting] = []
+        self._waiting: list[tuple[Callable[[], int], int, bytes, int, int]] = []  # as `add` got them
         self._waiting_bytes = 0
 
     @property
@@ -58,26 +48,26 @@ class SplitChunks:
         self._mcap.start(profile=profile, library=library)
 
     def add_picture(
-        self, number_of: Callable[[], int], log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes
+        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
         """A message on a picture's channel; `number_of` gives the channel's number, and may register it."""
         number = number_of()
         self._stream.places.channels.add(number)
         self._mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
-        if len(self._stream.places) >= PLACES_AT_ONCE:
+        if self._stream.places.count >= PLACES_AT_ONCE:
             self._write_places()
 
     def add(
-        self, number_of: Callable[[], int], log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes
+        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
         """Any other message."""
-        self._waiting.append(_Waiting(number_of, log_time_ns, data, publish_time_ns, sequence))
-        self._waiting_bytes += len(data) + 31  # of the record around it
+        self._waiting.append((number_of, log_time_ns, data, publish_time_ns, sequence))
+        self._waiting_bytes += len(data) + MESSAGE.size
         if self._waiting_bytes > CHUNK_BYTES:
             self.flush()
 
     def add_mixed(
-        self, number_of: Callable[[], int], log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes
+        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
         """A message of a file that has no chunks of its own for pictures."""
         self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
@@ -87,8 +77,9 @@ class SplitChunks:
         self._mcap.flush()  # type: ignore[no-untyped-call]
         if self._waiting:
             waiting, self._waiting, self._waiting_bytes = self._waiting, [], 0
-            for message in waiting:
-                self._mcap.add_message(message.number_of(), *message[1:])
+            add_message = self._mcap.add_message
+            for number_of, log_time_ns, data, publish_time_ns, sequence in waiting:
+                add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
             self._mcap.flush()  # type: ignore[no-untyped-call]
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:

@@ -23,16 +23,41 @@ _SCAN_OR_END: Final = frozenset({0xD9, 0xDA})
 
 def width_and_height(picture: bytes) -> tuple[int, int] | None:
     """Width and height of a JPEG or PNG; None if it is neither, or cut off before that."""
+    found = _size_at(picture)
+    return None if found is None else found[0]
+
+
+def _size_at(picture: bytes) -> tuple[tuple[int, int], int] | None:
+    """Width and height of a picture, and where the bytes end that tell them."""
     try:
         if picture.startswith(PNG_START):
             width, height = struct.unpack_from(">II", picture, 16)
-        elif picture.startswith(_JPEG_START):
-            height, width = struct.unpack_from(">HH", picture, _frame(picture) + 3)
-        else:
-            return None
+            return (width, height), 24
+        if picture.startswith(_JPEG_START):
+            at = _frame(picture) + 3
+            height, width = struct.unpack_from(">HH", picture, at)
+            return (width, height), at + 4
     except (struct.error, IndexError, ValueError):
-        return None
-    return int(width), int(height)
+        pass
+    return None
+
+
+class SizeReader:
+    """Gives the sizes of many pictures, most of which begin as the one before: those are not searched through."""
+
+    def __init__(self) -> None:
+        self._header = b""
+        self._size = 0, 0
+
+    def width_and_height(self, picture: bytes) -> tuple[int, int] | None:
+        """As the function of that name."""
+        if not self._header or not picture.startswith(self._header):
+            found = _size_at(picture)
+            if found is None:
+                return None
+            self._size, end = found
+            self._header = picture[:end]
+        return self._size
 
 
 def pixels(picture: bytes) -> int | None:
