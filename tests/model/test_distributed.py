@@ -7,7 +7,6 @@ import json
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,40 +52,19 @@ def epochs_of(run: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
 
 
-# Several command lines of `bc-train`, one after the other, in processes that load PyTorch once.
-IN_TURN = """
-import json, shutil, sys
-import model.cli
-from model.training.distributed import rank_of_process
-
-model.cli.end_process = lambda code: sys.exit(code) if code else None
-for number, flags in enumerate(json.loads(sys.argv[1])):
-    sys.argv[1:] = flags
-    model.cli.main()
-    if rank_of_process() == 0:
-        shutil.copy("two/model.safetensors", f"{number}.safetensors")
-"""
-
-
 @pytest.mark.parametrize("batch", [pytest.param(10, marks=pytest.mark.long), 25])
-def test_two_processes_learn_what_one_does_and_go_on_together(index: Path, tmp_path: Path, batch: int) -> None:
+def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path, batch: int) -> None:
     """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing."""
-    (tmp_path / "in_turn.py").write_text(IN_TURN)
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
-    lines = [["--name", "two", *FLAGS, "--batch", batch, *places], ["--resume", "two", "--epochs", 2, *places]]
-    in_turn = json.dumps([[str(word) for word in line] for line in lines])
-    done = torchrun(in_turn, begin=["in_turn.py"], cwd=tmp_path)
+    done = torchrun("--name", "two", *FLAGS, "--batch", batch, *places)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("epoch  1:") == done.stdout.count("epoch  2:") == 1  # one of them speaks, and writes
-
+    assert done.stdout.count("epoch  1:") == 1  # one of them speaks, and writes
     config = TrainConfig(epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
-    weights = [load_file(path) for path in (tmp_path / "one" / "model.safetensors", tmp_path / "0.safetensors")]
-    train(index, tmp_path / "one", replace(config, epochs=2), resume=True, figures=False)
-    one, two = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "two")
-    assert two[0]["training_loss"] == pytest.approx(one[0]["training_loss"], rel=1e-5)
-    assert two[0]["validation"]["rmse_deg"] == pytest.approx(one[0]["validation"]["rmse_deg"], rel=1e-4)
-    assert two[1]["training_loss"] == pytest.approx(one[1]["training_loss"], rel=1e-4)
+    (one,), (two,) = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "two")
+    assert two["training_loss"] == pytest.approx(one["training_loss"], rel=1e-5)
+    assert two["validation"]["rmse_deg"] == pytest.approx(one["validation"]["rmse_deg"], rel=1e-4)
+    weights = [load_file(tmp_path / name / "model.safetensors") for name in ("one", "two")]
     moved = [np.abs(weights[0][name] - weights[1][name]) for name in weights[0]]
     # few: one step of Adam moves a weight by its rate, also where the gradient is nothing but its last bit
     assert np.mean(np.concatenate([each.ravel() for each in moved]) > 1e-6) < 0.02
@@ -124,7 +102,7 @@ def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Pa
     assert found["training_loss"] == pytest.approx(expected["training_loss"], rel=1e-5)
 
 
-@pytest.mark.long  # in the same processes: test_two_processes_learn_what_one_does_and_go_on_together
+@pytest.mark.long
 def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path) -> None:
     """In two epochs, stopped between them, they learn what they do in one go; a part of a batch at a time."""
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
