@@ -14,6 +14,14 @@ class DatasetError(UserError):
     """An index that is missing, empty, damaged, or older than its logs; a picture that cannot be decoded."""
 
 
+class UnusablePictureError(DatasetError):
+    """A picture that cannot be shown: it is left out, and the others are not. `kind` is that of its reason."""
+
+    def __init__(self, kind: str, why: str) -> None:
+        super().__init__(why)
+        self.kind = kind
+
+
 @contextlib.contextmanager
 def index_write_errors(path: Path) -> Iterator[None]:
     """Raise DatasetError, which names `path`, for an OSError in the block: those of pyarrow name no file."""

@@ -5,7 +5,9 @@ Any number of threads may ask at once; OpenCV releases Python's lock while it wo
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
+from typing import Final
 
 import cv2
 import numpy as np
@@ -13,11 +15,11 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from dataset.augment import alter
-from dataset.errors import DatasetError
+from dataset.errors import UnusablePictureError
 from dataset.frames.distinct_rows import number_distinct
 from dataset.preprocess import CROP_BYTES, CROP_SHAPE, Image, decode, preprocess
 from dataset.samples.sample_rows import Rows
-from recorder import Log
+from recorder import Log, LogError
 from recorder.log.topics import camera_topic
 
 
@@ -42,6 +44,10 @@ def _is_altered(rows: Rows) -> NDArray[np.bool_]:
     return np.array([names != "" for names in rows.alterations], np.bool_)[rows.alteration]
 
 
+UNDECODED: Final = "pictures that do not decode"
+DAMAGED: Final = "pictures in damaged chunks of their log (`bc-log recover` saves the rest of it)"
+
+
 class Crops:
     """The pictures of some samples."""
 
@@ -53,13 +59,13 @@ class Crops:
         self._kept = np.empty((kept, *CROP_SHAPE), np.uint8)  # no memory is taken before it is written to
         self._is_kept = np.zeros(kept, np.bool_)
 
-    def fill(self, pictures: Image, samples: NDArray[np.int64]) -> dict[int, DatasetError]:
+    def fill(self, pictures: Image, samples: NDArray[np.int64]) -> dict[int, UnusablePictureError]:
         """Write what `samples` show into `pictures` (N, 128, 128, 3).
 
-        Returns the samples whose picture does not decode, and why; what is written for them is arbitrary.
-        Raises LogError for a damaged log.
+        Returns the samples whose picture does not decode, or lies in a damaged chunk of its log, and why; what is
+        written for them is arbitrary.
         """
-        failed: dict[int, DatasetError] = {}
+        failed: dict[int, UnusablePictureError] = {}
         columns = (self._rows.picture, self._rows.flip, self._rows.alteration, self._rows.seed)
         wanted = zip(pictures, samples.tolist(), *(column[samples].tolist() for column in columns), strict=True)
         cropped = -1
@@ -67,7 +73,7 @@ class Crops:
             try:
                 if number != cropped:  # neighbours in the index often show the same picture
                     crop, cropped = self._crop(number), number
-            except DatasetError as error:
+            except UnusablePictureError as error:
                 failed[sample] = error
                 continue
             if flip:
@@ -82,11 +88,12 @@ class Crops:
         """A picture's name for people: session, row and camera."""
         rows = self._rows
         log, offset, chunk = self._logs[rows.session[number]], int(rows.offset[number]), rows.chunk[number]
-        for camera in CAMERAS:
-            found = log.pictures(camera_topic(camera))
-            at = np.flatnonzero((found.offset == offset) & (found.chunk == chunk))
-            if len(at):
-                return f"{rows.sessions[rows.session[number]]} row {found.sequence[at[0]]} {camera}"
+        with contextlib.suppress(LogError):  # of an earlier version, that is damaged: no row of it is told then
+            for camera in CAMERAS:
+                found = log.pictures(camera_topic(camera))
+                at = np.flatnonzero((found.offset == offset) & (found.chunk == chunk))
+                if len(at):
+                    return f"{rows.sessions[rows.session[number]]} row {found.sequence[at[0]]} {camera}"
         return f"{log.path} byte {offset}"  # an index that was not made here
 
     def _crop(self, number: int) -> Image:
@@ -102,8 +109,9 @@ class Crops:
         rows = self._rows
         log = self._logs[rows.session[number]]
         offset = int(rows.offset[number])
-        jpeg = log.read(offset, int(rows.length[number]), int(rows.chunk[number]))
         try:
-            return preprocess(decode(jpeg))
+            return preprocess(decode(log.read(offset, int(rows.length[number]), int(rows.chunk[number]))))
+        except LogError as error:
+            raise UnusablePictureError(DAMAGED, str(error)) from None
         except ValueError as error:
-            raise DatasetError(f"{log.path}: the picture at byte {offset}: {error}") from None
+            raise UnusablePictureError(UNDECODED, f"{log.path}: the picture at byte {offset}: {error}") from None

@@ -7,13 +7,14 @@
 The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen, and
 several processes share an epoch without a word between them. Threads decode some batches ahead.
 
-A picture that does not decode is left out of its batches, which are smaller then, and named in `Loader.skipped`.
+A picture that does not decode, or lies in a damaged chunk of its log, is left out of its batches, which are then
+smaller, and named in `Loader.skipped`.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
+from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import prefetched
 from dataset.preprocess import Image
@@ -31,7 +33,6 @@ from dataset.samples.sample_rows import Rows
 from dataset.samples.samples_reader import LOADED, Samples, Split
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
-UNDECODED: Final = "pictures that do not decode"
 
 _AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more fall out of the caches
 
@@ -106,7 +107,7 @@ class Loader(Closeable):
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
         """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller, and
-        so is one with pictures that do not decode. Raises LogError where a log is damaged."""
+        so is one with pictures that do not decode, or lie where their log is damaged."""
         return self._batches(self.parts(epoch, start_batch))
 
     def in_order(self) -> Iterator[Batch]:
@@ -143,16 +144,17 @@ class Loader(Closeable):
         """The samples of each part that decode, and their pictures; the others are skipped."""
         for part, pictures, failed in prefetched(parts, crops.fill, threads=self.threads, at_once=self._at_once):
             if failed:
-                self._skip(self.rows.picture[failed].tolist())
-                is_decoded = ~np.isin(part, failed)
+                self._skip(failed)
+                is_decoded = ~np.isin(part, list(failed))
                 part, pictures = part[is_decoded], pictures[is_decoded]
             yield part, pictures
 
-    def _skip(self, pictures: list[int]) -> None:
-        for number in pictures:
+    def _skip(self, failed: Mapping[int, UnusablePictureError]) -> None:
+        for sample, error in failed.items():
+            number = int(self.rows.picture[sample])
             if number not in self._undecoded:
                 self._undecoded.add(number)
-                self.skipped.add(UNDECODED, self._crops.name(number))
+                self.skipped.add(error.kind, self._crops.name(number))
 
 
 def load(

@@ -20,7 +20,6 @@ from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import Crops
-from dataset.loader.loader import UNDECODED
 from dataset.loader.prefetch import prefetched
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
@@ -90,15 +89,15 @@ class LogCrops(Closeable):
     def batches(self, size: int) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """Numbers of pictures and their crops (at most `size`, 128, 128, 3), in order, read ahead by threads.
 
-        Pictures that do not decode are left out, and named in `skipped`. Raises LogError for a damaged log.
+        Pictures that do not decode, or lie where the log is damaged, are left out, and named in `skipped`.
         """
         numbers = np.arange(len(self))
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
         for part, crops, failed in prefetched(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
-            for number in failed:
-                self.skipped.add(UNDECODED, self._crops.name(number))
-            is_decoded = ~np.isin(part, failed)
+            for number, error in failed.items():
+                self.skipped.add(error.kind, self._crops.name(number))
+            is_decoded = ~np.isin(part, list(failed))
             yield part[is_decoded], crops[is_decoded] if failed else crops
 
     def _recorded(self, pictures: Pictures) -> NDArray[np.float64]:

@@ -10,21 +10,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.errors import DatasetError
+from dataset.errors import UnusablePictureError
 from dataset.preprocess import CROP_SHAPE, Image
 
 _JOBS: Final = 4  # for each thread of a part: small enough that none waits long for the others' last one
 
 Numbers = NDArray[np.int64]
-Failed = dict[int, DatasetError]
+Failed = dict[int, UnusablePictureError]
 Fill = Callable[[Image, Numbers], Failed]
 """Writes the pictures of some numbers into an array; returns those that have none, and why."""
 
 
 def prefetched(
     parts: Iterable[Numbers], fill: Fill, *, threads: int, at_once: int
-) -> Iterator[tuple[Numbers, Image, list[int]]]:
-    """Each part, what `fill` writes for it (N, 128, 128, 3), and its numbers that have no picture.
+) -> Iterator[tuple[Numbers, Image, Failed]]:
+    """Each part, what `fill` writes for it (N, 128, 128, 3), and its numbers that have no picture, and why.
 
     `at_once` parts are worked on. What `fill` raises is raised in its part's turn.
     """
@@ -45,5 +45,5 @@ def prefetched(
         pool.shutdown(cancel_futures=True)
 
 
-def _finished(part: Numbers, pictures: Image, jobs: list[Future[Failed]]) -> tuple[Numbers, Image, list[int]]:
-    return part, pictures, [number for job in jobs for number in job.result()]
+def _finished(part: Numbers, pictures: Image, jobs: list[Future[Failed]]) -> tuple[Numbers, Image, Failed]:
+    return part, pictures, {number: error for job in jobs for number, error in job.result().items()}

@@ -14,11 +14,12 @@ from torch import Tensor
 
 from common.car import Camera
 from dataset import Batch, DatasetError, IndexConfig, SamplesDataset, build_index, load
+from layouts import write_as_before
 from logs import write_log
 from model.evaluation.predict import predict
 from model.network.original import SteeringNetwork
 from model.training.batches import DeviceBatches
-from recorder import LogError
+from plain_mcap import contents
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
 BROKEN: dict[tuple[Camera, int], bytes] = {
@@ -119,18 +120,40 @@ def test_crops_on_the_device_are_without_them_too(index: Path) -> None:
         assert len(device.skipped) == len(BROKEN)
 
 
-def test_a_damaged_log_is_no_picture_that_does_not_decode(tmp_path: Path) -> None:
+@pytest.mark.parametrize("layout", ["two kinds of chunks", "of an earlier version"])
+def test_pictures_of_a_damaged_chunk_are_left_out_and_named_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: str
+) -> None:
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 20_000)
     log = write_log(tmp_path / "lake.mcap", STEERING, picture)
-    build_index([log], tmp_path / "index")
+    if layout == "of an earlier version":
+        write_as_before(log, tmp_path / "before.mcap", 20_000).replace(log)
+    build_index([log], tmp_path / "index", IndexConfig(validation_share=0.0, balance=False))
     place = log.read_bytes().index(b"this is no picture")
+    chunk = next(chunk for chunk in contents(log).chunks if chunk.start < place < chunk.end)
+    lost = {(each.topic.rpartition("/")[2], each.sequence) for each in chunk.messages if "camera" in each.topic}
+    assert 3 < len(lost) < 30
     with log.open("rb+") as stream:
         stream.seek(place)
         stream.write(b"THIS")
+    rows = pq.read_table(tmp_path / "index" / "samples.parquet").to_pylist()
+    expected = [
+        (shade(row["camera"], row["row"]), float(np.float32(row["label"])))
+        for row in rows
+        if (row["camera"], row["row"]) not in BROKEN and (row["camera"], row["row"]) not in lost
+    ]
     with load(tmp_path / "index", batch=16) as loader:
-        with pytest.raises(LogError, match=r"lake\.mcap: damaged.*CRC"):
-            list(loader.epoch(1))
-        with pytest.raises(LogError, match=r"lake\.mcap: damaged.*CRC"):
-            list(loader.crops(np.arange(len(loader))))
+        for epoch in (1, 2):
+            assert sorted(seen_in(list(loader.epoch(epoch)))) == sorted(expected)
+        in_damage = [name for kind, name in loader.skipped if "`bc-log recover` saves the rest" in kind]
+        assert len(in_damage) == len(lost)
+        if layout == "two kinds of chunks":  # the rows of the other layout are among what is damaged
+            assert set(in_damage) == {f"lake row {row} {camera}" for camera, row in lost}
+    at = next(number for number, row in enumerate(rows) if (row["camera"], row["row"]) == ("left", 2))
+    dataset = SamplesDataset(tmp_path / "index")
+    with pytest.raises(DatasetError, match=r"lake\.mcap: damaged.*`bc-log recover"):
+        dataset[at]
+    dataset.close()
 
 
 def test_a_data_set_of_pytorch_has_as_many_items_as_it_says_so_a_bad_one_is_an_error(index: Path) -> None:
