@@ -129,16 +129,16 @@ class DriveLog(Closeable):
     ) -> None:
         if telemetry.jpeg:
             self._writer.picture("center", time_ns, row, telemetry.jpeg, decision.picture_size)
-        state = VehicleState(
-            steering=telemetry.steering, throttle=telemetry.throttle, brake=0.0, speed_mph=telemetry.speed_mph
-        )
-        self._writer.vehicle(time_ns, row, state)
         if decision.crop is not None:
             # as OpenCV writes it by default: half the time of its best compression in hand, a fifth larger
             ok, png = cv2.imencode(".png", decision.crop)
             if not ok:  # cannot happen with a crop of ours; said rather than lost in silence
                 raise RuntimeError("OpenCV could not write a PNG of the crop")
             self._writer.crop(time_ns, row, png.tobytes())
+        state = VehicleState(
+            steering=telemetry.steering, throttle=telemetry.throttle, brake=0.0, speed_mph=telemetry.speed_mph
+        )
+        self._writer.vehicle(time_ns, row, state)
         command = PilotCommand(
             predicted_steering=decision.predicted_steering,
             steering=decision.steering,

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,8 @@ from drive.control.driver import Decision
 from drive.log.drive_log import DriveLog
 from driving import PATIENCE_S, DriveProcess, environment, road_jpeg, run, untrained_run
 from logs import read_messages
-from recorder import Log, LogWriter
+from plain_mcap import contents
+from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.bad_telemetry import MOST_OF_EACH
 from recorder.log.check import check
@@ -37,6 +38,7 @@ from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from repository import HELPERS, ROOT
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from waiting import wait_until
 
 WORLD = World(
     time_s=0.0,
@@ -424,7 +426,8 @@ def test_rows_are_lost_only_when_far_more_wait(tmp_path: Path, monkeypatch: pyte
     assert ["rows are left out" in events[10], "80 rows and events are missing" in events[11]] == [True, True]
 
 
-def test_a_full_disk_is_told_and_the_driving_goes_on(tmp_path: Path) -> None:
+def test_a_full_disk_is_told_and_the_driving_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)  # a second of driving is written in no time here
     path = tmp_path / "run.mcap"
     writer = LogWriter(path, {"source": "drive"}, live=True)
     with files_of_at_most(1_000_000), DriveLog(writer) as log:
@@ -498,13 +501,32 @@ while True:
 """
 
 
+def test_a_row_is_written_after_its_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever a drive is killed, no row is there without what its network saw."""
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)  # each message is a chunk
+    path = tmp_path / "run.mcap"
+    with LogWriter(path, {"source": "drive"}, live=True) as writer, DriveLog(writer) as log:
+        for number in range(20):
+            log.decision(decided(number), 2.0)
+    at = {(m.topic, m.sequence): place for place, m in enumerate(contents(path).messages)}
+    for row in range(20):
+        assert at["/vehicle", row] > max(at["/camera/center", row], at["/pilot/input", row])
+
+
+def rows_on_disk(folder: Path) -> int:
+    """Of the log in it that grows."""
+    for part in folder.iterdir():
+        with suppress(LogError), Log(part) as log:
+            return log.counts.get("/vehicle", 0)
+    return 0
+
+
 def test_a_killed_drive_leaves_a_log_that_can_be_recovered(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     here = {**environment(), "PYTHONPATH": f"{ROOT}:{HELPERS}:{Path(__file__).parent}"}
     with subprocess.Popen([sys.executable, "-c", DRIVER, str(path)], env=here) as process:
         try:
-            while sum(part.stat().st_size for part in tmp_path.iterdir()) < 2_000_000:
-                assert process.poll() is None
+            wait_until(lambda: rows_on_disk(tmp_path) >= 30 or process.poll() is not None)
         finally:
             process.send_signal(signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
