@@ -20,6 +20,7 @@ from dataset.frames.distinct_rows import number_distinct
 from dataset.preprocess import CROP_BYTES, CROP_SHAPE, Image, decode, preprocess
 from dataset.samples.sample_rows import Rows
 from recorder import Log, LogError
+from recorder.errors import damaged_pictures
 from recorder.log.topics import camera_topic
 
 
@@ -45,7 +46,6 @@ def _is_altered(rows: Rows) -> NDArray[np.bool_]:
 
 
 UNDECODED: Final = "pictures that do not decode"
-DAMAGED: Final = "pictures in damaged chunks of their log (`bc-log recover` saves the rest of it)"
 
 
 class Crops:
@@ -112,6 +112,6 @@ class Crops:
         try:
             return preprocess(decode(log.read(offset, int(rows.length[number]), int(rows.chunk[number]))))
         except LogError as error:
-            raise UnusablePictureError(DAMAGED, str(error)) from None
+            raise UnusablePictureError(damaged_pictures(log.path), str(error)) from None
         except ValueError as error:
             raise UnusablePictureError(UNDECODED, f"{log.path}: the picture at byte {offset}: {error}") from None

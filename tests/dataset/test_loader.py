@@ -39,7 +39,6 @@ from dataset.augment import alter
 from dataset.preprocess import Image
 from driving import environment
 from logs import plain_read, write_log
-from recorder import LogError
 from udacity import jpeg
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
@@ -419,8 +418,11 @@ def test_bytes_that_changed_behind_a_log_that_looks_the_same_are_never_trained_o
     with log.open("rb+") as stream:
         stream.seek(rows_of(own)[0]["offset"] + 100)
         stream.write(b"\0\0\0\0")
-    with load(own, batch=BATCH) as loader, pytest.raises(LogError, match=r"lake\.mcap: damaged.*CRC"):
-        list(loader.epoch(1))
+    with load(own, batch=BATCH) as loader:
+        learnt = sum(len(batch.steering) for batch in loader.epoch(1))
+        assert len(loader.skipped) > 0
+        assert learnt < len(loader)
+        assert all("lake.mcap" in kind for kind, _ in loader.skipped)
 
 
 def test_a_log_may_be_named_by_a_link_and_the_folder_may_move(own: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import CompressionType
@@ -55,7 +56,7 @@ def without_crc(path: Path, number: int) -> Path:
     return path
 
 
-def relative_log_path(path: Path, number: int) -> tuple[int, int]:
+def place_of_chunk(path: Path, number: int) -> tuple[int, int]:
     with Log(path) as log:
         return log.chunks[number].start, log.chunks[number].end
 
@@ -116,10 +117,11 @@ def every_message(log: Log) -> None:
             log.read(message.offset, message.length, message.chunk)
 
 
-def every_crop(path: Path) -> None:
+def every_crop(path: Path) -> tuple[set[int], set[str]]:
+    """The rows of which there is a crop, and the names of the pictures that were left out."""
     with LogCrops(path) as crops:
-        for _ in crops.batches(8):
-            pass
+        numbers = np.concatenate([numbers for numbers, _ in crops.batches(8)])
+        return set(crops.row[numbers].tolist()), {name for _, name in crops.skipped}
 
 
 Reader = Callable[[Path, Path], object]
@@ -131,7 +133,6 @@ READS_ALL: dict[str, Reader] = {
     "picture": lambda path, _: asked(path, every_picture),
     "read": lambda path, _: asked(path, every_range),
     "messages": lambda path, _: asked(path, every_message),
-    "crops": lambda path, _: every_crop(path),
 }
 READS_ROWS: dict[str, Reader] = {
     "frames": lambda path, _: asked(path, Log.frames),
@@ -140,6 +141,7 @@ READS_ROWS: dict[str, Reader] = {
     "vehicle_states": lambda path, _: asked(path, lambda log: list(log.vehicle_states())),
     "commands": lambda path, _: asked(path, lambda log: list(log.commands())),
     "predictions": lambda path, _: asked(path, lambda log: list(log.predictions("lake"))),
+    "crops": lambda path, _: every_crop(path),
 }
 
 
@@ -160,6 +162,15 @@ def test_whoever_wants_no_picture_reads_none(forged: Path, damaged: str, reader:
         reader(forged, forged)
 
 
+@pytest.mark.parametrize("damaged", ["pictures"])
+def test_crops_are_of_the_pictures_that_are_whole(forged: Path) -> None:
+    whole = forty_rows(forged.with_name("whole.mcap"))
+    hit = contents(whole).chunks[DAMAGED["pictures"]].messages
+    lost = {message.sequence for message in hit if message.topic == "/camera/center"}
+    assert lost
+    assert every_crop(forged) == (set(range(40)) - lost, {f"a row {row} center" for row in lost})
+
+
 def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
     """Not even where its place is known from before, as an index keeps it."""
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
@@ -174,14 +185,14 @@ def test_the_commands_say_so(
     forged: Path, damaged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An index is of places alone: whose picture is damaged is said by who reads it."""
-    start, end = relative_log_path(forged, DAMAGED[damaged])
+    start, end = place_of_chunk(forged, DAMAGED[damaged])
     index = tmp_path / "index"
     if damaged == "pictures":
         assert call(bc_index, forged, "--index", index, "--gap-s", 0, "--block-s", 0.5) == 0
         capsys.readouterr()
-        assert call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", "--index", index) == 1
+        assert call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", "--index", index) == 3
         said = capsys.readouterr().err
-        assert re.search(r"(\S+/a\.mcap): damaged: .*CRC.*`bc-log recover \1` saves the rest\n", said)
+        assert re.search(r"pictures in damaged chunks of (\S+/a\.mcap) \(`bc-log recover \1` .*a row \d", said)
     else:
         assert call(bc_index, forged, "--index", index) == 1
         assert "a.mcap: damaged" in capsys.readouterr().err
@@ -193,7 +204,7 @@ def test_the_commands_say_so(
 
 
 def test_recovering_gives_it_no_new_crc(forged: Path, damaged: str, tmp_path: Path) -> None:
-    start, end = relative_log_path(forged, DAMAGED[damaged])
+    start, end = place_of_chunk(forged, DAMAGED[damaged])
     written = recover(forged, tmp_path / "b.mcap")
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in list(written.skipped)
     whole = forty_rows(tmp_path / "whole.mcap")
@@ -205,9 +216,9 @@ def test_recovering_gives_it_no_new_crc(forged: Path, damaged: str, tmp_path: Pa
 
 
 def test_a_killed_recording_is_read_without_it(forged: Path, damaged: str) -> None:
-    start, end = relative_log_path(forged, DAMAGED[damaged])
+    start, end = place_of_chunk(forged, DAMAGED[damaged])
     part = forged.with_name("a.mcap.0a1b2c.part")
-    part.write_bytes(forged.read_bytes()[: relative_log_path(forged, -1)[1]])
+    part.write_bytes(forged.read_bytes()[: place_of_chunk(forged, -1)[1]])
     with Log(part) as log:
         assert start not in [chunk.start for chunk in log.chunks]
         assert any(lost_from <= start and end <= lost_to for lost_from, lost_to in log.lost)

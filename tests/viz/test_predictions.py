@@ -14,7 +14,7 @@ from common import UserError
 from common.car import Camera
 from dataset import decode
 from drive.cli import main as drive_main
-from driving import one_line_in, road_jpeg, untrained_run
+from driving import road_jpeg, untrained_run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
@@ -349,13 +349,13 @@ def test_flags_that_contradict_each_other_are_one_line(
     assert sorted(here.iterdir()) == before
 
 
-def test_a_damaged_log_is_one_line_and_an_end(
+def test_what_is_damaged_of_a_log_is_named_and_the_rest_is_predicted(
     here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "hurt.mcap"
     data = bytearray((here / "session.mcap").read_bytes())
     data[len(data) // 2 : len(data) // 2 + 1000] = bytes(1000)
     log.write_bytes(data)
-    assert call(main, log, "--run", "first", "--save", tmp_path / "x.rrd") == 1
-    assert "damaged" in one_line_in(capsys)
-    assert list(tmp_path.iterdir()) == [log]
+    assert call(main, log, "--run", "first", "--save", tmp_path / "x.rrd") == 3
+    assert f"pictures in damaged chunks of {log}" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == [log, tmp_path / "x.rrd"]

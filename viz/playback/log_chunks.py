@@ -23,6 +23,7 @@ from rerun.chunk import Chunk, McapReader
 from common import Skipped
 from common.progress import progress_bar
 from recorder import Log, LogError, LogWriter
+from recorder.errors import damaged_pictures
 from recorder.log.mcap_file import Chunk as LogChunk
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.topics import COMPRESSED_IMAGE
@@ -137,7 +138,7 @@ def _columns(found: Mapping[str, Sequence[tuple[int, CompressedImage]]], clock: 
 
 def _add_damaged(log: Log, topics: Collection[str], chunk: LogChunk, skipped: Skipped) -> None:
     """Name the pictures that lie in a damaged chunk, by what the end of the log tells of them."""
-    reason = f"pictures in damaged chunks of {log.path} (`bc-log recover {log.path}` saves the others)"
+    reason = damaged_pictures(log.path)
     for topic in topics:
         found = log.pictures(topic)
         is_inside = (found.offset >= chunk.start) & (found.offset < chunk.end)
