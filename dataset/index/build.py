@@ -209,6 +209,11 @@ def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: Bu
         return None
     if entry.sources != sources_of(name, log, index) or entry.frames is None or entry.frames != stat_of(file):
         return None
+    if not entry.file:  # as an earlier version left it, to which a rewritten log was another one, without its tags
+        with Log(log) as opened:
+            if opened.fingerprint != entry.fingerprint:
+                return None
+        entry = msgspec.structs.replace(entry, file=entry.fingerprint)
     expected = {
         "format": FRAMES_FORMAT,
         "settings": frames_settings(config, name),

@@ -18,7 +18,7 @@ from recorder.log.mcap_file import StoredMessage
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags
 from recorder.log.scan import Structure
-from recorder.log.topics import CAMERA_TOPICS, COMPRESSED_IMAGE, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
+from recorder.log.topics import CAMERA_TOPICS, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
 from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
@@ -46,7 +46,7 @@ class Contents:
         self._is_ours = is_ours
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
         of_type = structure.is_protobuf
-        self._images = {n for n in self._topics if of_type(n, COMPRESSED_IMAGE.name)}
+        self._images = structure.image_channels
         self._vehicle = {
             n for n, topic in self._topics.items() if topic == topics.VEHICLE and of_type(n, VEHICLE_STATE.name)
         }

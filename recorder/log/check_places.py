@@ -30,7 +30,6 @@ class PlacesCheck:
         self._images = structure.image_channels
         self._numbers = {chunk.start: number for number, chunk in enumerate(structure.chunks)}
         self._crcs, self._places = None, None
-        self._first_of: list[int] = []  # of the places, those of each chunk begin here
         names = structure.attachment_names
         for at, name in sorted(names.items()):
             try:
@@ -42,13 +41,12 @@ class PlacesCheck:
         self._crcs = read_chunk_crcs(file, structure)
         if self._crcs is None:
             findings.append(Finding("lists that are not about this file", CHUNKS_ATTACHMENT))
-        elif read_places(file, structure) is None:
+        elif (places := stored_places(file, structure)) is None or read_places(file, structure) is None:
             findings.append(Finding("lists that are not about this file", PICTURES_ATTACHMENT))
         else:
-            self._places = stored_places(file, structure)
-        if self._places is not None:
-            numbers = np.arange(len(structure.chunks) + 1)
-            self._first_of = np.searchsorted(self._places["chunk"], numbers).tolist()
+            self._places = places
+            # at once: for each chunk alone, NumPy would copy the whole column
+            self._edges = np.searchsorted(places["chunk"], np.arange(len(self._crcs) + 1)).tolist()
 
     def add(self, told: Chunk, record: bytes, channels: set[int]) -> None:
         """A sound chunk: as the summary tells it, as it is, and the channels of its messages."""
@@ -65,6 +63,6 @@ class PlacesCheck:
             self._findings.append(Finding("chunks of other CRCs than are listed", where))
         if self._places is None or told.compression:
             return
-        first, end = self._first_of[number : number + 2]
+        first, end = self._edges[number : number + 2]
         if self._places[first:end].tobytes() != places_in(record, number, self._images):
             self._findings.append(Finding("chunks of other pictures than are listed", where))

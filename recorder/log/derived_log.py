@@ -42,10 +42,10 @@ def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
         raise LogError(f"{to}: the log itself, which stays as it is; give another name")
 
 
-def new_log(to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:
-    """A log with the metadata of the original (`session`) and `about`; without any if the original has none, as
-    other programs' logs."""
-    if not session:
+def new_log(log: Log, to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:
+    """A log made of `log`, with its metadata (`session`) and `about`; without any if it has none, as other
+    programs' logs."""
+    if not session and not log.is_ours:
         return LogWriter(to, None, overwrite=overwrite, profile="")
     rewritten = {"toolkit": "unknown", **session, "rewritten_by": version_of(), **about}
     return LogWriter(to, rewritten, overwrite=overwrite)

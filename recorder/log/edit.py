@@ -145,11 +145,11 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
         writers = []
         for drive, target in enumerate(targets):
             about = {"split_from": path.name, "drive": str(drive)}
-            writers.append(new_log(target, session, about, overwrite))
+            writers.append(new_log(log, target, session, about, overwrite))
             stack.callback(writers[-1].discard)
         drive_of = dict(zip(number.tolist(), drives.tolist(), strict=True))
         counts = [0] * len(writers)
-        beside = {True: 0, False: 0}  # the drive of the picture, and of whatever else, before it
+        beside = {True: 0, False: 0}  # the drive of the pictures, and of all else, that came last
         for schema, channel, message in _messages(log, "splitting"):
             is_picture = is_image_channel(schema, channel)
             if channel.topic in ROW_TOPICS:
@@ -182,7 +182,7 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
                 f"{path}: another program's log; `bc-record NAME --from {path}` makes one of ours of it"
             )
         tags = read_tags(path, log.fingerprint)
-        with new_log(to, log.metadata, {"rewritten_from": path.name}, overwrite) as writer:
+        with new_log(log, to, log.metadata, {"rewritten_from": path.name}, overwrite) as writer:
             for schema, channel, message in _messages(log, "rewriting"):
                 writer.copy(schema, channel, message, message.sequence)
                 count += 1
@@ -246,7 +246,7 @@ def _trimmed(
     """Copies the messages that are in; `rows` are those that will be."""
     skipped, count = Skipped(), 0
     tags = read_tags(log.path, log.fingerprint)
-    with new_log(to, log.metadata, about, overwrite) as writer:
+    with new_log(log, to, log.metadata, about, overwrite) as writer:
         for schema, channel, message in _messages(log, "trimming"):
             if is_in(channel, message):
                 writer.copy(schema, channel, message, message.sequence)

@@ -60,4 +60,5 @@ def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequen
 
 def _is_plain(field: Any) -> bool:
     is_number = field.type in (field.TYPE_DOUBLE, field.TYPE_ENUM)
-    return is_number and not field.is_repeated and field.number <= _LAST_NUMBER
+    is_repeated = isinstance(field.default_value, list)  # `field.is_repeated` is not in Protobuf 5
+    return is_number and not is_repeated and field.number <= _LAST_NUMBER

@@ -164,12 +164,15 @@ def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:
 
 def _attached(file: McapFile, structure: Structure, name: str, size: int) -> bytes | None:
     """The contents of the attachments of this name, one after the other; None if they are not `size` bytes."""
-    content = b""
+    if not 0 < size <= file.size:
+        return None
+    parts, left = [], size
     for at in sorted(at for at, its_name in structure.attachment_names.items() if its_name == name):
         try:
-            content += file.attachment(at).data
+            parts.append(file.attachment(at).data)
         except LogError:
             return None
-        if len(content) > size:
+        left -= len(parts[-1])
+        if left < 0:
             return None
-    return content if content and len(content) == size else None
+    return None if left else b"".join(parts)

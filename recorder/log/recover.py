@@ -56,7 +56,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
         session = dict(records).get(topics.SESSION_METADATA, {})
         tags = _sound_tags(log, skipped)
         count, left_out, rows = 0, 0, list[int]()
-        with new_log(to, session, {"recovered_from": path.name}, overwrite) as writer:
+        with new_log(log, to, session, {"recovered_from": path.name}, overwrite) as writer:
             for chunk in track(order.chunks, f"recovering {path.name}", len(order.chunks)):
                 try:
                     for schema, channel, message in log.messages_of(chunk, skipped):

@@ -41,6 +41,7 @@ KILLED: Final = "unfinished: its recording was killed, or it was cut off"
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
 _MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and where the index of its messages lies
+_MOST_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # there are as many numbers for channels
 _DATA_END_BYTES: Final = RECORD.size + 4
 
 # A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
@@ -198,6 +199,8 @@ def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
             continue
         first_ns, last_ns, start, size, map_bytes = _CHUNK_INDEX.unpack_from(summary, at)
         at += _CHUNK_INDEX.size
+        if map_bytes % _MAP_ENTRY_BYTES or map_bytes > min(end - at, _MOST_MAP_BYTES):
+            raise EOFError("a chunk index is cut off")
         offsets = summary[at : at + map_bytes]
         key = b"".join(offsets[i : i + 2] for i in range(0, map_bytes, _MAP_ENTRY_BYTES))
         if key not in kinds:
@@ -205,7 +208,7 @@ def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
         compression = prefixed(summary, at + map_bytes + 8)
         unpacked_at = at + map_bytes + 8 + 4 + len(compression) + 8
         (unpacked_size,) = struct.unpack_from("<Q", summary, unpacked_at)
-        if unpacked_at + 8 > end or len(offsets) != map_bytes or map_bytes % _MAP_ENTRY_BYTES:
+        if unpacked_at + 8 > end:
             raise EOFError("a chunk index is cut off")
         head = CHUNK_HEADER.pack(Opcode.CHUNK, size - RECORD.size, first_ns, last_ns, unpacked_size, 0)
         chunk = Chunk(start, start + size, compression.decode(), channels=kinds[key] or None, head=head[:-4])

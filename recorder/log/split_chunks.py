@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from hashlib import sha256
 from typing import Any, BinaryIO, Final, cast
@@ -31,7 +32,7 @@ class SplitChunks:
             compression=CompressionType.NONE,
             enable_data_crcs=True,
         )
-        self._waiting: list[tuple[Callable[[], int], int, bytes, int, int]] = []  # as `add` got them
+        self._waiting = deque[tuple[Callable[[], int], int, bytes, int, int]]()  # as `add` got them
         self._waiting_bytes = 0
 
     @property
@@ -76,10 +77,10 @@ class SplitChunks:
         """Close the open chunks: that of the pictures, then the other one."""
         self._mcap.flush()  # type: ignore[no-untyped-call]
         if self._waiting:
-            waiting, self._waiting, self._waiting_bytes = self._waiting, [], 0
-            add_message = self._mcap.add_message
-            for number_of, log_time_ns, data, publish_time_ns, sequence in waiting:
-                add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
+            self._waiting_bytes = 0
+            while self._waiting:  # one by one: whatever interrupts this, a Ctrl-C too, the others still wait
+                number_of, log_time_ns, data, publish_time_ns, sequence = self._waiting.popleft()
+                self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
             self._mcap.flush()  # type: ignore[no-untyped-call]
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:

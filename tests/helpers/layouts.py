@@ -29,17 +29,18 @@ def mixed(path: Path, chunk_bytes: int = CHUNK_BYTES) -> Path:
     return path
 
 
-def write_as_before(log: Path, path: Path, chunk_bytes: int = CHUNK_BYTES) -> Path:
+def write_as_before(log: Path, path: Path, chunk_bytes: int = CHUNK_BYTES, *, with_metadata: bool = True) -> Path:
     """The messages and metadata of `log`, row by row in chunks that mix all topics, by mcap's own writer."""
     with log.open("rb") as stream, path.open("wb") as written:
         reader = make_reader(stream, validate_crcs=True)
         header = reader.get_header()
-        first, *others = reader.iter_metadata()
+        metadata = list(reader.iter_metadata()) if with_metadata else []
         writer = McapWriter(
             written, chunk_size=chunk_bytes, compression=CompressionType.NONE, enable_data_crcs=True
         )
         writer.start(profile=header.profile, library=header.library)
-        writer.add_metadata(first.name, first.metadata)
+        for record in metadata[:1]:
+            writer.add_metadata(record.name, record.metadata)
         schemas: dict[str, int] = {}
         channels: dict[str, int] = {}
         for schema, channel, message in _row_by_row(list(reader.iter_messages(log_time_order=False))):
@@ -53,7 +54,7 @@ def write_as_before(log: Path, path: Path, chunk_bytes: int = CHUNK_BYTES) -> Pa
             writer.add_message(
                 channels[channel.topic], message.log_time, message.data, message.publish_time, message.sequence
             )
-        for record in others:
+        for record in metadata[1:]:
             writer.add_metadata(record.name, record.metadata)
         writer.finish()  # type: ignore[no-untyped-call]
     return path

@@ -17,6 +17,7 @@ from plain_mcap import contents, write_plain
 from recorder import Log, LogError
 from recorder.log.check import check
 from recorder.log.edit import rewrite, trim
+from recorder.log.recover import recover
 from recorder.log.tags import Tag, add_tag, read_tags
 from udacity import jpeg
 
@@ -112,6 +113,23 @@ def test_what_cannot_be_rewritten_says_what_to_do(old: Path, tmp_path: Path, kin
     with pytest.raises(LogError, match="bc-log recover" if kind == "killed" else "bc-record NAME --from"):
         rewrite(path, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
+
+
+def test_a_log_whose_metadata_another_program_left_out_stays_one_of_ours(old: Path, tmp_path: Path) -> None:
+    filtered = write_as_before(old, tmp_path / "filtered.mcap", with_metadata=False)
+    made = {
+        rewrite(filtered, tmp_path / "rewritten.mcap").path: "rewritten_from",
+        trim(filtered, tmp_path / "trimmed.mcap", (0, 119)).path: "trimmed_from",
+        recover(filtered, tmp_path / "recovered.mcap").path: "recovered_from",
+    }
+    for log, key in made.items():
+        found = contents(log)
+        assert found.profile == "bc"
+        assert found.by_topic == contents(old).by_topic
+        assert dict(found.metadata)["bc.session"].items() >= {"toolkit": "unknown", key: "filtered.mcap"}.items()
+        assert [name for name, _ in found.attachments] == ["bc.pictures", "bc.chunks"]
+        assert check(log).findings == []
+    assert fingerprints(tmp_path / "rewritten.mcap")[0] == fingerprints(filtered)[0]
 
 
 def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(old: Path, tmp_path: Path) -> None:

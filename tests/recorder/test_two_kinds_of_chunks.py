@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.records import Channel, Message
 
 from common.car import CAMERAS
 from dataset import IndexConfig, build_index
@@ -84,6 +85,37 @@ def test_a_row_is_written_after_its_pictures(tmp_path: Path) -> None:
             where[message.topic, message.sequence] = number
     for row in range(ROWS):
         assert where["/vehicle", row] > max(where[topic, row] for topic in PICTURES)
+
+
+class Interrupted:
+    """Metadata of a channel: Ctrl-C comes when it is first looked at."""
+
+    def __init__(self) -> None:
+        self._is_over = False
+
+    def keys(self) -> list[str]:
+        if not self._is_over:
+            self._is_over = True
+            raise KeyboardInterrupt
+        return []
+
+
+def test_what_waits_to_be_written_is_not_lost_by_ctrl_c_while_it_is(tmp_path: Path) -> None:
+    channel = Channel(1, "/mine", "json", Interrupted(), 0)  # type: ignore[arg-type]
+    given: list[int] = []
+
+    def record() -> None:
+        with LogWriter(tmp_path / "a.mcap", {"source": "test"}, live=True) as writer:
+            for row in range(ROWS):
+                given.append(row)
+                writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(steering=row / 1000))
+                if row == 5:
+                    writer.copy(None, channel, Message(1, START_NS, b"{}", START_NS, 5), 5)
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert 20 < len(given) < ROWS
+    assert [message.sequence for message in contents(tmp_path / "a.mcap").of("/vehicle")] == given
 
 
 def test_the_places_of_pictures_are_those_that_reading_the_whole_file_gives(tmp_path: Path) -> None:
