@@ -50,7 +50,7 @@ def check(path: Path, *, look: bool = True) -> Checked:
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            contents = Contents(structure, findings, pool if look else None)
+            contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours)
             chunks = sound_chunks(file, structure, findings)
             for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
                 for message in messages:

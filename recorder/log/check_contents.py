@@ -40,7 +40,10 @@ class Finding(NamedTuple):
 class Contents:
     """Collects findings from messages that are added one by one, in the order of the log."""
 
-    def __init__(self, structure: Structure, findings: list[Finding], pool: Executor | None) -> None:
+    def __init__(
+        self, structure: Structure, findings: list[Finding], pool: Executor | None, *, is_ours: bool
+    ) -> None:
+        self._is_ours = is_ours
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
         of_type = structure.is_protobuf
         self._images = structure.image_channels
@@ -140,9 +143,10 @@ class Contents:
         self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
     ) -> None:
         held = set(zip(pictures.rows, pictures.times_ns, strict=True))
+        expects_rows = self._is_ours or bool(speed_mph)  # other programs' logs need not have any
         for kind, keys in (
             ("stretches of rows without a picture", speed_mph.keys() - held),
-            ("stretches of pictures without a row", held - speed_mph.keys() if speed_mph else set()),
+            ("stretches of pictures without a row", held - speed_mph.keys() if expects_rows else set()),
         ):
             for first, last in consecutive(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {_rows(first, last)}"))

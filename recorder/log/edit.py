@@ -173,7 +173,7 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     other. Raises LogError for a log that was never finished, or that another program wrote.
     """
     refuse_taken(to, [path], overwrite)
-    skipped, count = Skipped(), 0
+    skipped, count, row_count = Skipped(), 0, 0
     with Log(path) as log:
         if log.problem:
             raise LogError(f"{path}: {log.problem}; `bc-log recover {path}` makes a finished log of it")
@@ -181,16 +181,16 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             raise LogError(
                 f"{path}: another program's log; `bc-record NAME --from {path}` makes one of ours of it"
             )
-        rows = [message.sequence for message in log.messages(topics.VEHICLE)]
         tags = read_tags(path, log.fingerprint)
         with new_log(log, to, log.metadata, {"rewritten_from": path.name}, overwrite) as writer:
             for schema, channel, message in _messages(log, "rewriting"):
                 writer.copy(schema, channel, message, message.sequence)
                 count += 1
+                row_count += channel.topic == topics.VEHICLE
             copy_rest(log, log.all_metadata(), writer, skipped)
             writer.same_as = log.fingerprint
             close_with_tags(writer, tags)
-    return Written(to, count, len(rows), skipped)
+    return Written(to, count, row_count, skipped)
 
 
 def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:

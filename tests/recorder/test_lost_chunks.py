@@ -168,6 +168,8 @@ def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Pat
         f"{damaged}: lost in all: {count - len(found.messages):,} of {count:,} messages",
         f"{damaged}: no row is whole in it: what is kept has no rows",
     ]
+    kinds = {kind for kind, _ in check(written.path, look=False).findings}
+    assert kinds == {"stretches of pictures without a row"}
 
 
 def test_without_any_chunk_nothing_is_recovered(whole: Path) -> None:

@@ -78,7 +78,8 @@ class DrawnMessages:
 
 @dataclass(frozen=True)
 class PreparedRecording:
-    """A recording that is ready to be sent: what it shows was read, and is sound."""
+    """A recording that is ready to be sent: what is drawn was read, and is sound; pictures are checked as they are
+    sent."""
 
     name: str
     layout: rrb.Blueprint | None  # None: `send` sends one
@@ -122,9 +123,7 @@ def prepare_log(
     """
     with open_whole_log(path) as (log, notice):
         check_moment(at_s, [(path, log)])
-        drawn = DrawnMessages(
-            log
-        )  # before a viewer gets anything: it shows nothing of a log without sound numbers
+        drawn = DrawnMessages(log)  # before a viewer gets anything: without sound numbers, nothing is shown
         skipped = Skipped()
 
         def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
