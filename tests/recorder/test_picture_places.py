@@ -181,7 +181,7 @@ def test_without_it_all_is_read(path: Path, names: set[str]) -> None:
 
 @pytest.mark.parametrize("name", [b"bc.pictures", b"bc.chunks"])
 def test_a_damaged_one_is_not_believed(path: Path, name: bytes) -> None:
-    truth = given_out(path)
+    truth, messages = given_out(path), contents(path).by_topic
     data = bytearray(path.read_bytes())
     at = data.index(name)
     data[at + 100] ^= 1
@@ -189,7 +189,7 @@ def test_a_damaged_one_is_not_believed(path: Path, name: bytes) -> None:
     assert given_out(path) == truth
     assert ("damaged attachments", f"{name.decode()} at byte {at - 29:,}") in check(path).findings
     written = recover(path, path.with_name("b.mcap"))
-    assert contents(written.path).by_topic == contents(path.with_name("b.mcap")).by_topic
+    assert contents(written.path).by_topic == messages
     assert len(written.skipped) == 0
     assert check(written.path).findings == []
 
