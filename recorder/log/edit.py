@@ -1,4 +1,4 @@
-"""New logs out of old ones: trimmed, merged, split. Nothing edits a log in place.
+"""New logs out of old ones: trimmed, merged, split, rewritten. Nothing edits a log in place.
 
 Messages are copied as they are, the CRC of each chunk checked. Metadata is copied as it is read: only the CRC of
 the whole file covers it, which `bc-log check` compares. Rows keep their numbers, but get new ones in a merged log.

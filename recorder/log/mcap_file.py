@@ -58,6 +58,9 @@ WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be tol
 _MOST_COMPRESSED: Final = 100
 """Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
 
+_MOST_BESIDE_CHUNKS: Final = 16
+"""Times its size that a file may have attachments and metadata: those of a summary that lies may overlap."""
+
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
 
@@ -107,6 +110,8 @@ class McapFile(Closeable):
         self._lock = threading.Lock()
         self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
         self._unpacked_bytes = 0
+        self._beside_chunks_at = set[int]()  # attachments and metadata that were read
+        self._beside_chunks_bytes = 0
         self.size = 0
         self.grow()
         if self.size < len(MAGIC) or self.read(0, len(MAGIC)) != MAGIC:
@@ -248,6 +253,11 @@ class McapFile(Closeable):
         found, length = RECORD.unpack(self.read(offset, RECORD.size))
         if found != opcode:
             raise self.damaged("a record is not where the summary says")
+        if offset not in self._beside_chunks_at:
+            self._beside_chunks_at.add(offset)
+            self._beside_chunks_bytes += min(length, self.size)
+        if self._beside_chunks_bytes > _MOST_BESIDE_CHUNKS * self.size:
+            raise self.damaged(f"attachments and metadata of more than {_MOST_BESIDE_CHUNKS} times its size")
         return self.read(offset + RECORD.size, length)
 
     def parts(self, records: bytes) -> Parts:

@@ -196,7 +196,7 @@ class LogWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file until now; the open chunk is not in it yet."""
+        """Size of the file until now; the open chunks are not in it yet."""
         return self._stream.tell()
 
     @property
@@ -205,7 +205,7 @@ class LogWriter:
         return self._sizes.notices()
 
     def flush_if_due(self) -> None:
-        """Close the chunk if the last flush is long enough ago (call it also while nothing arrives)."""
+        """Close the open chunks if the last flush is long enough ago (call it also while nothing arrives)."""
         now_s = time.monotonic()
         if self._sync is not None and now_s - self._last_flush_s >= FLUSH_S:
             self._to_disk(self._chunks.flush)

@@ -6,6 +6,7 @@ import io
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
@@ -20,9 +21,11 @@ def patched(
     path: Path,
     attachment: Callable[[str, bytes], bytes | None] = lambda _, content: content,
     summary: Callable[[McapRecord], None] = lambda _: None,
+    within: int = 0,
 ) -> Path:
     """Gives each attachment another content, or none at all where that is None; `summary` may change the chunk
-    indexes and the statistics."""
+    indexes and the statistics. Of the first attachment, the summary also lists `within` that are its content, one
+    within the other (`nested`)."""
     data, position = path.read_bytes(), len(MAGIC)
     body, end, indexes = bytearray(MAGIC), bytearray(), list[AttachmentIndex]()
     is_summary = False
@@ -59,17 +62,27 @@ def patched(
             kind = ChunkIndex if opcode == Opcode.CHUNK_INDEX else Statistics
             of_summary = kind.read(ReadDataStream(io.BytesIO(content)))
             if isinstance(of_summary, Statistics):
-                of_summary.attachment_count = len(indexes)
+                of_summary.attachment_count = len(indexes) + within
             summary(of_summary)
             end += _written(of_summary)
         elif opcode not in (Opcode.ATTACHMENT_INDEX, Opcode.SUMMARY_OFFSET):
             end += record
     for index in indexes:
         end += _written(index)
+    for depth in range(1, within + 1):
+        first = indexes[0]
+        end += _written(replace(first, offset=first.offset + depth * (len(nested(first.name, b"", 1)) - 4)))
     body += HEAD.pack(Opcode.DATA_END, 4) + struct.pack("<I", zlib.crc32(body))
     end += HEAD.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", len(body), 0)
     path.write_bytes(body + end + struct.pack("<I", zlib.crc32(end)) + MAGIC)
     return path
+
+
+def nested(name: str, content: bytes, depth: int) -> bytes:
+    """An attachment with this content, as the content of another one, and so on."""
+    for _ in range(depth):
+        content = _written(Attachment(0, 0, name, "application/octet-stream", content))
+    return content
 
 
 def _written(record: McapRecord) -> bytes:

@@ -4,6 +4,7 @@ then all of the log is read, as one that tells nothing. `bc-log check` finds wha
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from mcap.writer import Writer as McapWriter
 
 from common.car import CAMERAS, Camera
 from logs import write_log
-from mcap_patch import patched
+from mcap_patch import nested, patched
 from plain_mcap import contents
 from recorder import Log
 from recorder.log.check import check
@@ -180,7 +181,7 @@ def test_without_it_all_is_read(path: Path, names: set[str]) -> None:
 
 @pytest.mark.parametrize("name", [b"bc.pictures", b"bc.chunks"])
 def test_a_damaged_one_is_not_believed(path: Path, name: bytes) -> None:
-    truth = given_out(path)
+    truth, messages = given_out(path), contents(path).by_topic
     data = bytearray(path.read_bytes())
     at = data.index(name)
     data[at + 100] ^= 1
@@ -188,7 +189,7 @@ def test_a_damaged_one_is_not_believed(path: Path, name: bytes) -> None:
     assert given_out(path) == truth
     assert ("damaged attachments", f"{name.decode()} at byte {at - 29:,}") in check(path).findings
     written = recover(path, path.with_name("b.mcap"))
-    assert contents(written.path).by_topic == contents(path.with_name("b.mcap")).by_topic
+    assert contents(written.path).by_topic == messages
     assert len(written.skipped) == 0
     assert check(written.path).findings == []
 
@@ -262,6 +263,31 @@ def test_other_counts_than_there_are_pictures_are_not_believed(path: Path) -> No
     patched(path, summary=one_more)
     assert given_out(path) == truth
     assert kinds_of(path) == {NOT_OURS, "other numbers of messages than told"}
+
+
+def test_lists_within_lists_are_given_up(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few megabytes of them could take hours, and all memory."""
+
+    def very_many(record: McapRecord) -> None:
+        if isinstance(record, Statistics):
+            record.channel_message_counts[1] = 2**62
+
+    content = nested("bc.pictures", bytes(1 << 20), 200)
+    truth = given_out(path)
+    patched(path, lambda name, data: content if name == "bc.pictures" else data, very_many, within=200)
+    read_bytes = 0
+    pread = os.pread
+
+    def counting(descriptor: int, length: int, offset: int) -> bytes:
+        nonlocal read_bytes
+        read_bytes += length
+        return pread(descriptor, length, offset)
+
+    monkeypatch.setattr("os.pread", counting)
+    assert given_out(path) == truth
+    assert read_bytes < 3 * path.stat().st_size
+    assert "damaged attachments" in kinds_of(path)
+    assert read_bytes < 50 * path.stat().st_size
 
 
 # Copies
