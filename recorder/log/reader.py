@@ -199,7 +199,7 @@ class Log(Closeable):
         """A name for this content: that of the file, or that of the log which `bc-log rewrite` made it of and
         which holds the same messages at other places."""
         rewritten: dict[str, str] = {}
-        for offset in self.metadata_records if self.is_ours and not self.problem else ():
+        for offset in self.metadata_records if self.is_ours else ():
             with contextlib.suppress(LogError):  # of a damaged one, who asks for it hears
                 name, values = self.metadata_record(offset)
                 rewritten = values if name == topics.REWRITTEN_METADATA else rewritten

@@ -63,6 +63,17 @@ def test_it_has_the_fingerprint_of_the_original_and_so_have_its_own_rewrites(old
     assert fingerprints(first)[1] != fingerprints(old)[1]
 
 
+@pytest.mark.parametrize("where", ["its end", "a picture"])
+def test_tags_come_along_when_it_is_damaged_and_recovered(old: Path, tmp_path: Path, where: str) -> None:
+    new = rewrite(old, tmp_path / "new.mcap").path
+    data = bytearray(new.read_bytes())
+    data[(len(data) if where == "its end" else contents(new).chunks[0].end) - 20] ^= 1
+    new.write_bytes(data)
+    to = recover(new, tmp_path / "recovered.mcap").path
+    with Log(to) as log:
+        assert read_tags(to, log.fingerprint) == [Tag(10, 20, "exclude")]
+
+
 def test_what_is_cut_out_of_it_is_another_log(old: Path, tmp_path: Path) -> None:
     new = rewrite(old, tmp_path / "new.mcap").path
     part = trim(new, tmp_path / "part.mcap", (0, 50)).path
