@@ -146,3 +146,9 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
                 part.unlink(missing_ok=True)
                 remove_empty(folders)
         raise
+
+
+def short_path(path: Path) -> Path:
+    """A path as a person would type it: from the current folder, if it is in it."""
+    resolved = path.resolve()
+    return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved

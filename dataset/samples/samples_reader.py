@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from common.closeable import Closeable
+from common.files import short_path
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.parquet_file import METADATA_KEY
@@ -189,7 +190,8 @@ def open_logs(index: Path, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
     logs: dict[str, Log] = {}
     try:
         for session, source in sources.items():
-            path = index / source.path
+            place = index / source.path
+            path = short_path(place.parent) / place.name  # also where the index is a passing one
             if not path.is_file():
                 raise DatasetError(
                     f"{path}: the log of session {session} is gone; put it back or run `bc-index` again"

@@ -12,10 +12,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.errors import counted, printable
+from common.files import short_path
 from common.output import print_result, print_table
 from model.evaluation.evaluate import Evaluation
 from model.metrics import Measures
-from model.runs.run_arguments import run_argument, short_path
+from model.runs.run_arguments import run_argument
 from model.runs.run_folder import run_name
 from model.worst_moments import WorstFrame
 

@@ -20,12 +20,6 @@ def run_argument(run: Path) -> str:
     return shlex.quote(run.name if run.parent == RUNS else str(run))
 
 
-def short_path(path: Path) -> Path:
-    """A path as a person would type it: from the current folder, if it is in it."""
-    resolved = path.resolve()
-    return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved
-
-
 def suggest_runs(name: str, names: Sequence[str], runs: Path) -> str:
     """The runs in `runs` that somebody who mistyped `name` may have meant."""
     if not names:

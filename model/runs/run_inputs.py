@@ -8,8 +8,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from common.files import short_path
 from model.errors import RunError
-from model.runs.run_arguments import short_path
 from model.runs.run_folder import CONFIG, config_folder, find_run, load_config, weights_checksum
 
 

@@ -182,7 +182,11 @@ def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
 
 
 def test_the_commands_say_so(
-    forged: Path, damaged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    forged: Path,
+    damaged: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An index is of places alone: whose picture is damaged is said by who reads it."""
     start, end = place_of_chunk(forged, DAMAGED[damaged])
@@ -191,8 +195,12 @@ def test_the_commands_say_so(
         assert call(bc_index, forged, "--index", index, "--gap-s", 0, "--block-s", 0.5) == 0
         capsys.readouterr()
         assert call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", "--index", index) == 3
-        said = capsys.readouterr().err
-        assert re.search(r"pictures in damaged chunks of (\S+/a\.mcap) \(`bc-log recover \1` .*a row \d", said)
+        told = rf"pictures in damaged chunks of {re.escape(str(forged))} \(`bc-log recover \S+/a\.mcap` .*a row \d"
+        assert re.search(told, capsys.readouterr().err)
+        with monkeypatch.context() as in_folder:  # where a person types the log's name
+            in_folder.chdir(forged.parent)
+            assert call(bc_eval, untrained_run(tmp_path / "run"), "--session", forged) == 3
+        assert re.search(r"of a\.mcap \(`bc-log recover a\.mcap` .*a row \d", capsys.readouterr().err)
     else:
         assert call(bc_index, forged, "--index", index) == 1
         assert "a.mcap: damaged" in capsys.readouterr().err
