@@ -14,6 +14,9 @@ from recorder.log.mcap_file import CHUNK_HEADER, MESSAGE
 from recorder.log.picture_places import PLACES_AT_ONCE, PlacesWritten
 
 CHUNK_BYTES: Final = 256 * 1024
+ROWS_CHUNK_BYTES: Final = 32 * 1024
+"""What is no picture is written when there is so much of it, some 500 rows: one wrong bit, or a copy that was cut
+off, costs no more of them, and still there is one such chunk for a hundred of pictures."""
 
 
 class SplitChunks:
@@ -64,7 +67,7 @@ class SplitChunks:
         """Any other message."""
         self._waiting.append((number_of, log_time_ns, data, publish_time_ns, sequence))
         self._waiting_bytes += len(data) + MESSAGE.size
-        if self._waiting_bytes > CHUNK_BYTES:
+        if self._waiting_bytes > min(CHUNK_BYTES, ROWS_CHUNK_BYTES):
             self.flush()
 
     def add_mixed(
