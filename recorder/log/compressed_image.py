@@ -12,13 +12,14 @@ from recorder.log.topics import COMPRESSED_IMAGE
 _DATA_FIELD: Final = 2
 
 
+def is_protobuf_channel(schema: Schema | None, channel: Channel, name: str) -> bool:
+    """True if a channel has messages of the schema `name` in Protobuf; other programs write some as JSON too."""
+    return schema is not None and (schema.name, channel.message_encoding) == (name, MessageEncoding.Protobuf)
+
+
 def is_image_channel(schema: Schema | None, channel: Channel) -> bool:
-    """True if a channel's messages are CompressedImages in Protobuf; other programs write some as JSON too."""
-    return (
-        schema is not None
-        and schema.name == COMPRESSED_IMAGE.name
-        and channel.message_encoding == MessageEncoding.Protobuf
-    )
+    """True if a channel's messages are CompressedImages in Protobuf."""
+    return is_protobuf_channel(schema, channel, COMPRESSED_IMAGE.name)
 
 
 def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int, int]:

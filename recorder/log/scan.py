@@ -17,10 +17,10 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
-from mcap.well_known import MessageEncoding
 
 from common.locks import is_being_written
 from recorder.errors import LogError
+from recorder.log.compressed_image import is_image_channel, is_protobuf_channel
 from recorder.log.mcap_file import (
     CHUNK_HEADER,
     MAGIC,
@@ -33,7 +33,7 @@ from recorder.log.mcap_file import (
     McapFile,
     prefixed,
 )
-from recorder.log.topics import COMPRESSED_IMAGE, QUALITY_METADATA
+from recorder.log.topics import QUALITY_METADATA
 
 GOES_ON: Final = "unfinished: its recording is still going on"
 KILLED: Final = "unfinished: its recording was killed, or it was cut off"
@@ -73,13 +73,16 @@ class Structure:
     @property
     def image_channels(self) -> set[int]:
         """The channels of pictures, whatever their topics."""
-        return {number for number in self.channels if self.is_protobuf(number, COMPRESSED_IMAGE.name)}
+        return {
+            number
+            for number, channel in self.channels.items()
+            if is_image_channel(self.schemas.get(channel.schema_id), channel)
+        }
 
     def is_protobuf(self, channel: int, schema: str) -> bool:
-        """True if a channel's messages are of this schema, in Protobuf: other programs write some as JSON too."""
+        """True if a channel's messages are of this schema, in Protobuf."""
         known = self.channels[channel]
-        its = self.schemas.get(known.schema_id)
-        return its is not None and (its.name, known.message_encoding) == (schema, MessageEncoding.Protobuf)
+        return is_protobuf_channel(self.schemas.get(known.schema_id), known, schema)
 
 
 def read_structure(file: McapFile) -> Structure:
