@@ -24,6 +24,7 @@ import zstandard
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import CompressionType
 
+from bytes_read import count_bytes, note_reads
 from common import UserError
 from layouts import Layout, mixed, two_kinds
 from logs import write_log
@@ -536,18 +537,10 @@ def test_a_file_full_of_chunks_that_lie_is_given_up(tmp_path: Path, monkeypatch:
     ends = range(total - MAGIC_BYTES, 0, -len(header))
     path = unfinished(tmp_path / "a.mcap", *(header[:1] + struct.pack("<Q", end - 9) + header[9:] for end in ends))
     assert path.stat().st_size == total
-    read_bytes = 0
-    pread = os.pread
-
-    def counting(descriptor: int, length: int, offset: int) -> bytes:
-        nonlocal read_bytes
-        read_bytes += length
-        return pread(descriptor, length, offset)
-
-    monkeypatch.setattr("os.pread", counting)
+    read = note_reads(monkeypatch)
     with Log(path) as log:
         assert (log.chunks, log.lost) == ([], [(MAGIC_BYTES, total)])
-    assert total < read_bytes < 100 * total
+    assert total < count_bytes(read) < 100 * total
 
 
 def sizes_unpacked(monkeypatch: pytest.MonkeyPatch) -> list[int]:

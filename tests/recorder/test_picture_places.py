@@ -4,7 +4,6 @@ then all of the log is read, as one that tells nothing. `bc-log check` finds wha
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ from mcap.records import ChunkIndex, McapRecord, Statistics
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from bytes_read import count_bytes, note_reads
 from common.car import CAMERAS, Camera
 from logs import write_log
 from mcap_patch import nested, patched
@@ -275,19 +275,11 @@ def test_lists_within_lists_are_given_up(path: Path, monkeypatch: pytest.MonkeyP
     content = nested("bc.pictures", bytes(1 << 20), 200)
     truth = given_out(path)
     patched(path, lambda name, data: content if name == "bc.pictures" else data, very_many, within=200)
-    read_bytes = 0
-    pread = os.pread
-
-    def counting(descriptor: int, length: int, offset: int) -> bytes:
-        nonlocal read_bytes
-        read_bytes += length
-        return pread(descriptor, length, offset)
-
-    monkeypatch.setattr("os.pread", counting)
+    read = note_reads(monkeypatch)
     assert given_out(path) == truth
-    assert read_bytes < 3 * path.stat().st_size
+    assert count_bytes(read) < 3 * path.stat().st_size
     assert "damaged attachments" in kinds_of(path)
-    assert read_bytes < 50 * path.stat().st_size
+    assert count_bytes(read) < 50 * path.stat().st_size
 
 
 # Copies

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.records import Channel, Message
 
+from bytes_read import note_reads
 from common.car import CAMERAS
 from dataset import IndexConfig, build_index
 from layouts import write_as_before
@@ -46,15 +46,7 @@ def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def bytes_read(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
-    """Which bytes of any file are read by place, from and to, as the operating system is asked for them."""
-    read: list[tuple[int, int]] = []
-    pread = os.pread
-
-    def counted(descriptor: int, length: int, offset: int) -> bytes:
-        read.append((offset, offset + length))
-        return pread(descriptor, length, offset)
-
-    monkeypatch.setattr(os, "pread", counted)
+    read = note_reads(monkeypatch)
     yield read
     assert read
 
