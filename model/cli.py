@@ -109,7 +109,7 @@ def train(config: Train) -> int:
     elif not trained.epochs:
         print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    for line in verdict(read_history(run)[0].epochs, best) if best else ():
+    for line in verdict(read_history(run)[0].epochs, best, settings.keep) if best else ():
         print_result(line)
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
     return code

@@ -9,6 +9,7 @@ from typing import Final, Literal
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
 Answers = Literal["natural", "as-learnt"]
+Keep = Literal["balanced-rmse", "rmse", "last"]
 
 _RANGES: Final = {
     "epochs": (1, 10**6),
@@ -36,6 +37,9 @@ class TrainConfig:
     """The weights that are measured, kept, and drive are the mean over about so many steps; 1: the latest."""
     answers: Answers = "as-learnt"
     """natural: undo in the network's answers that hard steering was balanced up; as-learnt: leave them so."""
+    keep: Keep = "balanced-rmse"
+    """The epoch that is kept, and drives: that of the smallest error on the frames held out, where every steering
+    bin counts alike or every frame does; or the last one."""
     dropout: float = 0.5
     """Share of the activations that dropout sets to zero, before each of the two widest layers."""
     seed: int = 0
@@ -60,6 +64,8 @@ class TrainConfig:
             if not least <= value <= most:
                 flag = name.replace("_", "-")
                 raise ValueError(f"--{flag} {value}: a whole number from {least:,} to {most:,} was expected")
+        if self.keep == "last" and self.patience:
+            raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
         if not 0 < self.rate < math.inf:
             raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
         if not 0 <= self.dropout < 1:
