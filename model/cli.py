@@ -19,6 +19,7 @@ from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
+from common.recipe import recipe_given
 from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
@@ -236,7 +237,7 @@ def _defaults() -> Train:
                 sessions=sessions_of(run) or Train.sessions,
                 config=training_of(load_config(run), str(run / CONFIG)),
             )
-    return Train()
+    return Train(config=TrainConfig.of(recipe_given()))
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,11 +22,12 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_epoch_that_is_kept_has_the_least_of_what_was_asked_for(
     index: Path, tmp_path: Path, keep: Keep
 ) -> None:
-    error = {
+    errors: dict[str, Callable[[Epoch], float]] = {
         "balanced-rmse": lambda epoch: epoch.measures.balanced_rmse_deg,
         "rmse": lambda epoch: epoch.measures.network.rmse_deg,
         "last": lambda epoch: -epoch.epoch,
-    }[keep]
+    }
+    error = errors[keep]
     # so fast that it gets worse again
     trained = train(index, tmp_path / "run", replace(TINY, rate=2e-3, keep=keep), figures=False)
     least: Epoch = min(trained.epochs, key=error)
