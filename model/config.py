@@ -8,10 +8,12 @@ from typing import Final, Literal
 
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
+Answers = Literal["natural", "as-learnt"]
 
 _RANGES: Final = {
     "epochs": (1, 10**6),
     "batch": (1, 10**6),
+    "average_steps": (1, 10**6),
     "seed": (0, 2**63 - 1),
     "patience": (0, 10**9),
     "micro_batch": (0, 10**9),
@@ -30,6 +32,10 @@ class TrainConfig:
     """Samples in one step of the optimizer."""
     rate: float = 1e-4
     """Learning rate of Adam."""
+    average_steps: int = 1
+    """The weights that are measured, kept, and drive are the mean over about so many steps; 1: the latest."""
+    answers: Answers = "as-learnt"
+    """natural: undo in the network's answers that hard steering was balanced up; as-learnt: leave them so."""
     dropout: float = 0.5
     """Share of the activations that dropout sets to zero, before each of the two widest layers."""
     seed: int = 0

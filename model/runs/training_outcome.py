@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from dataset import MAX_STEERING_DEG
+from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch
 
 
 def verdict(epochs: Sequence[Epoch], kept: int) -> list[str]:
-    """A line that compares epoch `kept` with always predicting the mean of the very frames it was measured on, and
-    a second one if another epoch had the smaller RMSE; none where nothing was held out."""
+    """A line that compares epoch `kept` with always predicting the mean of the very frames it was measured on, one
+    for the scale of its answers, and one if another epoch had the smaller RMSE; none if nothing was held out."""
     best = next((epoch for epoch in epochs if epoch.epoch == kept and epoch.measures.frames), None)
     if best is None:
         return []
-    return [_beside_the_mean(best), *_why_kept(epochs, best)]
+    return [_beside_the_mean(best), *_of_natural_answers(best), *_why_kept(epochs, best)]
 
 
 def _beside_the_mean(best: Epoch) -> str:
@@ -31,6 +33,16 @@ def _beside_the_mean(best: Epoch) -> str:
     return (
         f"beside always predicting the mean: {', '.join(parts)}; the balanced one counts every steering bin alike"
     )
+
+
+def _of_natural_answers(best: Epoch) -> list[str]:
+    if best.learnt is None or best.answers == AnswerScale():
+        return []
+    scale, offset_deg = best.answers.scale, MAX_STEERING_DEG * best.answers.offset
+    return [
+        f"natural answers: {scale:.2f} times what was learnt, {offset_deg:+.2f} degrees:"
+        f" RMSE {best.measures.network.rmse_deg:.2f} instead of {best.learnt.rmse_deg:.2f} degrees"
+    ]
 
 
 def _why_kept(epochs: Sequence[Epoch], best: Epoch) -> list[str]:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from common.errors import counted
 from dataset import Loader, Samples
 from model.evaluation.predict import predict
-from model.metrics import measure
+from model.metrics import errors, measure
 from model.network.original import SteeringNetwork
+from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position
 from model.runs.run_folder import load_config
 from model.runs.training_progress import Epoch
@@ -37,8 +38,10 @@ class Validation:
         """Predicted and recorded steering, each (N,), of the frames that decode."""
         return predict(network, self.loader, advance)
 
-    def epoch(self, position: Position, predicted: Floats, recorded: Floats) -> Epoch:
-        """The measures of an epoch that has been learnt up to its end, `position`."""
+    def epoch(self, position: Position, learnt: Floats, recorded: Floats, answers: AnswerScale) -> Epoch:
+        """The measures of an epoch that has been learnt up to its end, `position`: those of the steering that the
+        network has `learnt`, as it is and in the scale of natural answers."""
+        predicted = answers.natural(learnt)
         measures = measure(predicted, recorded)
         return Epoch(
             position.epoch,
@@ -48,6 +51,8 @@ class Validation:
             measures.balanced_rmse_deg < position.best_deg if len(recorded) else True,
             position.seconds,
             position.samples / position.seconds,
+            answers,
+            errors(learnt, recorded),
         )
 
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
