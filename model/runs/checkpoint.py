@@ -19,6 +19,7 @@ from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
+from model.adam import Adam
 from model.errors import RunError
 from model.runs.answer_scale import LEAST_SCALE, MOST_OFFSET, MOST_SCALE
 from model.runs.checksums import load_checksummed, save_checksummed
@@ -30,7 +31,7 @@ LAST: Final = "last"
 CHECKPOINT: Final = "checkpoint.safetensors"
 
 _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
-_MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what torch.optim.Adam keeps of each parameter
+_MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 
 Count = Annotated[int, Meta(ge=0, lt=2**53)]
 Sum = Annotated[float, Meta(ge=0)]
@@ -62,7 +63,7 @@ def checkpoint_path(run: Path) -> Path:
 
 
 def save_checkpoint(
-    run: Path, network: nn.Module, averaged: nn.Module, optimizer: torch.optim.Adam, position: Position
+    run: Path, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position
 ) -> None:
     """Replace the run's checkpoint in one step: a full disk or a crash leaves the old one.
 
@@ -109,7 +110,7 @@ def position_of(stored: Mapping[str, str], path: Path) -> Position:
         raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
 
 
-def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimizer: torch.optim.Adam) -> Position:
+def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimizer: Adam) -> Position:
     """Load the run's checkpoint into the network, the mean of its weights (or the network again, where nothing is
     averaged), and the optimizer, on their device, and return its position.
 
@@ -135,14 +136,13 @@ def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimize
 
 
 def _moments(
-    name: str, parameter: Tensor, tensors: dict[str, Tensor], optimizer: torch.optim.Adam, path: Path
+    name: str, parameter: Tensor, tensors: dict[str, Tensor], optimizer: Adam, path: Path
 ) -> dict[str, Any]:
     step = tensors[f"step.{name}"]
     if step.shape != () or step.dtype != torch.float32 or not 1 <= step.item() < 2**53:
         raise RunError(f"{path}: a step count that is none; {_WAY_OUT}")
-    is_fused = optimizer.defaults["fused"]
     return {
-        "step": step.to(parameter.device) if is_fused else step,
+        "step": step.to(parameter.device) if optimizer.is_fused else step,
         # in the parameter's own memory format, as if they had never left it
         **{
             moment: torch.zeros_like(parameter).copy_(_like(tensors[f"{moment}.{name}"], parameter, path))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
+from model.adam import Adam
 from model.network.original import LAST_LAYER, SteeringNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, save_checkpoint
@@ -26,9 +26,7 @@ class RunWriter:
         """Whether anything that was learnt is saved."""
         self._unsaved_best: tuple[int, dict[str, Tensor], AnswerScale] | None = None  # epoch, weights, their scale
 
-    def begin(
-        self, network: nn.Module, averaged: nn.Module, optimizer: torch.optim.Adam, position: Position
-    ) -> None:
+    def begin(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
         """Save the start of a training: from there a run that is killed early goes on."""
         save_checkpoint(self.run, network, averaged, optimizer, position)
 
@@ -58,9 +56,7 @@ class RunWriter:
         """Whether there are weights of a finished epoch, saved or not."""
         return self._unsaved_best is not None or (self.run / WEIGHTS).exists()
 
-    def save(
-        self, network: nn.Module, averaged: nn.Module, optimizer: torch.optim.Adam, position: Position
-    ) -> None:
+    def save(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
         """Save the best weights and a checkpoint."""
         self.save_best()
         save_checkpoint(self.run, network, averaged, optimizer, position)
