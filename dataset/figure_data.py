@@ -12,9 +12,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from common.stored_settings import settings_from
 from dataset.augment import alter
-from dataset.config import IndexConfig
+from dataset.config import IndexConfig, stored_config
 from dataset.errors import DatasetError
 from dataset.preprocess import BOTTOM_SHARE, TOP_SHARE, Image, decode
 from dataset.samples.samples_format import Balance
@@ -48,7 +47,7 @@ class Distribution:
 def settings_of(samples: Samples) -> IndexConfig:
     """The settings that the index was built with."""
     try:
-        return settings_from(IndexConfig, samples.metadata["settings"])
+        return stored_config(samples.metadata["settings"])
     except (KeyError, ValueError) as error:
         raise _damaged(samples.path, error) from None
 

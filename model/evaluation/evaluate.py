@@ -106,7 +106,7 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
     Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
     """
     paths = {session_name(log): log for log in map(Path, logs)}
-    config = IndexConfig(validation=tuple(paths), balance=False, flip=False)
+    config = IndexConfig(validation=tuple(paths), balance=False, flip=False, labels="as-recorded")
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
         indexed = build_index(list(paths.values()), Path(folder), config)
         found = evaluate(run, folder)
