@@ -1,8 +1,9 @@
-"""`bc-eval`: measures a trained network on recorded frames, or while it drives."""
+"""`bc-eval`: measures a trained network on recorded frames, driving a recording, or driving the simulator."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -39,10 +40,11 @@ def _default(metavar: str, value: str) -> Any:
 
 @dataclass(frozen=True)
 class Eval:
-    """Measure a trained network: on recorded frames that were held out, or driving the built-in simulator.
+    """Measure a trained network: on recorded frames that were held out, or driving: a recording, or the simulator.
 
     bc-eval first
     bc-eval first --session sunday
+    bc-eval first --on sunday
     bc-eval first --simulator lake mountain
     bc-eval --compare first second
     """
@@ -62,9 +64,18 @@ class Eval:
     session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
     """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
     sessions: Annotated[Path | None, _default("PATH", "sessions")] = None
-    """Where logs are kept, for --session."""
+    """Where logs are kept, for --session and --on."""
     worst: Annotated[int | None, _default("INT", "10")] = None
     """How many of the worst frames to list, at most one for each second of a session."""
+    on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
+    """Let it drive these recordings instead, as fast as they were driven: it sees their pictures, warped to where
+    it has steered the car."""
+    departure: Annotated[float | None, _default("METRES", "1")] = None
+    """Distance from the recorded line from which on the car is put back, which is an intervention."""
+    car: Annotated[Literal["auto", "udacity", "built-in"] | None, _default("{auto,udacity,built-in}", "auto")] = (
+        None
+    )
+    """Of which simulator's car a recording is, whose cameras and wheelbase are known; auto asks the log."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
     """Let it drive these tracks instead: lake, mountain, random:SEED; the same run gives the same numbers."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
@@ -85,35 +96,44 @@ class Eval:
     """Print JSON and no table: one object, or with --simulator alone one a drive."""
 
 
-RECORDED = ("index", "split", "session", "sessions", "worst")
-DRIVEN = ("laps", "speed", "precision", "logs", "force")
+RECORDED = "recorded frames"
+WAYS = {
+    RECORDED: ("index", "split", "session", "sessions", "worst"),
+    "--simulator TRACK": ("laps", "speed", "precision", "logs", "force"),
+    "--on SESSION": ("sessions", "departure", "car", "precision"),
+}
+"""The flags that belong to each way of measuring."""
 
 
 def evaluate(config: Eval) -> int:
     _refuse_contradictions(config)
     if config.compare is not None:
         return _compare(config, config.compare)
+    if config.on is not None:
+        return _drive_recordings(config, config.on)
     return _measure(config) if config.simulator is None else _drive(config)
 
 
 def _refuse_contradictions(config: Eval) -> None:
-    is_driven = config.simulator is not None
-    flags = flags_given(config, *(RECORDED if is_driven else DRIVEN))
-    if flags:
-        raise UsageError(
-            f"{flags}: of recorded frames, and --simulator drives: give one or the other"
-            if is_driven
-            else f"{flags}: only with --simulator TRACK: without it, recorded frames are measured"
-        )
+    if config.on is not None and config.simulator is not None:
+        raise UsageError("--on drives recordings and --simulator tracks: give one or the other")
+    way = "--on SESSION" if config.on is not None else RECORDED
+    way = "--simulator TRACK" if config.simulator is not None else way
+    for other, names in WAYS.items():
+        if flags := flags_given(config, *(name for name in names if name not in WAYS[way])):
+            raise UsageError(_misplaced(flags, other, way))
     if config.simulator == () or config.speed == ():
         raise UsageError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
-    for flag, given in (("--simulator", config.simulator), ("--speed", config.speed)):
+    if config.on == ():
+        raise UsageError("nothing to drive: give --on at least one session")
+    given_once = (("--on", config.on), ("--simulator", config.simulator), ("--speed", config.speed))
+    for flag, given in given_once:
         if given is not None and len(set(given)) < len(given):
             raise UsageError(f"{flag} {' '.join(map(str, given))}: give each once")
     if config.session == ():
         raise UsageError("nothing to measure: give --session at least one session")
-    if config.session is None and config.sessions is not None:
-        raise UsageError("--sessions is where the logs of --session are: give it too")
+    if way == RECORDED and config.session is None and config.sessions is not None:
+        raise UsageError("--sessions is where the logs of --session and --on are: give one of these too")
     if config.session is not None and (config.index is not None or config.split is not None):
         raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
     if config.compare is None:
@@ -123,10 +143,22 @@ def _refuse_contradictions(config: Eval) -> None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
     elif config.worst is not None:
         raise UsageError("--worst is of one run, and --compare of two: give one or the other")
+    elif config.on is not None:
+        raise UsageError("--on drives with one run, and --compare takes two: give one or the other")
     if config.tolerance is not None and not 0 <= config.tolerance < 1:
         raise UsageError(f"--tolerance {config.tolerance:g}: a share from 0 to 1 was expected")
     if config.worst is not None and config.worst < 0:
         raise UsageError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
+    if config.departure is not None and not 0 < config.departure < math.inf:
+        raise UsageError(f"--departure {config.departure:g}: a distance above 0 metres was expected")
+
+
+def _misplaced(flags: str, other: str, way: str) -> str:
+    if way == RECORDED:
+        return f"{flags}: only with {other}: without it, recorded frames are measured"
+    if other == RECORDED:
+        return f"{flags}: of recorded frames, and {way.split()[0]} drives: give one or the other"
+    return f"{flags}: only with {other}"
 
 
 def _measure(config: Eval) -> int:
@@ -297,6 +329,36 @@ def _driven(
     yield from evaluate_run(
         pilot, drives, logs, overwrite=config.force, notify=lambda text: print_message(f"bc-eval: {text}")
     )
+
+
+def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
+    """Let the network drive recordings."""
+    from dataset import find_logs
+    from model import find_run, load_pilot
+    from model.evaluation.recorded_drive import DEPARTURE_M, drive_recording
+
+    logs = find_logs(sessions, config.sessions or Path("sessions"))
+    pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
+    pilot.warm_up()
+    departure_m = DEPARTURE_M if config.departure is None else config.departure
+    drives = []
+    try:
+        for log in logs:
+            drive = drive_recording(pilot.predict, log, departure_m=departure_m, car=config.car or "auto")
+            drives.append(drive)
+            if config.json:
+                print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))
+    finally:  # what was measured is shown, whatever stops the rest
+        if drives and not config.json:
+            from drive.evaluation.eval_report import print_recorded_drives
+
+            print_recorded_drives(pilot.run, drives)
+    code = DONE
+    for drive in drives:
+        code = warn_skipped(drive.skipped) or code
+        if drive.notice:
+            code = warn(drive.notice)
+    return code
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -21,9 +21,10 @@ from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.frames_file import session_name
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
-from model.metrics import Measures, measure
+from model.metrics import Errors, Measures, errors, measure
+from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import without_nan
-from model.runs.run_folder import load_config, run_name
+from model.runs.run_folder import load_answer_scale, load_config, run_name
 from model.runs.trained_on import by_session, count_trained_on
 
 _FROM_INDEX: Final = pa.schema(
@@ -49,10 +50,17 @@ class Evaluation:
     skipped: Skipped  # pictures that do not decode
     notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
+    answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
 
     @cached_property
     def measures(self) -> Measures:
         return _measure(self.frames)
+
+    @cached_property
+    def as_learnt(self) -> Errors:
+        """The errors of what the network has learnt, without the scale of its answers."""
+        learnt = self.answers.learnt(self.frames["predicted"].to_numpy())
+        return errors(learnt, self.frames["recorded"].to_numpy())
 
     @cached_property
     def sessions(self) -> dict[str, Measures]:
@@ -77,6 +85,8 @@ class Evaluation:
             "learnt": self.trained_on,
             "skipped": dict(self.skipped.counts),
             **found,
+            "answers": asdict(self.answers),
+            "as_learnt": without_nan(asdict(self.as_learnt)),
             "sessions": {
                 session: {"log": str(self.logs[session]), **_as_dict(measures)}
                 for session, measures in self.sessions.items()
@@ -150,6 +160,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
             {session: log.time_range_ns[0] for session, log in samples.logs.items()},
             count_trained_on(sessions, samples, config),
             loader.skipped,
+            answers=load_answer_scale(run),
         )
         for run, predicted, config in zip(runs, steering, configs, strict=True)
     ]
