@@ -18,13 +18,16 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 def settings_from(kind: type[Settings], stored: Any) -> Settings:
     """The settings of a dataclass that `stored`, parsed JSON, holds; those it leaves out have their defaults.
 
+    Where an earlier version, which did not have a setting, did otherwise than today's default, the dataclass says
+    so in a class variable `EARLIER`: what it was then, by name.
+
     A whole number stays one where a float is wanted: it is printed and written again as it was stored. Raises
     ValueError for names or values that `kind` does not have.
     """
     if isinstance(stored, dict) and (unknown := stored.keys() - {field.name for field in fields(kind)}):
         raise ValueError(f"unknown settings: {', '.join(sorted(map(str, unknown)))}")
     try:
-        settings = msgspec.convert(stored, kind)
+        settings = msgspec.convert(_with_earlier(kind, stored), kind)
     except msgspec.ValidationError as error:
         raise ValueError(str(error)) from None
     numbers = {name: value for name, value in stored.items() if isinstance(getattr(settings, name), float)}
@@ -32,3 +35,8 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
         if not abs(value) < _TOO_LARGE:
             raise ValueError(f"{name} cannot be {value!r:.60}")
     return replace(settings, **numbers)
+
+
+def _with_earlier(kind: type[Settings], stored: Any) -> Any:
+    earlier = getattr(kind, "EARLIER", {})
+    return {**earlier, **stored} if isinstance(stored, dict) else stored

@@ -56,12 +56,15 @@ def is_crop(encoded: bytes) -> bool:
     return pixels(encoded) == SIZE_PX**2
 
 
+def seen_rows(height: int) -> slice:
+    """The rows of a picture so high that the network sees."""
+    return slice(round(height * TOP_SHARE), height - round(height * BOTTOM_SHARE))
+
+
 def preprocess(picture: Image) -> Image:
     """A camera picture (height, width, 3) BGR uint8 as the network's input, (128, 128, 3) BGR uint8.
 
     The crop is a share of the height, so that pictures of another size show the same part of the world.
     """
-    height = picture.shape[0]
-    cropped = picture[round(height * TOP_SHARE) : height - round(height * BOTTOM_SHARE)]
-    resized = cv2.resize(cropped, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_LINEAR)
+    resized = cv2.resize(picture[seen_rows(picture.shape[0])], (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_LINEAR)
     return resized.astype(np.uint8, copy=False)

@@ -19,6 +19,7 @@ from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
+from common.recipe import recipe_given
 from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
@@ -109,7 +110,7 @@ def train(config: Train) -> int:
     elif not trained.epochs:
         print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    for line in verdict(read_history(run)[0].epochs, best) if best else ():
+    for line in verdict(read_history(run)[0].epochs, best, settings.keep) if best else ():
         print_result(line)
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
     return code
@@ -236,7 +237,7 @@ def _defaults() -> Train:
                 sessions=sessions_of(run) or Train.sessions,
                 config=training_of(load_config(run), str(run / CONFIG)),
             )
-    return Train()
+    return Train(config=TrainConfig.of(recipe_given()))
 
 
 def main() -> None:

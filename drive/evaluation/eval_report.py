@@ -14,8 +14,11 @@ from rich.table import Table
 from common.errors import counted, printable
 from common.files import short_path
 from common.output import print_result, print_table
+from dataset import MAX_STEERING_DEG
 from model.evaluation.evaluate import Evaluation
+from model.evaluation.recorded_drive import RecordedDrive
 from model.metrics import Measures
+from model.runs.answer_scale import AnswerScale
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import run_name
 from model.worst_moments import WorstFrame
@@ -66,6 +69,28 @@ def print_drives(results: Sequence[DriveResult]) -> None:
     print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
 
 
+def print_recorded_drives(run: str, drives: Sequence[RecordedDrive]) -> None:
+    """Print the table of drives of recordings."""
+    put_back = f"put back from {drives[0].departure_m:g} m on"
+    table = _table(
+        f"{printable(run)} on recordings; metres from the recorded line, {put_back}",
+        *("session", "rows", "left out", "km", "interventions", "autonomy", "mean", "largest", "seen"),
+    )
+    for drive in drives:
+        table.add_row(
+            escape(printable(drive.session)),
+            f"{drive.rows:,}",
+            f"{drive.rows_left_out:,}",
+            f"{drive.distance_m / 1000:.2f}",
+            f"{drive.interventions:,}",
+            f"{drive.autonomy_percent:.1f} %",
+            f"{drive.mean_offset_m:.2f}",
+            f"{drive.max_offset_m:.2f}",
+            f"{100 * drive.known_share:.1f} %",
+        )
+    print_table(table)
+
+
 def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
     """The command that shows a frame with the network's prediction."""
     log = shlex.quote(str(short_path(evaluation.logs[frame.session])))
@@ -77,12 +102,18 @@ def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
 def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
     of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
+    is_scaled = evaluation.answers != AnswerScale()
     title = f"{printable(run_name(evaluation.run))}: {counted(measures.frames, 'frame')}; errors in degrees"
-    table = _table(title, "", "network", "always zero", "always the mean")
+    as_learnt = ("as learnt",) if is_scaled else ()
+    table = _table(title, "", "network", "always zero", "always the mean", *as_learnt)
+    columns = [*of.values(), evaluation.as_learnt] if is_scaled else [*of.values()]
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
-        table.add_row(heading, *(_number(getattr(errors, name)) for errors in of.values()))
+        table.add_row(heading, *(_number(getattr(errors, name)) for errors in columns))
     table.add_row("balanced RMSE", *(_number(balanced[name]) for name in of))
     table.add_row("correlation", *(_number(errors.correlation) for errors in of.values()))
+    if is_scaled:
+        scale, offset_deg = evaluation.answers.scale, MAX_STEERING_DEG * evaluation.answers.offset
+        table.caption = f"answers: {scale:.2f} times what was learnt, {offset_deg:+.2f}"
     return table
 
 

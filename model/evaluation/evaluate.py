@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -21,9 +21,10 @@ from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.frames_file import session_name
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
-from model.metrics import Measures, measure
+from model.metrics import Errors, Measures, errors, measure
+from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import without_nan
-from model.runs.run_folder import load_config, run_name
+from model.runs.run_folder import load_answer_scale, load_config, run_name
 from model.runs.trained_on import by_session, count_trained_on
 
 _FROM_INDEX: Final = pa.schema(
@@ -49,10 +50,17 @@ class Evaluation:
     skipped: Skipped  # pictures that do not decode
     notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
+    answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
 
     @cached_property
     def measures(self) -> Measures:
         return _measure(self.frames)
+
+    @cached_property
+    def as_learnt(self) -> Errors:
+        """The errors of what the network has learnt, without the scale of its answers."""
+        learnt = self.answers.learnt(self.frames["predicted"].to_numpy())
+        return errors(learnt, self.frames["recorded"].to_numpy())
 
     @cached_property
     def sessions(self) -> dict[str, Measures]:
@@ -77,6 +85,8 @@ class Evaluation:
             "learnt": self.trained_on,
             "skipped": dict(self.skipped.counts),
             **found,
+            "answers": asdict(self.answers),
+            "as_learnt": without_nan(asdict(self.as_learnt)),
             "sessions": {
                 session: {"log": str(self.logs[session]), **_as_dict(measures)}
                 for session, measures in self.sessions.items()
@@ -90,6 +100,12 @@ def evaluate(run: Path | str, index: Path | str, split: Split = "validation") ->
     Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
     LogError for a damaged log.
     """
+    (found,) = evaluate_runs([run], index, split)
+    return found
+
+
+def evaluate_runs(runs: Sequence[Path | str], index: Path | str, split: Split = "validation") -> list[Evaluation]:
+    """As `evaluate`, for several runs at once: each picture is decoded once, and all have the same frames."""
     with Samples(Path(index)) as samples:
         seen = samples.driving_view(split)
         if not len(seen):
@@ -97,7 +113,7 @@ def evaluate(run: Path | str, index: Path | str, split: Split = "validation") ->
                 f"{samples.path}: no frame of the split {split} in it; give another --split, or whole sessions:"
                 " --session NAME"
             )
-        return _evaluate(Path(run), samples, seen)
+        return _evaluate([Path(run) for run in runs], samples, seen)
 
 
 def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation:
@@ -105,37 +121,49 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
 
     Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
     """
+    (found,) = evaluate_runs_on_sessions([run], logs)
+    return found
+
+
+def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | str]) -> list[Evaluation]:
+    """As `evaluate_sessions`, for several runs at once: each picture is decoded once, all have the same frames."""
     paths = {session_name(log): log for log in map(Path, logs)}
     config = IndexConfig(validation=tuple(paths), balance=False, flip=False, labels="as-recorded")
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
         indexed = build_index(list(paths.values()), Path(folder), config)
-        found = evaluate(run, folder)
+        found = evaluate_runs(runs, folder)
     notices = indexed.notices + [
         f"{path}: not measured: no picture of the centre camera that can be used"
         for session, path in paths.items()
-        if session not in found.sessions
+        if session not in found[0].sessions
     ]
-    return replace(found, logs=paths, notices=tuple(notices), remarks=tuple(indexed.remarks))
+    remarks = tuple(indexed.remarks)
+    return [replace(each, logs=paths, notices=tuple(notices), remarks=remarks) for each in found]
 
 
-def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
-    config = load_config(run)
+def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Evaluation]:
+    configs = [load_config(run) for run in runs]
     loader = Loader(samples, seen, batch=BATCH, budget_bytes=0)  # each picture is looked at once
-    (steering,), is_decoded = predict_crops([run], loader.crops(np.arange(len(loader))), len(loader))
+    steering, is_decoded = predict_crops(runs, loader.crops(np.arange(len(loader))), len(loader))
     if not is_decoded.any():
         _, name = next(iter(loader.skipped))
         raise DatasetError(
             f"none of {counted(len(seen), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
         )
-    frames = _from_index(seen, samples).append_column("predicted", pa.array(steering)).filter(pa.array(is_decoded))
-    return Evaluation(
-        run,
-        frames,
-        {session: log.path.resolve() for session, log in samples.logs.items()},
-        {session: log.time_range_ns[0] for session, log in samples.logs.items()},
-        count_trained_on(by_session(frames), samples, config),
-        loader.skipped,
-    )
+    frames = _from_index(seen, samples)
+    sessions = by_session(frames.filter(pa.array(is_decoded)))
+    return [
+        Evaluation(
+            run,
+            frames.append_column("predicted", pa.array(predicted)).filter(pa.array(is_decoded)),
+            {session: log.path.resolve() for session, log in samples.logs.items()},
+            {session: log.time_range_ns[0] for session, log in samples.logs.items()},
+            count_trained_on(sessions, samples, config),
+            loader.skipped,
+            answers=load_answer_scale(run),
+        )
+        for run, predicted, config in zip(runs, steering, configs, strict=True)
+    ]
 
 
 def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:

@@ -13,6 +13,9 @@ from torch import Tensor, nn
 
 PARAMETERS: Final = 5_022_327
 
+LAST_LAYER: Final = "head.11"
+"""The layer whose only output is the steering."""
+
 
 class SteeringNetwork(nn.Module):
     """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped."""

@@ -1,8 +1,8 @@
 """Checkpoints: `last/checkpoint.safetensors`, from which a training goes on as if it had never stopped.
 
-One file with its own checksum (checksums.py), so that weights, moments of Adam and position are always of the same
-moment. No random state is in it: order, dropout and alterations are functions of (seed, epoch, batch), drawn anew
-in every step.
+One file with its own checksum (checksums.py), so that weights, their mean, moments of Adam and position are always
+of the same moment. No random state is in it: order, dropout and alterations are functions of (seed, epoch, batch),
+drawn anew in every step.
 """
 
 from __future__ import annotations
@@ -19,16 +19,19 @@ from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
+from model.adam import Adam
 from model.errors import RunError
+from model.runs.answer_scale import LEAST_SCALE, MOST_OFFSET, MOST_SCALE
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.run_arguments import run_argument
 
-FORMAT: Final = "1"
+FORMAT: Final = "2"
+READABLE: Final = ("1", "2")  # format 1 has neither the mean of the last steps' weights nor the answer scale
 LAST: Final = "last"
 CHECKPOINT: Final = "checkpoint.safetensors"
 
 _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
-_MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what torch.optim.Adam keeps of each parameter
+_MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 
 Count = Annotated[int, Meta(ge=0, lt=2**53)]
 Sum = Annotated[float, Meta(ge=0)]
@@ -50,16 +53,25 @@ class Position(
     reported_squared_error: Sum = 0.0  # the part of these two that is in steps.jsonl
     reported_samples: Count = 0
     best_epoch: Count = 0  # 0: none yet
-    best_deg: Sum = math.inf  # balanced RMSE of that epoch; infinite where nothing is held out
+    answer_scale: Annotated[float, Meta(ge=LEAST_SCALE, le=MOST_SCALE)] = 1.0  # of the last finished epoch
+    answer_offset: Annotated[float, Meta(ge=-MOST_OFFSET, le=MOST_OFFSET)] = 0.0
+    best_deg: Sum = math.inf  # the error by which it is kept; infinite where nothing is held out
 
 
 def checkpoint_path(run: Path) -> Path:
     return run / LAST / CHECKPOINT
 
 
-def save_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam, position: Position) -> None:
-    """Replace the run's checkpoint in one step: a full disk or a crash leaves the old one."""
+def save_checkpoint(
+    run: Path, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position
+) -> None:
+    """Replace the run's checkpoint in one step: a full disk or a crash leaves the old one.
+
+    `averaged` has the mean of the last steps' weights; it is `network` itself where nothing is averaged.
+    """
     tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
+    if averaged is not network:
+        tensors |= {f"averaged.{name}": tensor for name, tensor in averaged.state_dict().items()}
     for name, parameter in network.named_parameters():
         moments = optimizer.state.get(parameter, {})  # empty before the first step
         tensors |= {f"{moment}.{name}": tensor for moment, tensor in moments.items()}
@@ -75,7 +87,7 @@ def read_position(run: Path) -> Position:
             stored = file.metadata() or {}
     except (OSError, SafetensorError) as error:
         raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
-    return _position(stored, path)
+    return position_of(stored, path)
 
 
 def _required(run: Path) -> Path:
@@ -85,47 +97,52 @@ def _required(run: Path) -> Path:
     return path
 
 
-def _position(stored: Mapping[str, str], path: Path) -> Position:
+def position_of(stored: Mapping[str, str], path: Path) -> Position:
+    """The position in the metadata `stored` of the checkpoint `path`. Raises RunError if it cannot be read."""
     try:
-        if stored.get("format") != FORMAT:
+        if stored.get("format") not in READABLE:
             raise RunError(
-                f"{path}: of format {stored.get('format')}, this toolkit reads {FORMAT}; update the toolkit"
+                f"{path}: of format {stored.get('format')}, this toolkit reads {' and '.join(READABLE)};"
+                " update the toolkit"
             )
         return msgspec.convert(json.loads(stored["position"]), Position)
     except (KeyError, ValueError, RecursionError) as error:
         raise RunError(f"{path}: cannot be read ({error}); {_WAY_OUT}") from None
 
 
-def load_checkpoint(run: Path, network: nn.Module, optimizer: torch.optim.Adam) -> Position:
-    """Load the run's checkpoint into the network and its optimizer, on their device, and return its position.
+def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimizer: Adam) -> Position:
+    """Load the run's checkpoint into the network, the mean of its weights (or the network again, where nothing is
+    averaged), and the optimizer, on their device, and return its position.
 
     Raises RunError if the checkpoint is damaged, of another version, or of another network.
     """
     path = _required(run)
     tensors, stored = load_checksummed(path, run, _WAY_OUT)
-    position = _position(stored, path)
+    position = position_of(stored, path)
     named = dict(network.named_parameters())
     has_moments = any(name.startswith("exp_avg.") for name in tensors)
-    kinds = ("network", *_MOMENTS) if has_moments else ("network",)
+    networks = {"network": network} if averaged is network else {"network": network, "averaged": averaged}
+    kinds = (*networks, *_MOMENTS) if has_moments else tuple(networks)
     if tensors.keys() != {f"{kind}.{name}" for kind in kinds for name in named}:
         raise RunError(f"{path}: the checkpoint of another network than this toolkit's")
     with torch.no_grad():
+        for kind, each in networks.items():
+            for name, parameter in each.named_parameters():
+                parameter.copy_(_like(tensors[f"{kind}.{name}"], parameter, path))
         for name, parameter in named.items():
-            parameter.copy_(_like(tensors[f"network.{name}"], parameter, path))
             if has_moments:
                 optimizer.state[parameter] = _moments(name, parameter, tensors, optimizer, path)
     return position
 
 
 def _moments(
-    name: str, parameter: Tensor, tensors: dict[str, Tensor], optimizer: torch.optim.Adam, path: Path
+    name: str, parameter: Tensor, tensors: dict[str, Tensor], optimizer: Adam, path: Path
 ) -> dict[str, Any]:
     step = tensors[f"step.{name}"]
     if step.shape != () or step.dtype != torch.float32 or not 1 <= step.item() < 2**53:
         raise RunError(f"{path}: a step count that is none; {_WAY_OUT}")
-    is_fused = optimizer.defaults["fused"]
     return {
-        "step": step.to(parameter.device) if is_fused else step,
+        "step": step.to(parameter.device) if optimizer.is_fused else step,
         # in the parameter's own memory format, as if they had never left it
         **{
             moment: torch.zeros_like(parameter).copy_(_like(tensors[f"{moment}.{name}"], parameter, path))

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from dataset.preprocess import decode, is_crop
 from model.metrics import BinErrors, Errors, Measures
+from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step
 from model.runs.worst_pictures import WORST_COUNT, WorstPictures
 from model.worst_moments import WorstFrame
@@ -27,6 +28,7 @@ def parse_epoch(line: bytes) -> Epoch:
     bins = tuple(_bin_errors(part) for part in values["bins"])
     network, zero, mean = (_errors(values[name]) for name in ("validation", "zero", "mean"))
     mean_balanced_rmse_deg = _number(values["mean"].get("balanced_rmse_deg"))  # earlier versions have none
+    answers, learnt = values.get("answers"), values.get("learnt")  # earlier versions have neither
     return Epoch(
         _count(values["epoch"], least=1),
         _number(values["training_loss"]),
@@ -35,6 +37,8 @@ def parse_epoch(line: bytes) -> Epoch:
         values["is_best"] is True,
         _number(values["seconds"]),
         _number(values["samples_per_s"]),
+        AnswerScale() if answers is None else AnswerScale(_number(answers["scale"]), _number(answers["offset"])),
+        None if learnt is None else _errors(learnt),
     )
 
 

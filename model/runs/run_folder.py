@@ -19,14 +19,16 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.preprocess import DESCRIPTION
 from model.errors import RunError
-from model.network.original import SteeringNetwork
-from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path
+from model.network.original import LAST_LAYER, SteeringNetwork
+from model.runs.answer_scale import AnswerScale
+from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path, position_of
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_files import replaced_file, run_write_errors
@@ -71,9 +73,15 @@ def run_name(folder: Path) -> str:
     return f"{folder.parent.name}-{LAST}" if _is_last(folder) else folder.name
 
 
-def save_weights(folder: Path, weights: Mapping[str, Tensor], epoch: int) -> None:
-    """Replace the run's weights in one step: a full disk or a crash leaves the old ones."""
-    save_checksummed(folder / WEIGHTS, weights, {"epoch": str(epoch)})
+def save_weights(
+    folder: Path, weights: Mapping[str, Tensor], epoch: int, answers: AnswerScale | None = None
+) -> None:
+    """Replace the run's weights in one step: a full disk or a crash leaves the old ones.
+
+    `answers` is the scale that was brought into them.
+    """
+    scale = {} if answers in (None, AnswerScale()) else answers.metadata
+    save_checksummed(folder / WEIGHTS, weights, {"epoch": str(epoch), **scale})
 
 
 @contextlib.contextmanager
@@ -162,15 +170,40 @@ def load_network(folder: Path) -> SteeringNetwork:
     """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape."""
     path = weights_path(folder)
     network = SteeringNetwork()
-    weights, _ = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
+    weights, stored = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
     if _is_last(folder):
-        prefix = "network."
+        prefix = "averaged." if any(name.startswith("averaged.") for name in weights) else "network."
         weights = {name.removeprefix(prefix): weights[name] for name in weights if name.startswith(prefix)}
     try:
         network.load_state_dict(weights)
     except RuntimeError:
         raise RunError(f"{path}: weights of another network than this toolkit's") from None
+    if _is_last(folder):
+        network.load_state_dict(_answer_scale(stored, path).bring_into(network.state_dict(), LAST_LAYER))
     return network.eval()
+
+
+def load_answer_scale(folder: Path) -> AnswerScale:
+    """The scale that is in the answers of the run's network. Raises RunError if its weights cannot be read."""
+    path = weights_path(folder)
+    try:
+        with safe_open(path, framework="pt") as file:
+            return _answer_scale(file.metadata() or {}, path)
+    except (OSError, SafetensorError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); copy it again, or train the run again") from None
+
+
+def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
+    """That of weights or of a checkpoint, by their metadata."""
+    if "position" in stored:
+        position = position_of(stored, path)
+        return AnswerScale(position.answer_scale, position.answer_offset)
+    try:
+        return AnswerScale.from_metadata(stored)
+    except ValueError as error:
+        raise RunError(
+            f"{path}: {error}, which no training gives; copy it again, or train the run again"
+        ) from None
 
 
 def weights_checksum(folder: Path) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Protocol
 
-from model.metrics import Measures
+from model.metrics import Errors, Measures
+from model.runs.answer_scale import AnswerScale
 
 METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
@@ -36,6 +37,8 @@ class Epoch:
     is_best: bool  # the best one so far
     seconds: float
     samples_per_s: float
+    answers: AnswerScale = field(default_factory=AnswerScale)  # that the measures are of
+    learnt: Errors | None = None  # of the answers without it; None in runs of earlier versions
 
     def as_dict(self) -> dict[str, Any]:
         measures = self.measures
@@ -48,6 +51,8 @@ class Epoch:
             "mean": {**asdict(measures.mean), "balanced_rmse_deg": measures.mean_balanced_rmse_deg},
             "balanced_rmse_deg": measures.balanced_rmse_deg,
             "bins": [asdict(part) for part in measures.bins],
+            "answers": asdict(self.answers),
+            "learnt": None if self.learnt is None else asdict(self.learnt),
             "is_best": self.is_best,
             "seconds": self.seconds,
             "samples_per_s": self.samples_per_s,

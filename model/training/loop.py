@@ -25,13 +25,16 @@ from model.device import Machine
 from model.errors import RunError
 from model.network.original import SteeringNetwork
 from model.progress_bar import progress_task
+from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import load_config, load_network
 from model.runs.training_progress import Epoch, Listener, Step
+from model.training.averaged_weights import AveragedWeights
 from model.training.batches import make_batches
 from model.training.busy_processor import BusyProcessorWarning
 from model.training.distributed import Group
+from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
 from model.training.step import make_optimizer, training_step
 from model.training.validation import Validation
@@ -88,10 +91,15 @@ class TrainingLoop:
         kept_bytes = loader.pictures * CROP_BYTES if machine.device.type == "cpu" else 0
         left_bytes = max(0, budget_bytes - kept_bytes)
         # a batch of more than `micro_batch` would only take more memory
-        self.validation = Validation(samples, machine.micro_batch, left_bytes, config.threads)
+        self.validation = Validation(samples, machine.micro_batch, left_bytes, config.threads, config.keep)
+        self.natural_frames = (
+            NaturalFrames(samples, machine.micro_batch, config.threads) if config.answers == "natural" else None
+        )
+        self.answers = AnswerScale()  # of the last epoch
         self.skipped = [self.batches.skipped, self.validation.loader.skipped]
         torch.manual_seed(config.seed)
         self.network = SteeringNetwork(config.dropout).to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.averaged = AveragedWeights(self.network, config.average_steps)
         self.optimizer = make_optimizer(self.network, config.rate)
         self._saved_s = time.monotonic()
         self._busy_warning = BusyProcessorWarning(is_enabled=machine.device.type == "cpu" and group.is_first)
@@ -103,12 +111,14 @@ class TrainingLoop:
 
     def begin(self) -> None:
         """Save the start of a new training."""
-        self.group.on_first_rank(lambda: self.writer.begin(self.network, self.optimizer, self.position))
+        self.averaged.begin(self.network)
+        weights = self.network, self.averaged.network
+        self.group.on_first_rank(lambda: self.writer.begin(*weights, self.optimizer, self.position))
 
     def resume(self) -> None:
         """Go to where the run was stopped. Raises RunError if its checkpoint cannot be used."""
         path = checkpoint_path(self.run)
-        self.position = load_checkpoint(self.run, self.network, self.optimizer)
+        self.position = load_checkpoint(self.run, self.network, self.averaged.network, self.optimizer)
         begun = self.position.epoch if self.position.batch else self.position.epoch - 1
         if self.config.epochs < begun:
             learnt = counted(begun, "epoch")
@@ -118,6 +128,7 @@ class TrainingLoop:
                 f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.batches.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
+        self.answers = AnswerScale(self.position.answer_scale, self.position.answer_offset)
         self.cut_history()
         if not self.group.is_first:  # the first one has the sums of all
             self.position = replace(
@@ -188,7 +199,7 @@ class TrainingLoop:
         config, group = self.config, self.group
         torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch, group.rank))
         with self._busy_warning.timed_step():
-            return training_step(
+            squared_error = training_step(
                 network,
                 self.optimizer,
                 pictures,
@@ -198,6 +209,8 @@ class TrainingLoop:
                 batch=min(config.batch, len(self.batches) - (batch - 1) * config.batch),
                 ranks=group.ranks,
             )
+        self.averaged.update(self.network, (self.position.epoch - 1) * self.batches.batches + batch)
+        return squared_error
 
     def _report(self, squared_error: float, samples: int, seconds: float) -> str:
         """Write a step, and pass it to the listeners; the note beside the progress bar."""
@@ -216,25 +229,34 @@ class TrainingLoop:
         if not self.position.samples:
             raise RunError(f"{self.samples.path}: none of its training pictures decodes; see `bc-index --look`")
         best_epoch, best_deg = self.group.sum(*(self.group.on_first_rank(self._validate) or (0.0, 0.0)))
-        self.position = Position(self.position.epoch + 1, best_epoch=int(best_epoch), best_deg=best_deg)
+        self.position = Position(
+            self.position.epoch + 1,
+            best_epoch=int(best_epoch),
+            best_deg=best_deg,
+            answer_scale=self.answers.scale,
+            answer_offset=self.answers.offset,
+        )
 
     def _validate(self) -> tuple[float, float]:
-        """Measure the network after an epoch, and report it; the best epoch by now, and its balanced RMSE."""
+        """Measure the network after an epoch, and report it; the best epoch by now, and its error."""
         position = self.position
         with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
-            predicted, recorded = self.validation.predict(self.network, advance)
-        if not np.isfinite(predicted).all() or not self._is_finite():
+            learnt, recorded = self.validation.predict(self.averaged.network, advance)
+        if not np.isfinite(learnt).all() or not self._is_finite():
             raise self._diverged()
-        epoch = self.validation.epoch(position, predicted, recorded)
+        if self.natural_frames is not None:
+            self.answers = self.natural_frames.fit(self.averaged.network)
+        predicted = self.answers.natural(learnt)
+        epoch = self.validation.epoch(position, learnt, recorded, self.answers)
         self.writer.add_epoch(epoch, self.validation.worst(position.epoch, predicted, recorded))
         self.history.append(epoch)
         if epoch.is_best:
-            self.writer.keep_best(position.epoch, self.network)
+            self.writer.keep_best(position.epoch, self.averaged.network, self.answers)
             self.best_predictions = predicted, recorded
         for listener in self.listeners:
             listener.epoch(epoch)
         if epoch.is_best:
-            return position.epoch, epoch.measures.balanced_rmse_deg if len(recorded) else math.inf
+            return position.epoch, self.validation.error_deg(epoch.measures)
         return position.best_epoch, position.best_deg
 
     def _sum_over_ranks(self, sums: _EpochSums, begun_s: float) -> None:
@@ -257,7 +279,8 @@ class TrainingLoop:
         """Save everything up to this moment. Raises RunError if the weights are not finite."""
         if not self._is_finite():
             raise self._diverged()
-        self.group.on_first_rank(lambda: self.writer.save(self.network, self.optimizer, self.position))
+        weights = self.network, self.averaged.network
+        self.group.on_first_rank(lambda: self.writer.save(*weights, self.optimizer, self.position))
         self._saved_s = time.monotonic()
 
     def _is_checkpoint_due(self) -> bool:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
+from model.adam import Adam
+from model.network.original import LAST_LAYER, SteeringNetwork
+from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, save_checkpoint
 from model.runs.run_files import append_json_line, keep_json_lines
 from model.runs.run_folder import WEIGHTS, save_weights
@@ -22,11 +24,11 @@ class RunWriter:
         self.run = run
         self.has_saved = False
         """Whether anything that was learnt is saved."""
-        self._unsaved_best: tuple[int, dict[str, Tensor]] | None = None  # the best epoch and its weights
+        self._unsaved_best: tuple[int, dict[str, Tensor], AnswerScale] | None = None  # epoch, weights, their scale
 
-    def begin(self, network: nn.Module, optimizer: torch.optim.Adam, position: Position) -> None:
+    def begin(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
         """Save the start of a training: from there a run that is killed early goes on."""
-        save_checkpoint(self.run, network, optimizer, position)
+        save_checkpoint(self.run, network, averaged, optimizer, position)
 
     def cut_history(self, position: Position, samples: int) -> None:
         """Remove from the run's files what comes after `position`, at which so many samples are learnt."""
@@ -43,26 +45,27 @@ class RunWriter:
             append_json_line(self.run / WORST_FILE, worst.as_dict())
         append_json_line(self.run / METRICS_FILE, epoch.as_dict())
 
-    def keep_best(self, epoch: int, network: nn.Module) -> None:
-        """Take a copy of the network's weights, to be saved as those of the best epoch."""
+    def keep_best(self, epoch: int, network: SteeringNetwork, answers: AnswerScale) -> None:
+        """Take a copy of the network's weights, with this scale of its answers, to be saved as those of the best
+        epoch."""
         weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
-        self._unsaved_best = epoch, weights
+        self._unsaved_best = epoch, answers.bring_into(weights, LAST_LAYER), answers
 
     @property
     def has_best(self) -> bool:
         """Whether there are weights of a finished epoch, saved or not."""
         return self._unsaved_best is not None or (self.run / WEIGHTS).exists()
 
-    def save(self, network: nn.Module, optimizer: torch.optim.Adam, position: Position) -> None:
+    def save(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
         """Save the best weights and a checkpoint."""
         self.save_best()
-        save_checkpoint(self.run, network, optimizer, position)
+        save_checkpoint(self.run, network, averaged, optimizer, position)
         self.has_saved = True
 
     def save_best(self) -> None:
         if self._unsaved_best is not None:
-            epoch, weights = self._unsaved_best
-            save_weights(self.run, weights, epoch)
+            epoch, weights, answers = self._unsaved_best
+            save_weights(self.run, weights, epoch, answers)
             self._unsaved_best = None
             self.has_saved = True
 

@@ -9,16 +9,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.parallel import DistributedDataParallel
 
+from model.adam import Adam
 
-def make_optimizer(network: nn.Module, rate: float) -> torch.optim.Adam:
-    """Adam as in Kingma and Ba 2015 (arXiv 1412.6980), with its usual moments."""
-    is_on_gpu = next(network.parameters()).is_cuda
-    return torch.optim.Adam(network.parameters(), lr=rate, fused=is_on_gpu)
+
+def make_optimizer(network: nn.Module, rate: float) -> Adam:
+    """Adam over all the network's parameters, on their device."""
+    return Adam(network.parameters(), rate)
 
 
 def training_step(
     network: nn.Module,
-    optimizer: torch.optim.Optimizer,
+    optimizer: Adam,
     pictures: Tensor,
     steering: Tensor,
     *,
@@ -33,7 +34,7 @@ def training_step(
     The gradient is summed over parts of `micro_batch` samples. With several `ranks`, these samples are a part of
     `batch`, and the network is a DistributedDataParallel, which averages the ranks' gradients.
     """
-    optimizer.zero_grad(set_to_none=True)
+    optimizer.zero_grad()
     squared_error = torch.zeros((), device=steering.device)
     scale = ranks / (batch or len(steering))
     parts = list(zip(torch.split(pictures, micro_batch), torch.split(steering, micro_batch), strict=True))

@@ -1,0 +1,106 @@
+"""The pictures of a log as its car would have seen them from beside the line that it drove."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from common import Skipped
+from common.car import CAMERAS, Camera
+from common.closeable import Closeable
+from dataset.frames.frames_file import session_name
+from dataset.frames.frames_table import driven_states
+from dataset.frames.pairing import paired_rows
+from dataset.loader.crops import UNDECODED
+from dataset.preprocess import Image, decode, preprocess, seen_rows
+from dataset.recorded_line import DrivableStretch, stretches_to_drive
+from dataset.viewpoint import Viewpoint
+from recorder import Log, LogError
+from recorder.errors import damaged_pictures
+from recorder.log.car_geometry import CarGeometry, KnownCar, geometry_of
+from recorder.log.row_quality import States
+from recorder.log.topics import camera_topic
+
+AnyCar = KnownCar | Literal["auto"]
+
+_CENTER: Final[Camera] = "center"
+
+
+class LogViews(Closeable):
+    """A log's rows, finished or not, numbered from 0, and what is seen at them. Use it as a context manager, or
+    call `close()`."""
+
+    def __init__(self, path: Path | str, car: AnyCar = "auto") -> None:
+        """Raises LogError for a damaged log, RecordingError where nothing tells of which car it is."""
+        self.path = Path(path)
+        self.session = session_name(self.path)
+        self.skipped = Skipped()  # each picture once
+        self._log = Log(self.path)
+        try:
+            self.geometry: CarGeometry = geometry_of(self._log, car)
+            self.states: States = driven_states(self._log)[0]
+            self._places = {camera: self._places_of(camera) for camera in CAMERAS}
+        except BaseException:
+            self.close()
+            raise
+        self._viewpoints: dict[tuple[int, int], Viewpoint] = {}
+        self._undecoded: set[tuple[int, Camera]] = set()
+
+    def close(self) -> None:
+        self._log.close()
+
+    @property
+    def notice(self) -> str:
+        """A line about a log that was never finished; empty for a finished one."""
+        return self._log.notice
+
+    @property
+    def stretches(self) -> list[DrivableStretch]:
+        """The stretches of rows that can be driven."""
+        has_picture = np.zeros(len(self.states.row), np.bool_)
+        has_picture[list(self._places[_CENTER])] = True
+        return stretches_to_drive(self.states, has_picture)
+
+    def seen(self, number: int, left_m: float, turn_rad: float) -> tuple[Image, float] | None:
+        """The crop (128, 128, 3) BGR that the network sees of row `number` from a car that is `left_m` to the left
+        of the line and turned to the left by `turn_rad`, and how much of it is known (0 .. 1); None without a
+        whole picture of the centre camera."""
+        centre = self._decoded(number, _CENTER)
+        if centre is None:
+            return None
+        size = centre.shape[1], centre.shape[0]
+        if size not in self._viewpoints:
+            self._viewpoints[size] = Viewpoint(self.geometry, *size)
+        viewpoint = self._viewpoints[size]
+        pictures: dict[Camera, Image] = {_CENTER: centre}
+        there = [camera for camera in CAMERAS if number in self._places[camera]]
+        nearest = viewpoint.nearest(left_m, turn_rad, there)
+        if nearest != _CENTER:
+            beside = self._decoded(number, nearest)
+            if beside is not None and beside.shape == centre.shape:
+                pictures[nearest] = beside
+        view = viewpoint.view(pictures, left_m, turn_rad)
+        return preprocess(view.picture), float(view.is_known[seen_rows(size[1])].mean())
+
+    def _places_of(self, camera: Camera) -> dict[int, tuple[int, int, int]]:
+        """Offset, length and chunk of the picture of each row that has one."""
+        found = self._log.pictures(camera_topic(camera))
+        state, picture = paired_rows(found, self.states)
+        places = (getattr(found, name)[picture].tolist() for name in ("offset", "length", "chunk"))
+        return dict(zip(state.tolist(), zip(*places, strict=True), strict=True))
+
+    def _decoded(self, number: int, camera: Camera) -> Image | None:
+        if number not in self._places[camera]:
+            return None
+        try:
+            return decode(self._log.read(*self._places[camera][number]))
+        except LogError:
+            kind = damaged_pictures(self.path)
+        except ValueError:
+            kind = UNDECODED
+        if (number, camera) not in self._undecoded:
+            self._undecoded.add((number, camera))
+            self.skipped.add(kind, f"{self.session} row {self.states.row[number]} {camera}")
+        return None

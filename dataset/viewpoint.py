@@ -1,0 +1,135 @@
+"""The picture from beside where a recorded one was taken: warped to a car that is moved and turned.
+
+Below the horizon every pixel is taken for a point of a level road, above it for one infinitely far away: the first
+move as the plane of the road does, the second only turn with the car. What stands up from the road near by (curbs,
+posts, trees, hills) is bent. With the pictures of the side cameras, the one that was taken nearest is warped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.car import Camera
+from dataset.preprocess import Image
+from recorder.log.car_geometry import OUTLINE_PX, CarGeometry, Outline
+
+Mask = NDArray[np.bool_]
+Matrix = NDArray[np.float64]
+
+MOST_TURN_RAD: Final = math.pi / 3
+"""No camera here sees as far to the side; a view that is turned further has nothing in it."""
+_KNOWN: Final = 255
+
+
+@dataclass(frozen=True)
+class WarpedView:
+    """A picture from a place where nobody took one."""
+
+    picture: Image  # (height, width, 3) BGR
+    is_known: Mask  # (height, width); where nothing is known, the picture goes on as at the edge of what is
+    camera: Camera  # whose picture was warped
+
+
+class Viewpoint:
+    """Warps pictures of one size, taken by the cameras of one car."""
+
+    def __init__(self, geometry: CarGeometry, width_px: int, height_px: int) -> None:
+        self.geometry = geometry
+        self.width_px, self.height_px = width_px, height_px
+        focal_px = geometry.focal * height_px
+        # a pixel's middle is half a pixel beside its corner
+        intrinsic = np.array(
+            [[focal_px, 0.0, width_px / 2 - 0.5], [0.0, focal_px, height_px / 2 - 0.5], [0.0, 0.0, 1.0]]
+        )
+        down = math.atan2(0.5 - geometry.horizon, geometry.focal)
+        cos, sin = math.cos(down), math.sin(down)
+        # from the camera's (right, down, ahead) to the same axes level to the road
+        level = np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]])
+        self._to_level = level @ np.linalg.inv(intrinsic)
+        self._from_level = intrinsic @ level.T
+        self._horizon_px = math.ceil(geometry.horizon * height_px - 0.5)  # the first row of the road
+        self._bonnets = {name: _bonnet(line, width_px, height_px) for name, line in geometry.bonnet.items()}
+
+    def nearest(self, left_m: float, turn_rad: float, cameras: Collection[Camera]) -> Camera:
+        """Which of `cameras` stands nearest to the centre camera of a car that is moved and turned."""
+        aside_m = left_m + self.geometry.forward_m * math.sin(turn_rad)
+        return min(cameras, key=lambda camera: abs(self.geometry.left_m[camera] - aside_m))
+
+    def view(
+        self, pictures: Mapping[Camera, Image], left_m: float, turn_rad: float, camera: Camera | None = None
+    ) -> WarpedView:
+        """The picture of the centre camera of a car whose rear axle is `left_m` to the left of where it was (below
+        0: to the right), and which is turned to the left by `turn_rad` (below 0: to the right).
+
+        `pictures` are those of one moment, (height, width, 3) BGR; that of `camera` is warped, by default the
+        nearest. The car's bonnet stays where it is in the centre camera's, if that is among them. Raises
+        ValueError for a picture of another size, or a turn of more than `MOST_TURN_RAD`.
+        """
+        if not (abs(turn_rad) <= MOST_TURN_RAD and math.isfinite(left_m)):
+            raise ValueError(f"no picture can be warped by {left_m} m and {turn_rad} rad")
+        camera = camera or self.nearest(left_m, turn_rad, pictures.keys())
+        picture = pictures[camera]
+        if picture.shape != (self.height_px, self.width_px, 3):
+            raise ValueError(f"a picture of {picture.shape}, not {(self.height_px, self.width_px, 3)}")
+        if camera == "center" and left_m == turn_rad == 0.0:
+            return WarpedView(picture, np.ones(picture.shape[:2], np.bool_), camera)
+        forward_m = self.geometry.forward_m
+        aside_m = left_m + forward_m * math.sin(turn_rad) - self.geometry.left_m[camera]
+        ahead_m = forward_m * (math.cos(turn_rad) - 1.0)
+
+        bonnet = self._bonnets[camera]
+        road = picture[bonnet.above, np.arange(self.width_px)]
+        known = np.where(bonnet.mask, 0, _KNOWN).astype(np.uint8)
+        found, is_known = np.empty_like(picture), np.empty(picture.shape[:2], np.uint8)
+        below = slice(self._horizon_px, self.height_px)
+        for rows, matrix in (
+            (slice(0, self._horizon_px), self._far(turn_rad)),
+            (below, self._road(ahead_m, aside_m, turn_rad)),
+        ):
+            matrix = matrix @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows.start], [0.0, 0.0, 1.0]])
+            size, flags = (self.width_px, rows.stop - rows.start), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            found[rows] = cv2.warpPerspective(road, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+            is_known[rows] = cv2.warpPerspective(known, matrix, size, flags=flags)
+        mask = is_known == _KNOWN
+        if "center" in pictures:
+            own = self._bonnets["center"].mask
+            np.copyto(found, pictures["center"], where=own[..., None])
+            mask |= own
+        return WarpedView(found, mask, camera)
+
+    def _far(self, turn_rad: float) -> Matrix:
+        """From pixels of the turned camera to those of the recorded one, of what is infinitely far away."""
+        return np.asarray(self._from_level @ _turn(turn_rad) @ self._to_level)
+
+    def _road(self, ahead_m: float, aside_m: float, turn_rad: float) -> Matrix:
+        """As `_far`, of points of the road: the homography of a plane (Hartley and Zisserman, section 13.1)."""
+        move = np.zeros((3, 3))
+        move[:, 1] = np.array([-aside_m, 0.0, ahead_m]) / self.geometry.height_m
+        return np.asarray(self._from_level @ (_turn(turn_rad) + move) @ self._to_level)
+
+
+def _turn(left_rad: float) -> Matrix:
+    """From (right, down, ahead) of a car that is turned to the left to those of one that is not."""
+    cos, sin = math.cos(left_rad), math.sin(left_rad)
+    return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+
+
+@dataclass(frozen=True)
+class _Bonnet:
+    mask: Mask  # (height, width)
+    above: NDArray[np.intp]  # (height, width): the row to draw there so that the road goes on under the bonnet
+
+
+def _bonnet(outline: Outline, width_px: int, height_px: int) -> _Bonnet:
+    columns, rows = (np.array(outline) * (width_px / OUTLINE_PX[0], height_px / OUTLINE_PX[1])).T
+    column = np.arange(width_px) + 0.5
+    top = np.floor(np.interp(column, columns, rows, left=height_px, right=height_px)).astype(np.intp)
+    row = np.arange(height_px)[:, None]
+    return _Bonnet(row >= top, np.minimum(row, np.maximum(top - 1, 0)))

@@ -1,0 +1,64 @@
+"""The optimizer Adam of Kingma and Ba 2015 (arXiv 1412.6980), with its usual moments.
+
+The arithmetic is PyTorch's, and so is what is kept of each parameter, under the same names. `torch.optim.Adam`
+around it loads PyTorch's compiler with the first step, which nothing here uses: over a second in every training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor
+from torch.optim.adam import adam
+
+
+class Adam:
+    """Steps the parameters, which are all on one device, at this learning rate."""
+
+    def __init__(self, parameters: Iterable[Tensor], rate: float) -> None:
+        self.parameters = list(parameters)
+        self.rate = rate
+        self.is_fused = self.parameters[0].is_cuda
+        self.state: dict[Tensor, dict[str, Tensor]] = {}
+        """Of each parameter that was stepped its `exp_avg` and `exp_avg_sq`, in its own shape and memory format,
+        and `step`, a float32 beside it on the GPU, else on the CPU."""
+
+    def zero_grad(self) -> None:
+        """Forget all gradients."""
+        for parameter in self.parameters:
+            parameter.grad = None
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """Step every parameter that has a gradient."""
+        gradients = {parameter: parameter.grad for parameter in self.parameters if parameter.grad is not None}
+        for parameter in gradients:
+            if parameter not in self.state:
+                self.state[parameter] = self._new_state(parameter)
+        states = [self.state[parameter] for parameter in gradients]
+        adam(
+            list(gradients),
+            list(gradients.values()),
+            [state["exp_avg"] for state in states],
+            [state["exp_avg_sq"] for state in states],
+            [],
+            [state["step"] for state in states],
+            foreach=not self.is_fused,  # on a processor, too: the same bits in two thirds of the time
+            fused=self.is_fused,
+            amsgrad=False,
+            beta1=0.9,
+            beta2=0.999,
+            lr=self.rate,
+            weight_decay=0,
+            eps=1e-8,
+            maximize=False,
+        )
+
+    def _new_state(self, parameter: Tensor) -> dict[str, Tensor]:
+        device = parameter.device if self.is_fused else None
+        return {
+            "step": torch.zeros((), dtype=torch.float32, device=device),
+            "exp_avg": torch.zeros_like(parameter),
+            "exp_avg_sq": torch.zeros_like(parameter),
+        }

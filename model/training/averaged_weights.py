@@ -1,0 +1,43 @@
+"""The running mean of a network's weights over its last steps: what is measured, kept, and drives.
+
+Each step of Adam goes where the labels of its batch pull; the mean of many steps is what they agree on. Polyak and
+Juditsky 1992, "Acceleration of stochastic approximation by averaging"; as an exponential mean in Tarvainen and
+Valpola 2017 (arXiv 1703.01780).
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Final
+
+import torch
+from torch.optim.swa_utils import get_ema_multi_avg_fn
+
+from model.network.original import SteeringNetwork
+
+_FIRST_STEPS: Final = 10
+"""In the beginning the mean goes over a share of the steps taken, so that random weights are soon forgotten:
+after N steps over 1 + N / 10 of them."""
+
+
+class AveragedWeights:
+    """A second network whose weights are the exponential mean of another one's over about `steps` steps.
+
+    Over one step, it is that other network itself, and costs nothing.
+    """
+
+    def __init__(self, network: SteeringNetwork, steps: int) -> None:
+        self._steps = steps
+        self.network = network if steps == 1 else copy.deepcopy(network)
+
+    @torch.no_grad()
+    def begin(self, network: SteeringNetwork) -> None:
+        """Begin with the weights of `network`, before its first step."""
+        self.network.load_state_dict(network.state_dict())
+
+    def update(self, network: SteeringNetwork, steps_taken: int) -> None:
+        """Take in the weights after so many steps, 1 after the first."""
+        if self.network is not network:
+            keep = 1 - max(1 / self._steps, 1 / (1 + steps_taken / _FIRST_STEPS))
+            update = get_ema_multi_avg_fn(keep)  # type: ignore[no-untyped-call]
+            update(list(self.network.parameters()), list(network.parameters()), steps_taken)

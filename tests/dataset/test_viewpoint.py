@@ -1,0 +1,128 @@
+"""The picture from beside where one was taken is the one that a camera there takes, of a level road."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.car import CAMERAS, Camera
+from dataset.preprocess import Image, decode
+from dataset.viewpoint import Viewpoint
+from painted_road import render
+from recorder.log.car_geometry import UDACITY, CarGeometry, built_in
+from simulator.driving.simulation import Simulation
+
+WITHOUT_BONNET = replace(UDACITY, bonnet=dict.fromkeys(CAMERAS, ((0, 160), (320, 160))))
+OTHER_CAR = replace(
+    WITHOUT_BONNET,
+    focal=1.2,
+    horizon=0.42,
+    height_m=0.8,
+    forward_m=-0.3,
+    left_m={"center": 0.0, "left": 0.4, "right": -0.4},
+)
+
+
+def moment(geometry: CarGeometry, width_px: int = 320, height_px: int = 160) -> dict[Camera, Image]:
+    return {
+        camera: render(geometry, beside_m=geometry.left_m[camera], width_px=width_px, height_px=height_px)
+        for camera in CAMERAS
+    }
+
+
+@pytest.mark.parametrize("geometry", [WITHOUT_BONNET, OTHER_CAR])
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize(("left_m", "turn_deg"), [(0.7, 0), (0, 8), (0.5, -6), (-1.1, 10)])
+def test_it_is_the_picture_that_a_camera_there_takes(
+    geometry: CarGeometry, camera: Camera, left_m: float, turn_deg: float
+) -> None:
+    turn_rad = math.radians(turn_deg)
+    view = Viewpoint(geometry, 320, 160).view(moment(geometry), left_m, turn_rad, camera)
+    there = render(geometry, left_m=left_m, turn_rad=turn_rad)
+    error = np.abs(view.picture.astype(float) - there)[view.is_known]
+    assert error.mean() < 1.5
+    assert np.percentile(error, 99) < 12
+    assert view.is_known.mean() > 0.6
+
+
+@pytest.mark.parametrize(("width_px", "height_px"), [(160, 80), (320, 240), (640, 320)])
+def test_pictures_of_another_size_show_the_same_part_of_the_world(width_px: int, height_px: int) -> None:
+    pictures = moment(WITHOUT_BONNET, width_px, height_px)
+    view = Viewpoint(WITHOUT_BONNET, width_px, height_px).view(pictures, 0.5, 0.1)
+    there = render(WITHOUT_BONNET, left_m=0.5, turn_rad=0.1, width_px=width_px, height_px=height_px)
+    assert np.abs(view.picture.astype(float) - there)[view.is_known].mean() < 1.5
+
+
+def test_where_the_car_is_where_it_was_the_picture_is_the_one_that_was_taken() -> None:
+    pictures = moment(UDACITY)
+    view = Viewpoint(UDACITY, 320, 160).view(pictures, 0.0, 0.0)
+    assert (view.picture == pictures["center"]).all()
+    assert view.is_known.all()
+
+
+@pytest.mark.parametrize(
+    ("left_m", "turn_rad", "camera"),
+    [
+        (0.0, 0.0, "center"),
+        (0.44, 0.0, "center"),
+        (0.46, 0.0, "left"),
+        (-2.0, 0.0, "right"),
+        (0.6, -0.2, "center"),
+    ],
+)
+def test_the_camera_that_stands_nearest_is_warped(left_m: float, turn_rad: float, camera: Camera) -> None:
+    """The last one: the cameras are 1.5 m ahead of the axle, and a turn to the right takes them 0.3 m there."""
+    geometry = replace(UDACITY, forward_m=1.5, left_m={"center": 0.0, "left": 0.9, "right": -0.9})
+    viewpoint = Viewpoint(geometry, 320, 160)
+    assert viewpoint.view(moment(geometry), left_m, turn_rad).camera == camera
+    assert viewpoint.view({"center": moment(geometry)["center"]}, left_m, turn_rad).camera == "center"
+
+
+def test_what_no_camera_saw_is_not_known_and_nothing_there_is_black() -> None:
+    """A camera that turns to the left by 30 degrees sees on its left what was beyond the picture's edge."""
+    bright = np.full((160, 320, 3), 200, np.uint8)
+    view = Viewpoint(WITHOUT_BONNET, 320, 160).view({"center": bright}, 0.0, math.radians(30))
+    assert not view.is_known[:, :40].any()
+    assert view.is_known[40:140, 200:].all()
+    assert (view.picture == 200).all()
+
+
+def test_the_bonnet_stays_where_it_is_and_is_drawn_nowhere_else() -> None:
+    geometry = replace(UDACITY, bonnet=dict.fromkeys(CAMERAS, ((100, 160), (100, 120), (220, 120), (220, 160))))
+    is_bonnet = np.zeros((160, 320), np.bool_)
+    is_bonnet[120:, 100:220] = True
+    pictures = dict.fromkeys(CAMERAS, np.where(is_bonnet, 255, 60)[..., None].repeat(3, axis=2).astype(np.uint8))
+    for left_m in (0.3, 0.9, -1.2):
+        view = Viewpoint(geometry, 320, 160).view(pictures, left_m, 0.05)
+        assert (view.picture[is_bonnet] == 255).all()
+        assert (view.picture[~is_bonnet] == 60).all()
+        assert view.is_known[is_bonnet].all()
+
+
+def test_in_the_built_in_simulator_it_is_nearer_to_what_its_cameras_render_there() -> None:
+    """Its lake begins on a level stretch; 20 rows below the horizon, as far as the bonnet."""
+    simulation = Simulation("lake")
+    pose = simulation.course.pose
+    taken = {camera: decode(simulation.jpeg(camera, pose)) for camera in CAMERAS}
+    there = replace(
+        pose,
+        x_m=pose.x_m - 0.4 * math.sin(pose.heading_rad),
+        y_m=pose.y_m + 0.4 * math.cos(pose.heading_rad),
+        heading_rad=pose.heading_rad - 0.1,
+    )
+    true = decode(simulation.jpeg("center", there)).astype(float)
+    view = Viewpoint(built_in(), 320, 160).view(taken, 0.4, -0.1)
+    road = view.is_known & (np.arange(160) < 132)[:, None] & (np.arange(160) >= 60)[:, None]
+    unmoved = np.abs(taken["center"] - true)[road].mean()
+    assert np.abs(view.picture - true)[road].mean() < 0.5 * unmoved
+
+
+@pytest.mark.parametrize(("left_m", "turn_rad"), [(0.0, 1.2), (math.nan, 0.0), (0.0, math.nan), (math.inf, 0.0)])
+def test_a_view_that_no_camera_has_a_part_of_is_refused(left_m: float, turn_rad: float) -> None:
+    with pytest.raises(ValueError, match="no picture can be warped"):
+        Viewpoint(UDACITY, 320, 160).view(moment(UDACITY), left_m, turn_rad)
+    with pytest.raises(ValueError, match="a picture of"):
+        Viewpoint(UDACITY, 320, 200).view(moment(UDACITY), 0.1, 0.0)

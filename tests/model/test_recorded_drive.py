@@ -1,0 +1,204 @@
+"""Driving a recording: who steers as it was driven stays on its line, who does not leaves it as geometry says."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from common import UserError
+from common.car import Camera
+from dataset.preprocess import Image
+from drive.evaluation.eval_cli import main as eval_main
+from driving import one_line_in, untrained_run
+from logs import START_NS
+from model.errors import RunError
+from model.evaluation.recorded_drive import drive_recording
+from painted_road import render
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.car_geometry import UDACITY
+from udacity import call
+
+MPH = 0.44704  # metres a second
+CAMERAS: tuple[Camera, ...] = ("center", "left", "right")
+GRAY = np.full((160, 320, 3), 128, np.uint8)
+
+
+def jpeg(picture: Image) -> bytes:
+    ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    assert ok
+    return encoded.tobytes()
+
+
+def record(
+    path: Path,
+    steering: Sequence[float],
+    speed_mph: Sequence[float] | float = 20.0,
+    picture: Callable[[Camera], bytes] = lambda camera: jpeg(GRAY),
+    step_s: Sequence[float] | float = 0.1,
+    source: str = "udacity",
+) -> Path:
+    """A log of one row for each steering; the pictures are those of every row."""
+    count = len(steering)
+    speeds, steps = (np.broadcast_to(values, count).tolist() for values in (speed_mph, step_s))
+    pictures = {camera: picture(camera) for camera in CAMERAS}
+    time_ns = START_NS
+    with LogWriter(path, {"source": source}) as writer:
+        for row in range(count):
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, pictures[camera])
+            state = VehicleState(steering=steering[row], throttle=0.5, brake=0.0, speed_mph=speeds[row])
+            writer.vehicle(time_ns, row, state)
+            time_ns += round(steps[row] * 1e9)
+    return path
+
+
+def always(steering: float) -> Callable[[Image], float]:
+    return lambda crop: steering
+
+
+def test_who_steers_as_it_was_driven_stays_on_the_line(tmp_path: Path) -> None:
+    drive = drive_recording(always(0.3), record(tmp_path / "bend.mcap", [0.3] * 100))
+    assert (drive.rows, drive.stretches, drive.rows_left_out, drive.interventions) == (100, 1, 0, 0)
+    assert drive.max_offset_m < 1e-6
+    assert drive.autonomy_percent == 100
+    assert drive.known_share == 1
+    assert drive.driven_s == pytest.approx(9.9)
+    assert drive.distance_m == pytest.approx(9.9 * 20 * MPH)
+
+
+@pytest.mark.parametrize("steering", [0.04, -0.04])
+def test_who_steers_otherwise_leaves_it_on_a_circle(tmp_path: Path, steering: float) -> None:
+    """Off a straight line: after a way s along it the car has turned by asin(s / radius)."""
+    log = record(tmp_path / "straight.mcap", [0.0] * 24)
+    drive = drive_recording(always(steering), log, departure_m=50.0)
+    radius_m = UDACITY.wheelbase_m / math.tan(math.radians(25) * steering)
+    for number, moment in enumerate(drive.moments):
+        angle = math.asin(number * 0.1 * 20 * MPH / radius_m)
+        assert moment.turn_rad == pytest.approx(-angle, abs=1e-3)
+        assert moment.left_m == pytest.approx(-radius_m * (1 - math.cos(angle)), abs=0.01)
+
+
+def test_farther_than_the_departure_the_car_is_put_back_and_that_costs_six_seconds(tmp_path: Path) -> None:
+    log = record(tmp_path / "straight.mcap", [0.0] * 101, speed_mph=20)
+    drive = drive_recording(always(0.1), log, departure_m=0.5)
+    # s² / (2 radius) = 0.5 m is reached after this many rows of 0.1 s; then it begins anew
+    radius_m = UDACITY.wheelbase_m / math.tan(math.radians(2.5))
+    rows_each = math.ceil(math.sqrt(2 * radius_m * 0.5) / (0.1 * 20 * MPH))
+    assert drive.interventions == 100 // rows_each
+    assert drive.max_offset_m <= 0.5
+    assert drive.autonomy_percent == pytest.approx(max(0.0, 100 * (1 - 6 * drive.interventions / 10)))
+
+
+def test_a_network_that_sees_where_it_is_comes_back(tmp_path: Path) -> None:
+    """The road has a white line under the middle of the recorded car. The network steers towards it, wherever it
+    is seen: whatever the recording's own steering (which it does not know) does, it comes back."""
+
+    def road(camera: Camera) -> bytes:
+        beside_m = UDACITY.left_m[camera]
+        painted = render(UDACITY, beside_m=beside_m) // 4
+        for row in range(64, 160):  # columns at which the ground is 0.15 m or less from the middle
+            metres = UDACITY.height_m / (row + 0.5 - 60)
+            across = (np.arange(320) + 0.5 - 160) * metres - beside_m
+            painted[row, np.abs(across) < 0.15] = 255
+        return jpeg(painted)
+
+    def towards_the_line(crop: Image) -> float:
+        columns = np.flatnonzero(crop[60:70].min(axis=2).mean(axis=0) > 120)
+        return 0.02 * (float(columns.mean()) - 63.5) if len(columns) else 0.0
+
+    wavy = [0.08 if row // 6 % 2 else -0.08 for row in range(120)]
+    log = record(tmp_path / "wavy.mcap", wavy, 15, road)
+    seeing, blind = drive_recording(towards_the_line, log), drive_recording(always(0.03), log)
+    assert seeing.interventions == 0
+    assert seeing.mean_offset_m < 0.35
+    assert blind.interventions > 2
+
+
+def test_gaps_standing_manoeuvres_and_hits_are_borders_at_which_nothing_is_counted(tmp_path: Path) -> None:
+    speed = [5.5] * 60 + [4.5] * 10 + [5.5] * 40 + [30.0] * 40 + [12.0] * 40
+    steps = [0.1] * len(speed)
+    steps[29] = 60.0
+    log = record(tmp_path / "borders.mcap", [0.0] * len(speed), speed, step_s=steps)
+    drive = drive_recording(always(0.0), log)
+    # a minute's gap; ten slow rows; 30 to 12 mph in a tenth of a second, and the second before and after
+    assert drive.stretches == 4
+    assert drive.rows == 30 + 30 + (80 - 11) + (40 - 10)
+    assert drive.rows_left_out == len(speed) - drive.rows
+    assert drive.interventions == 0
+    begins = {moment.row for moment in drive_recording(always(0.2), log).moments if moment.left_m == 0.0}
+    assert begins >= {0, 30, 70, 160}
+
+
+def test_what_cannot_be_driven_is_refused_with_what_was_expected(tmp_path: Path) -> None:
+    for name, log in {
+        "slow": record(tmp_path / "slow.mcap", [0.0] * 30, 3.0),
+        "short": record(tmp_path / "short.mcap", [0.0] * 10),
+        "unsteered": record(tmp_path / "unsteered.mcap", [math.nan] * 30),
+        "unknown speed": record(tmp_path / "unknown.mcap", [0.0] * 30, math.nan),
+        "other camera": record(tmp_path / "other.mcap", [0.0] * 30, source="donkeycar"),
+    }.items():
+        with pytest.raises(UserError, match=r"nothing in it can be driven|--car udacity") as caught:
+            drive_recording(always(0.0), log)
+        assert str(log) in str(caught.value), name
+    assert drive_recording(always(0.0), tmp_path / "other.mcap", car="udacity").rows == 30
+    with pytest.raises(RunError, match="no number"):
+        drive_recording(always(math.nan), record(tmp_path / "whole.mcap", [0.0] * 30))
+
+
+def test_pictures_that_do_not_decode_are_named_and_the_car_is_put_back_behind_them(tmp_path: Path) -> None:
+    log = record(tmp_path / "broken.mcap", [0.0] * 30, picture=lambda camera: b"\xff\xd8 no more")
+    with pytest.raises(UserError, match="nothing in it can be driven"):
+        drive_recording(always(0.0), log)
+
+
+def test_bc_eval_drives_recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sessions").mkdir()
+    for name in ("one", "two"):
+        record(tmp_path / "sessions" / f"{name}.mcap", [0.0] * 30)
+    run = untrained_run(tmp_path / "runs" / "toy")
+    flags = ("toy", "--on", "one", "two", "--precision", "float32")
+    assert call(eval_main, *flags) == 0
+    table = capsys.readouterr().out
+    assert all(word in table for word in ("one", "two", "interventions"))
+    assert call(eval_main, *flags, "--departure", 0.5, "--json") == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["session"] for line in lines] == ["one", "two"]
+    assert {line["run"] for line in lines} == {run.name}
+    assert {line["departure_m"] for line in lines} == {0.5}
+    assert {"interventions", "autonomy_percent", "distance_m", "mean_offset_m", "max_offset_m"} <= lines[0].keys()
+
+
+@pytest.mark.parametrize(
+    ("flags", "code", "says"),
+    [
+        (("--departure", 1), 2, "--departure: only with --on"),
+        (("--on", "one", "--laps", 1), 2, "--laps: only with --simulator"),
+        (("--on", "one", "--session", "one"), 2, "--session: of recorded frames"),
+        (("--on", "one", "--simulator", "lake"), 2, "one or the other"),
+        (("--on", "one", "one"), 2, "give each once"),
+        (("--on",), 2, "--on at least one"),
+        (("--on", "one", "--departure", 0), 2, "--departure 0"),
+        (("--on", "nobody"), 1, "nobody.mcap: no such log"),
+    ],
+)
+def test_contradictions_and_mistakes_are_one_line(
+    flags: tuple[object, ...],
+    code: int,
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(eval_main, *flags) == code
+    assert says in one_line_in(capsys)
