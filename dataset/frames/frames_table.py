@@ -45,8 +45,7 @@ def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
     Where an expert drove, the steering is what he commanded at that picture, for it is that which he would teach:
     the wheels follow later. Raises LogError for a damaged log.
     """
-    vehicle = log.vehicle()
-    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    states = States.of(log.vehicle())
     commands = read_commands(log)
     state, command = paired_rows(commands, states)
     driver = np.zeros(len(states.row), np.int8)
