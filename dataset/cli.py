@@ -13,6 +13,7 @@ import tyro
 from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result, print_table
+from common.recipe import recipe_given
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
@@ -126,4 +127,4 @@ def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
 
 
 def main() -> None:
-    run_command("bc-index", Index, index)
+    run_command("bc-index", Index, index, default=lambda: Index(config=IndexConfig.of(recipe_given())))

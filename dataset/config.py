@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from tyro.conf import arg
 
 from common.car import Camera
-from common.stored_settings import settings_from
+from common.recipe import Recipe
 from dataset.augment import Alteration
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
@@ -21,9 +21,13 @@ Labels = Literal["auto", "as-recorded"]
 
 @dataclass(frozen=True)
 class IndexConfig:
-    """How frames become balanced samples. The defaults are those of the original project, but for the labels: its
-    are `labels="as-recorded"`."""
+    """How frames become balanced samples. What is not of the recipe is as in the original project."""
 
+    EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
+    """How the original project did, and earlier versions of this one, which had none of these settings."""
+
+    recipe: Recipe = "people"
+    """Defaults: people: what learns best from people (--labels auto); original: as the original project did."""
     bins: int = 25
     """Equal steering bins over -1..1."""
     balance: bool = True
@@ -62,6 +66,11 @@ class IndexConfig:
     seed: int = 0
     """Everything random here is drawn from it: same logs, same seed, same index."""
 
+    @classmethod
+    def of(cls, recipe: Recipe) -> IndexConfig:
+        """The defaults of a recipe."""
+        return cls(**cls.EARLIER) if recipe == "original" else cls()
+
     def __post_init__(self) -> None:
         """Raises ValueError, which names the flag, for a value that makes no sense."""
         is_none_alone = "none" not in self.alter or len(self.alter) == 1
@@ -97,9 +106,3 @@ class IndexConfig:
     @property
     def alterations(self) -> tuple[Alteration, ...]:
         return tuple(name for name in self.alter if name != "none")
-
-
-def stored_config(stored: Mapping[str, Any]) -> IndexConfig:
-    """The settings in an index's metadata, or in a run's config. Earlier versions learnt steering as recorded.
-    Raises ValueError for settings that are none."""
-    return settings_from(IndexConfig, {"labels": "as-recorded", **stored})

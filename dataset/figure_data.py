@@ -12,8 +12,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.stored_settings import settings_from
 from dataset.augment import alter
-from dataset.config import IndexConfig, stored_config
+from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.preprocess import BOTTOM_SHARE, TOP_SHARE, Image, decode
 from dataset.samples.samples_format import Balance
@@ -47,7 +48,7 @@ class Distribution:
 def settings_of(samples: Samples) -> IndexConfig:
     """The settings that the index was built with."""
     try:
-        return stored_config(samples.metadata["settings"])
+        return settings_from(IndexConfig, samples.metadata["settings"])
     except (KeyError, ValueError) as error:
         raise _damaged(samples.path, error) from None
 

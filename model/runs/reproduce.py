@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
+from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
-from dataset.config import stored_config
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_folder import CONFIG, load_config, run_name
@@ -75,6 +75,6 @@ def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str,
         if any(Path(name).name != name for name in data.logs):
             raise ValueError("a session's name is a path")
         fingerprints = {name: log.fingerprint for name, log in data.logs.items()}
-        return stored_config(data.settings), fingerprints
+        return settings_from(IndexConfig, data.settings), fingerprints
     except ValueError as error:
         raise RunError(f"{where}: its index settings cannot be used ({error})") from None

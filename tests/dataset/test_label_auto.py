@@ -11,9 +11,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from common.stored_settings import settings_from
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
-from dataset.config import stored_config
 from logs import write_log
 from panorama import hand, views, write_drive
 from recorder import Log
@@ -154,7 +154,7 @@ def test_an_index_of_an_earlier_version_is_read_as_recorded_and_rebuilt(tmp_path
     pq.write_table(before.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
     with Samples(index.path) as samples:
         assert samples.table.equals(before)
-    config = stored_config(settings)
+    config = settings_from(IndexConfig, settings)
     assert (config.labels, config.label_smooth_s, config.label_shift_s) == ("as-recorded", 0, 0)
     assert build_index([log], tmp_path / "again", config).samples.equals(before)
     assert not indexed(tmp_path, log).samples.equals(before)
