@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.errors import counted
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
+from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
-from dataset.frames.pairing import moments
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
@@ -29,7 +29,6 @@ from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import without_nan
 from model.runs.run_folder import load_answer_scale, load_config, run_name
 from model.runs.trained_on import by_session, count_trained_on
-from recorder.log.row_quality import States, row_flags
 
 _FROM_INDEX: Final = pa.schema(
     [
@@ -197,15 +196,12 @@ def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
 
 
 def _in_crashes(frames: pa.Table, samples: Samples) -> NDArray[np.bool_]:
-    """A mask of the frames (N,) in crashes, by the rows of their logs."""
+    """A mask of the frames (N,) in crashes."""
     crash = np.zeros(len(frames), np.bool_)
-    of_session = frames["session"].combine_chunks().dictionary_encode()
-    for number, session in enumerate(of_session.dictionary.to_pylist()):
-        vehicle = samples.logs[session].vehicle()
-        flagged = vehicle.filter(pa.array(row_flags(States.of(vehicle))["crash"]))
-        if len(flagged):
-            at = np.flatnonzero(of_session.indices.to_numpy() == number)
-            crash[at] = np.isin(moments(frames.take(pa.array(at))), moments(flagged))
+    session = frames["session"].combine_chunks().dictionary_encode()
+    for number, name in enumerate(session.dictionary.to_pylist()):
+        at = np.flatnonzero(session.indices.to_numpy() == number)
+        crash[at] = in_crashes(frames.take(pa.array(at)), samples.logs[name])
     return crash
 
 
