@@ -1,4 +1,4 @@
-"""Recording the built-in simulator's expert driver into a log, faster than real time."""
+"""Recording a driver of the built-in simulator into a log, faster than real time."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from recorder.errors import RecordingError
 from recorder.log.pose_message import pose_message
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
-from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import MOST_RECOVERY, drive_for_recording, steps_each
+from simulator.driving.simulated_driver import DriverName, make_driver
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityWriter
 from simulator.rendering.camera import MOUNT_LEFT_M
@@ -30,28 +30,31 @@ CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
 
 @dataclass(frozen=True)
 class SimulatedDrive:
-    """How the expert drives."""
+    """Who drives the built-in simulator, where and how."""
 
     track: str = "lake"
     """The track of the built-in simulator: lake, mountain, or random:SEED."""
+    driver: DriverName = "expert"
+    """Who drives: the expert, who steers smoothly and in time, or someone like a person at a keyboard: late,
+    in presses of a key, and only when the car strays."""
     laps: float = 1.0
     """How far to drive; 0.5 records the first half of the track and nothing of the second."""
     speed: float = 10.0
-    """Set speed in mph; the expert slows for bends."""
+    """Set speed in mph; the driver slows for bends."""
     rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
     """Recorded rows a second; it must divide 50."""
     recovery: float = 0.35
     """Share of the rows in which the car, pushed off its line, comes back; the push itself is not recorded."""
     noise: float = 0.03
-    """How unsteady the expert's hand is; 0 is a machine's, 0.03 a calm person's."""
+    """How unsteady the driver's hand is; 0 is a machine's, 0.03 a calm person's."""
     seed: int = 0
-    """Pushes and noise are drawn from it: same seed, same log."""
+    """Pushes, noise and a person's whims are drawn from it: same seed, same log."""
 
 
 def record_simulated(
     drive: SimulatedDrive, log: Path, *, udacity: Path | None = None, overwrite: bool = False
 ) -> Imported:
-    """Record the expert's drive to `log`, and as the real simulator would to the folder `udacity`, if given.
+    """Record a drive to `log`, and as the real simulator would to the folder `udacity`, if given.
 
     Raises RecordingError for a drive that cannot be, UserError if `log` exists and `overwrite` is off.
     """
@@ -61,14 +64,14 @@ def record_simulated(
         simulation = Simulation(drive.track)
     except ValueError as error:
         raise RecordingError(f"--track {drive.track}: {error}") from None
-    expert = Expert(simulation.track.line, drive.speed, drive.noise, drive.seed)
-    steps = drive_for_recording(simulation.course, expert, drive.laps, drive.rate, drive.recovery, drive.seed)
+    driver = make_driver(drive.driver, simulation.track.line, drive.speed, drive.noise, drive.seed)
+    steps = drive_for_recording(simulation.course, driver, drive.laps, drive.rate, drive.recovery, drive.seed)
     metadata = {
         "source": "simulator",
         "simulator": "built-in",
         "track": simulation.track.name,
         "track_fingerprint": simulation.track.fingerprint(),
-        "driver": "expert",
+        "driver": drive.driver,
         **{
             f"drive.{name}": f"{getattr(drive, name):g}" for name in ("laps", "speed", "rate", "recovery", "noise")
         },

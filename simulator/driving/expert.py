@@ -41,15 +41,24 @@ class Expert:
 
     ``set_speed_mph`` is what it keeps where bends allow. ``noise`` is the standard deviation of the human-like
     wandering that is added to its steering (0: none; 0.03 is a calm person), drawn from ``seed``: the same seed
-    and course give the same drive.
+    and course give the same drive. The point that it pursues lies ``LOOK_AHEAD_M`` and the way of ``look_ahead_s``
+    ahead: who answers late has to look farther.
     """
 
-    def __init__(self, line: Centreline, set_speed_mph: float, noise: float = 0.0, seed: int = 0) -> None:
+    def __init__(
+        self,
+        line: Centreline,
+        set_speed_mph: float,
+        noise: float = 0.0,
+        seed: int = 0,
+        look_ahead_s: float = LOOK_AHEAD_S,
+    ) -> None:
         if set_speed_mph <= 0:
             raise ValueError(f"the set speed must be above 0 mph, not {set_speed_mph}")
         if noise < 0:
             raise ValueError(f"noise is a standard deviation, 0 or more, not {noise}")
         self._line = line
+        self._look_ahead_s = look_ahead_s
         self._speed_mps: list[float] = plan_speed(line, set_speed_mph * MPS_PER_MPH).tolist()
         self._noise = _Wandering(noise, seed)
 
@@ -63,7 +72,7 @@ class Expert:
         x, y, direction = _predict_rear_axle(course.vehicle)
         speed = abs(course.vehicle.speed_mps)
         arc, _ = self._line.project(x, y, course.arc_m)
-        goal = self._line.at(arc + LOOK_AHEAD_M + LOOK_AHEAD_S * speed)
+        goal = self._line.at(arc + LOOK_AHEAD_M + self._look_ahead_s * speed)
         dx, dy = goal.x_m - x, goal.y_m - y
         to_the_left = -dx * math.sin(direction) + dy * math.cos(direction)
         curvature = 2.0 * to_the_left / (dx * dx + dy * dy)

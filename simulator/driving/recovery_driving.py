@@ -1,4 +1,4 @@
-"""Recovery driving for recordings: the expert follows the line, is pushed off it now and then, and comes back.
+"""Recovery driving for recordings: a driver follows the line, is pushed off it now and then, and comes back.
 
 A network that has only seen the middle of the road does not know what to do beside it. The push is not recorded
 (nobody should learn to leave the line), the coming back is; the clock runs on meanwhile, so that each push is
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.driving.course import Course
-from simulator.driving.expert import Expert
+from simulator.driving.simulated_driver import SimulatedDriver
 from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose
 
@@ -38,7 +38,7 @@ _USUAL_RECOVERY_S = 2.0
 
 @dataclass(frozen=True)
 class DriveStep:
-    """One recorded moment: what the car does and what the expert commands there."""
+    """One recorded moment: what the car does and what its driver commands there."""
 
     time_s: float  # the simulated clock, 0 at the start
     steering: float  # -1 (left) .. 1 (right)
@@ -53,20 +53,25 @@ class DriveStep:
 
 
 def drive_for_recording(
-    course: Course, expert: Expert, laps: float, rate_hz: float = 10.0, recovery_share: float = 0.35, seed: int = 0
+    course: Course,
+    driver: SimulatedDriver,
+    laps: float,
+    rate_hz: float = 10.0,
+    recovery_share: float = 0.35,
+    seed: int = 0,
 ) -> Iterator[DriveStep]:
     """Drives ``laps`` from the course's start, yielding ``rate_hz`` steps for each second that is recorded.
 
     About ``recovery_share`` (0 .. 0.9) of the steps are recoveries, at places and from pushes drawn from
     ``seed``. No step lies past ``laps``: a network trained on half a lap has never been in the other half.
-    The expert steers at 50 Hz; ``rate_hz`` must divide that.
+    The driver steers at 50 Hz; ``rate_hz`` must divide that.
     """
     steps = steps_each(rate_hz)
     if not 0.0 <= recovery_share <= MOST_RECOVERY:
         raise ValueError(f"recovery_share must be within 0 .. {MOST_RECOVERY:g}, not {recovery_share:g}")
     if laps <= 0:
         raise ValueError(f"laps must be above 0, not {laps:g}")
-    return _drive(course, expert, laps * course.line.length_m, steps, recovery_share, seed)
+    return _drive(course, driver, laps * course.line.length_m, steps, recovery_share, seed)
 
 
 def steps_each(rate_hz: float) -> int:
@@ -78,7 +83,7 @@ def steps_each(rate_hz: float) -> int:
 
 
 def _drive(
-    course: Course, expert: Expert, end_m: float, steps_each: int, share: float, seed: int
+    course: Course, driver: SimulatedDriver, end_m: float, steps_each: int, share: float, seed: int
 ) -> Iterator[DriveStep]:
     random = np.random.default_rng(seed)
     course.start()
@@ -92,7 +97,7 @@ def _drive(
         if recovering_since_s is None and course.time_s >= next_push_s:
             _push(course, random)
             recovering_since_s, after_gap = course.time_s, True
-        steering, throttle = expert.control(course)
+        steering, throttle = driver.control(course)
         yield DriveStep(
             time_s=course.time_s,
             steering=steering,
@@ -108,7 +113,7 @@ def _drive(
         after_gap = False
         course.advance(steering, throttle)
         for _ in range(steps_each - 1):
-            course.advance(*expert.control(course))
+            course.advance(*driver.control(course))
 
 
 def _undisturbed_s(random: np.random.Generator, share: float, recovery_s: float) -> float:

@@ -1,0 +1,33 @@
+"""Whoever drives the built-in simulator: what a driver does, and the drivers by name."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol, assert_never
+
+from simulator.driving.course import Course
+from simulator.driving.expert import Expert
+from simulator.driving.keyboard import KeyboardDriver
+from simulator.roads.centreline import Centreline
+
+DriverName = Literal["expert", "keyboard"]
+
+
+class SimulatedDriver(Protocol):
+    """Whoever drives a course. `control` is called at each of the simulator's steps."""
+
+    def control(self, course: Course) -> tuple[float, float]:
+        """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
+        ...
+
+
+def make_driver(
+    name: DriverName, line: Centreline, set_speed_mph: float, noise: float, seed: int
+) -> SimulatedDriver:
+    """A driver of the road ``line``; ValueError for a speed or a noise without sense."""
+    match name:
+        case "expert":
+            return Expert(line, set_speed_mph, noise, seed)
+        case "keyboard":
+            return KeyboardDriver(line, set_speed_mph, noise, seed)
+        case _:
+            assert_never(name)
