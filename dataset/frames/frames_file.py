@@ -19,7 +19,7 @@ from recorder import Log
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE_COLUMNS
 
-FRAMES_FORMAT: Final = 6
+FRAMES_FORMAT: Final = 7
 
 FRAMES_SCHEMA: Final = pa.schema(
     [

@@ -128,7 +128,7 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
 def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | str]) -> list[Evaluation]:
     """As `evaluate_sessions`, for several runs at once: each picture is decoded once, all have the same frames."""
     paths = {session_name(log): log for log in map(Path, logs)}
-    config = IndexConfig(validation=tuple(paths), balance=False, flip=False)
+    config = IndexConfig(validation=tuple(paths), balance=False, flip=False, labels="as-recorded")
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
         indexed = build_index(list(paths.values()), Path(folder), config)
         found = evaluate_runs(runs, folder)
