@@ -50,7 +50,7 @@ class Index:
     check: bool = False
     """Check the split for leaks between training and validation: exit code 1 if there is one."""
     figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Write three figures for a paper: preprocessing, augmentation, the steering before and after balancing."""
+    """Write four figures for a paper: preprocessing, augmentation, balance, and how the sessions were steered."""
     force: bool = False
     """Replace figures of the same names."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -23,11 +22,11 @@ from common.car import CAMERAS
 from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.drivers import DRIVERS, is_taken
-from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
-from dataset.frames.frames_file import read_frames
+from dataset.frames.frame_flags import is_excluded, is_unusable
+from dataset.frames.frames_file import SPLITS, codes, read_frames
 from dataset.parquet_file import METADATA_KEY
 from dataset.samples.filter import Condition
-from dataset.samples.labels import labels_of
+from dataset.samples.labels import planned_labels
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.steering_bins import bin_of
@@ -110,20 +109,17 @@ def write_samples(
 def _usable(
     frames: pa.Table, config: IndexConfig, plan: LabelPlan, condition: Condition | None
 ) -> tuple[_Session, SessionCounts]:
-    camera = _codes(frames["camera"], CAMERAS)
-    split = _codes(frames["split"], ("train", "validation", "gap"))
+    camera = codes(frames["camera"], CAMERAS)
+    split = codes(frames["split"], SPLITS)
     is_bad = is_unusable(frames)
     is_tagged = is_excluded(frames)
-    driver = _codes(frames["driver"], DRIVERS)
+    driver = codes(frames["driver"], DRIVERS)
     is_asked_for = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
     if condition is not None:
         is_asked_for &= condition.holds(frames)
     is_wanted = is_asked_for & is_taken(driver, config.drives)
     is_good = ~is_bad & ~is_tagged
-    is_crashed = lists_with(frames["flags"], "crash") & plan.without_crashes
-    # no label depends on another driver's steering, on the other side of the split, or on a crash that is left out
-    side = split + 4 * driver + 16 * is_crashed.astype(np.int8)
-    steering = labels_of(frames, is_good, side, plan.smooth_s, plan.shift_s)
+    steering, is_crashed = planned_labels(frames, plan)
     usable = is_wanted & is_good
     has_label = ~np.isnan(steering)
     is_left_out = is_crashed & (split == 0)
@@ -152,13 +148,6 @@ def _of_camera(
     """The steering that the pictures of each camera call for: -1..1, never -0.0."""
     signs = np.array([CORRECTION_SIGNS.get(name, 0.0) for name in CAMERAS])
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
-
-
-def _codes(column: pa.ChunkedArray, names: tuple[str, ...]) -> NDArray[np.int8]:
-    """The position of each string among `names`; -1 for others."""
-    found = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
-    codes: NDArray[np.int8] = pc.fill_null(found, -1).to_numpy().astype(np.int8)
-    return codes
 
 
 def _table(

@@ -14,10 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from common import Skipped
 from common.errors import counted
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
+from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
@@ -43,7 +46,7 @@ class Evaluation:
     """Predictions of a run's network for some frames, and their errors."""
 
     run: Path
-    frames: pa.Table  # session, row, camera, log_time_ns; recorded and predicted: steering, -1..1
+    frames: pa.Table  # session, row, camera, log_time_ns, crash; recorded and predicted: steering, -1..1
     logs: dict[str, Path]  # of the sessions
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
     trained_on: int | None  # number of the frames that the run was trained on; None where its config does not say
@@ -55,6 +58,17 @@ class Evaluation:
     @cached_property
     def measures(self) -> Measures:
         return _measure(self.frames)
+
+    @cached_property
+    def crashes(self) -> int:
+        """The number of frames in crashes: what is steered there says nothing about the road."""
+        return int(pc.sum(self.frames["crash"]).as_py() or 0)
+
+    @cached_property
+    def without_crashes(self) -> Measures | None:
+        """The measures of all other frames; None where that are all of them, or none."""
+        others = self.frames.filter(pc.invert(self.frames["crash"]))
+        return _measure(others) if 0 < len(others) < len(self.frames) else None
 
     @cached_property
     def as_learnt(self) -> Errors:
@@ -87,6 +101,8 @@ class Evaluation:
             **found,
             "answers": asdict(self.answers),
             "as_learnt": without_nan(asdict(self.as_learnt)),
+            "crashes": self.crashes,
+            "without_crashes": _as_dict(self.without_crashes) if self.without_crashes else None,
             "sessions": {
                 session: {"log": str(self.logs[session]), **_as_dict(measures)}
                 for session, measures in self.sessions.items()
@@ -151,6 +167,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
             f"none of {counted(len(seen), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
         )
     frames = _from_index(seen, samples)
+    frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
     sessions = by_session(frames.filter(pa.array(is_decoded)))
     return [
         Evaluation(
@@ -176,6 +193,16 @@ def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
     if is_damaged:
         raise DatasetError(f"{samples.path}: damaged; remove it and give `bc-index`")
     return frames
+
+
+def _in_crashes(frames: pa.Table, samples: Samples) -> NDArray[np.bool_]:
+    """A mask of the frames (N,) in crashes."""
+    crash = np.zeros(len(frames), np.bool_)
+    session = frames["session"].combine_chunks().dictionary_encode()
+    for number, name in enumerate(session.dictionary.to_pylist()):
+        at = np.flatnonzero(session.indices.to_numpy() == number)
+        crash[at] = in_crashes(frames.take(pa.array(at)), samples.logs[name])
+    return crash
 
 
 def _measure(frames: pa.Table) -> Measures:

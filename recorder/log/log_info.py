@@ -138,7 +138,7 @@ def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
 
 def _states(log: Log) -> States | None:
     vehicle = log.vehicle()
-    return States(*(vehicle[name].to_numpy() for name in vehicle.column_names)) if len(vehicle) else None
+    return States.of(vehicle) if len(vehicle) else None
 
 
 def _count(text: str | None) -> int:

@@ -9,13 +9,16 @@ from __future__ import annotations
 import json
 from array import array
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.stretches import stretches
 from recorder.bc_pb2 import VehicleState
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 GAP_S: Final = 1.0
 APART_S: Final = 1000.0  # more than any time over which rows are compared
@@ -52,6 +55,11 @@ class States:
     throttle: Values
     brake: Values
     speed_mph: Values  # NaN where it is not known
+
+    @classmethod
+    def of(cls, vehicle: pa.Table) -> States:
+        """Those of a table of `Log.vehicle`."""
+        return cls(*(vehicle[name].to_numpy() for name in vehicle.column_names))
 
 
 class StatesWritten:

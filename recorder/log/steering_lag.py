@@ -45,8 +45,7 @@ def measure_lag(log: Log) -> SteeringLag | None:
     """Measure in the centre camera's pictures; None where they do not tell: too few of them from a moving car, too
     far apart, or nothing in them that moves as the steering says. Raises LogError for a log whose rows cannot be
     read; a picture that cannot is passed over."""
-    vehicle = log.vehicle()
-    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    states = States.of(log.vehicle())
     states = _part_of(states, np.abs(states.steering) <= 1)  # False for NaN too
     time_s = elapsed_s(states.time_ns)
     pairs = _pairs(states, time_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from common.errors import counted
+from recorder.log.label_plan import LabelPlan
 from recorder.log.steering_habits import Kind, SteeringHabits, SteeringLag
 
 STEERING_HEADINGS: Final = ("steered", "zeros", "presses", "Hz", "ceiling", "lag, s")
@@ -13,7 +14,7 @@ _IN_WORDS: Final[dict[Kind, str]] = {
     "constant": "constant",
     "too short": "too short",
     "other scale": "scale?",
-    "steps": "steps",
+    "steps": "in steps",
     "smooth": "smooth",
 }
 
@@ -48,8 +49,15 @@ def steering_line(habits: SteeringHabits, lag: SteeringLag | None) -> str:
 
 
 def _how(habits: SteeringHabits) -> str:
-    return _IN_WORDS[habits.kind] + (", keys" if habits.keys and habits.kind == "steps" else "")
+    return "keys" if habits.keys and habits.kind == "steps" else _IN_WORDS[habits.kind]
 
 
 def _told(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)
+
+
+def in_words(habits: SteeringHabits, lag: SteeringLag | None, plan: LabelPlan) -> str:
+    """Short enough for the title of a figure."""
+    ceiling = f"ceiling {_told(habits.ceiling[1], '{:.2f}')}"
+    late = "" if lag is None else f"lag {lag.lag_s:+.2f} s; ".replace("-", "\N{MINUS SIGN}")
+    return f"{_how(habits)}; {_told(habits.zeros, '{:.0%}')} zeros; {ceiling}; {late}{plan}"

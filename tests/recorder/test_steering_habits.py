@@ -162,7 +162,7 @@ def test_info_says_how_a_log_was_steered(tmp_path: Path, capsys: pytest.CaptureF
     assert info_of(path, capsys, "--look") == told  # its pictures are none
     assert call(main, "info", path) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "steered: steps, keys; 75% zeros" in printed
+    assert "steered: keys; 75% zeros" in printed
     assert "labels: mean of 0.5 s, 0.2 s later" in printed
 
 
