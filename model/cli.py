@@ -19,6 +19,7 @@ from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
+from common.recipe import recipe_given
 from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
@@ -109,7 +110,7 @@ def train(config: Train) -> int:
     elif not trained.epochs:
         print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    for line in verdict(read_history(run)[0].epochs, best) if best else ():
+    for line in verdict(read_history(run)[0].epochs, best, settings.keep) if best else ():
         print_result(line)
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
     return code
@@ -159,6 +160,8 @@ def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]
 def _refuse_contradictions(config: Train) -> None:
     """Raise UsageError for flags that do not go together."""
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
+    if config.like is not None and config.config.recipe != _defaults().config.recipe:
+        raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
         raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
     if Path(config.name).name != config.name or config.name.startswith("."):
@@ -208,10 +211,11 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
 
 def _build_index(config: Train) -> int:
     """Build the index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
-    from dataset import build_index, find_logs
+    from dataset import IndexConfig, build_index, find_logs
     from dataset.index.index_report import print_log_notices
 
-    indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
+    settings = IndexConfig.of(config.config.recipe)
+    indexed = build_index(find_logs((), config.sessions), config.index, settings, leave_out_unreadable=True)
     return print_log_notices(indexed, config.sessions)
 
 
@@ -236,7 +240,7 @@ def _defaults() -> Train:
                 sessions=sessions_of(run) or Train.sessions,
                 config=training_of(load_config(run), str(run / CONFIG)),
             )
-    return Train()
+    return Train(config=TrainConfig.of(recipe_given()))
 
 
 def main() -> None:

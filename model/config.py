@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, ClassVar, Final, Literal
+
+from common.recipe import Recipe
 
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
 Answers = Literal["natural", "as-learnt"]
+Keep = Literal["balanced-rmse", "rmse", "last"]
 
 _RANGES: Final = {
     "epochs": (1, 10**6),
@@ -24,18 +28,32 @@ _RANGES: Final = {
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How the network is trained. The defaults are those of the original project."""
+    """How the network is trained. What is not of the recipe is as in the original project."""
 
+    EARLIER: ClassVar[Mapping[str, Any]] = {
+        "recipe": "original",
+        "average_steps": 1,
+        "answers": "as-learnt",
+        "keep": "balanced-rmse",
+    }
+    """How the original project did, and earlier versions of this one, which had none of these settings."""
+
+    recipe: Recipe = "people"
+    """Defaults: people: what learns best from people (--average-steps, --answers, --keep); original: as the
+    original project did."""
     epochs: int = 10
     """Passes over the balanced training samples."""
     batch: int = 256
     """Samples in one step of the optimizer."""
     rate: float = 1e-4
     """Learning rate of Adam."""
-    average_steps: int = 1
+    average_steps: int = 100
     """The weights that are measured, kept, and drive are the mean over about so many steps; 1: the latest."""
-    answers: Answers = "as-learnt"
+    answers: Answers = "natural"
     """natural: undo in the network's answers that hard steering was balanced up; as-learnt: leave them so."""
+    keep: Keep = "balanced-rmse"
+    """The epoch that is kept, and drives: that of the smallest error on the frames held out, where every steering
+    bin counts alike or every frame does; or the last one."""
     dropout: float = 0.5
     """Share of the activations that dropout sets to zero, before each of the two widest layers."""
     seed: int = 0
@@ -53,6 +71,11 @@ class TrainConfig:
     picture_memory_mb: int = 1024
     """Memory for decoded pictures; those beyond it are decoded anew in each epoch."""
 
+    @classmethod
+    def of(cls, recipe: Recipe) -> TrainConfig:
+        """The defaults of a recipe."""
+        return cls(**cls.EARLIER) if recipe == "original" else cls()
+
     def __post_init__(self) -> None:
         """Raises ValueError, naming the flag, for a value that makes no sense."""
         for name, (least, most) in _RANGES.items():
@@ -60,6 +83,8 @@ class TrainConfig:
             if not least <= value <= most:
                 flag = name.replace("_", "-")
                 raise ValueError(f"--{flag} {value}: a whole number from {least:,} to {most:,} was expected")
+        if self.keep == "last" and self.patience:
+            raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
         if not 0 < self.rate < math.inf:
             raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
         if not 0 <= self.dropout < 1:

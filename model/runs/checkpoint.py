@@ -55,7 +55,7 @@ class Position(
     best_epoch: Count = 0  # 0: none yet
     answer_scale: Annotated[float, Meta(ge=LEAST_SCALE, le=MOST_SCALE)] = 1.0  # of the last finished epoch
     answer_offset: Annotated[float, Meta(ge=-MOST_OFFSET, le=MOST_OFFSET)] = 0.0
-    best_deg: Sum = math.inf  # balanced RMSE of that epoch; infinite where nothing is held out
+    best_deg: Sum = math.inf  # the error by which it is kept; infinite where nothing is held out
 
 
 def checkpoint_path(run: Path) -> Path:

@@ -6,17 +6,18 @@ import math
 from collections.abc import Sequence
 
 from dataset import MAX_STEERING_DEG
+from model.config import Keep
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch
 
 
-def verdict(epochs: Sequence[Epoch], kept: int) -> list[str]:
+def verdict(epochs: Sequence[Epoch], kept: int, keep: Keep = "balanced-rmse") -> list[str]:
     """A line that compares epoch `kept` with always predicting the mean of the very frames it was measured on, one
     for the scale of its answers, and one if another epoch had the smaller RMSE; none if nothing was held out."""
     best = next((epoch for epoch in epochs if epoch.epoch == kept and epoch.measures.frames), None)
     if best is None:
         return []
-    return [_beside_the_mean(best), *_of_natural_answers(best), *_why_kept(epochs, best)]
+    return [_beside_the_mean(best), *_of_natural_answers(best), *_why_kept(epochs, best, keep)]
 
 
 def _beside_the_mean(best: Epoch) -> str:
@@ -45,18 +46,20 @@ def _of_natural_answers(best: Epoch) -> list[str]:
     ]
 
 
-def _why_kept(epochs: Sequence[Epoch], best: Epoch) -> list[str]:
+def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
     def rmse_deg(epoch: Epoch) -> float:
         return epoch.measures.network.rmse_deg
 
     least = min((epoch for epoch in epochs if math.isfinite(rmse_deg(epoch))), key=rmse_deg, default=best)
     if not rmse_deg(least) < rmse_deg(best):
         return []
-    kept, other = (epoch.measures.balanced_rmse_deg for epoch in (best, least))
+    other = f"epoch {least.epoch:,} for its RMSE ({rmse_deg(least):.2f} against {rmse_deg(best):.2f})"
+    if keep == "last":
+        return [f"epoch {best.epoch:,} is kept as the last one (--keep last) and not {other}"]
+    of_best, of_least = (epoch.measures.balanced_rmse_deg for epoch in (best, least))
     return [
-        f"epoch {best.epoch:,} is kept for its balanced RMSE ({kept:.2f} against {other:.2f} degrees) and not"
-        f" epoch {least.epoch:,} for its RMSE ({rmse_deg(least):.2f} against {rmse_deg(best):.2f}), which says"
-        " little about bends where most of the road is straight"
+        f"epoch {best.epoch:,} is kept for its balanced RMSE ({of_best:.2f} against {of_least:.2f} degrees)"
+        f" and not {other}, which says little about bends where most of the road is straight"
     ]
 
 

@@ -91,7 +91,7 @@ class TrainingLoop:
         kept_bytes = loader.pictures * CROP_BYTES if machine.device.type == "cpu" else 0
         left_bytes = max(0, budget_bytes - kept_bytes)
         # a batch of more than `micro_batch` would only take more memory
-        self.validation = Validation(samples, machine.micro_batch, left_bytes, config.threads)
+        self.validation = Validation(samples, machine.micro_batch, left_bytes, config.threads, config.keep)
         self.natural_frames = (
             NaturalFrames(samples, machine.micro_batch, config.threads) if config.answers == "natural" else None
         )
@@ -238,7 +238,7 @@ class TrainingLoop:
         )
 
     def _validate(self) -> tuple[float, float]:
-        """Measure the network after an epoch, and report it; the best epoch by now, and its balanced RMSE."""
+        """Measure the network after an epoch, and report it; the best epoch by now, and its error."""
         position = self.position
         with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
             learnt, recorded = self.validation.predict(self.averaged.network, advance)
@@ -256,7 +256,7 @@ class TrainingLoop:
         for listener in self.listeners:
             listener.epoch(epoch)
         if epoch.is_best:
-            return position.epoch, epoch.measures.balanced_rmse_deg if len(recorded) else math.inf
+            return position.epoch, self.validation.error_deg(epoch.measures)
         return position.best_epoch, position.best_deg
 
     def _sum_over_ranks(self, sums: _EpochSums, begun_s: float) -> None:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset import Loader, Samples
+from model.config import Keep
 from model.evaluation.predict import predict
-from model.metrics import errors, measure
+from model.metrics import Measures, errors, measure
 from model.network.original import SteeringNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position
@@ -26,7 +27,8 @@ Floats = NDArray[np.float64]
 class Validation:
     """The frames held out: centre camera, unmirrored, unaltered. There may be none."""
 
-    def __init__(self, samples: Samples, batch: int, budget_bytes: int, threads: int) -> None:
+    def __init__(self, samples: Samples, batch: int, budget_bytes: int, threads: int, keep: Keep) -> None:
+        self._keep = keep
         frames = samples.driving_view("validation")
         self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads)
         self.frames = frames.select(WORST_COLUMNS)
@@ -48,12 +50,18 @@ class Validation:
             position.squared_error / position.samples,
             float(np.mean(np.square(predicted - recorded))) if len(recorded) else math.nan,
             measures,
-            measures.balanced_rmse_deg < position.best_deg if len(recorded) else True,
+            self._keep == "last" or not len(recorded) or self.error_deg(measures) < position.best_deg,
             position.seconds,
             position.samples / position.seconds,
             answers,
             errors(learnt, recorded),
         )
+
+    def error_deg(self, measures: Measures) -> float:
+        """The error that tells which epoch is the best one; infinite where nothing is held out."""
+        if not measures.frames:
+            return math.inf
+        return measures.balanced_rmse_deg if self._keep == "balanced-rmse" else measures.network.rmse_deg
 
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
         if not len(recorded):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,16 @@ from dataset import IndexConfig, build_index
 from logs import write_log
 from model import TrainConfig
 
-TINY = TrainConfig(epochs=4, batch=4, rate=2e-4, dropout=0.0, seed=1, precision="float32", threads=1)
+TINY = replace(
+    TrainConfig.of("original"),
+    epochs=4,
+    batch=4,
+    rate=2e-4,
+    dropout=0.0,
+    seed=1,
+    precision="float32",
+    threads=1,
+)
 STEERING = [round(0.8 * math.sin(row / 3), 3) for row in range(40)]
 
 

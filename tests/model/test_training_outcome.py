@@ -84,7 +84,7 @@ def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[
     index = toy_index(tmp_path)
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]
     assert call(main, "--name", "first", "--epochs", 2, "--batch", 8, "--threads", 1, *places) == 0
-    *_, said, _ = capsys.readouterr().out.splitlines()
+    *_, said, of_scale, _ = capsys.readouterr().out.splitlines()
     epochs = [
         json.loads(each) for each in (tmp_path / "runs" / "first" / "metrics.jsonl").read_text().splitlines()
     ]
@@ -97,3 +97,6 @@ def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[
         best["mean"]["balanced_rmse_deg"],
     ]
     assert numbers == pytest.approx(expected, abs=0.006)
+    answers = best["answers"]["scale"], 25 * best["answers"]["offset"]
+    told = [float(number) for number in re.findall(r"[+-]?\d+\.\d\d", of_scale)]
+    assert told == pytest.approx([*answers, expected[0], best["learnt"]["rmse_deg"]], abs=0.006)

@@ -1,0 +1,43 @@
+"""`--keep`: which epoch's weights are kept, and drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from model import Epoch, TrainConfig, train
+from model.config import Keep
+from toy import TINY, toy_index
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.mark.parametrize("keep", ["balanced-rmse", "rmse", "last"])
+def test_the_epoch_that_is_kept_has_the_least_of_what_was_asked_for(
+    index: Path, tmp_path: Path, keep: Keep
+) -> None:
+    errors: dict[str, Callable[[Epoch], float]] = {
+        "balanced-rmse": lambda epoch: epoch.measures.balanced_rmse_deg,
+        "rmse": lambda epoch: epoch.measures.network.rmse_deg,
+        "last": lambda epoch: -epoch.epoch,
+    }
+    error = errors[keep]
+    # so fast that it gets worse again
+    trained = train(index, tmp_path / "run", replace(TINY, rate=2e-3, keep=keep), figures=False)
+    least: Epoch = min(trained.epochs, key=error)
+    assert trained.best_epoch == least.epoch
+    assert [epoch.is_best for epoch in trained.epochs] == [
+        error(epoch) < min((error(before) for before in trained.epochs[:number]), default=1e9)
+        for number, epoch in enumerate(trained.epochs)
+    ]
+
+
+def test_the_last_epoch_and_patience_do_not_go_together() -> None:
+    with pytest.raises(ValueError, match="--patience 3: with --keep last"):
+        TrainConfig(keep="last", patience=3)
