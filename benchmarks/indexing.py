@@ -21,7 +21,9 @@ import numpy as np
 from common.car import CAMERAS, Camera
 from dataset import IndexConfig, build_index
 from dataset.frames.frames_table import frames_of, frames_table
+from dataset.index.build_state import BuiltLog
 from dataset.index.duplicates import refuse_shared_pictures
+from dataset.index.session_labels import labels_of_sessions
 from dataset.parquet_file import write_table
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogWriter, Pictures
@@ -98,7 +100,9 @@ def scale(folder: Path, frames: int, sessions: int) -> None:
     refuse_shared_pictures(files, files)
     shared_s = time.perf_counter() - start_s
     start_s = time.perf_counter()
-    balance, _ = write_samples(files, folder / "samples.parquet", config, {})
+    built = {name: BuiltLog(("", None, None, None), driven_by="nobody") for name in files}
+    labels = labels_of_sessions(files, files, built, folder, config)
+    balance, _ = write_samples(files, folder / "samples.parquet", config, {}, labels)
     balance_s = time.perf_counter() - start_s
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     total = rows * sessions * len(CAMERAS)

@@ -13,12 +13,13 @@ import tyro
 from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result, print_table
+from common.recipe import recipe_given
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
 from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
-from dataset.index.index_report import balance_table, print_log_notices, sessions_table
+from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table
 from dataset.index.leaks import find_leaks
 from dataset.index.quality_report import find_flagged_frames, print_quality_report
 from dataset.index.sessions import find_logs, sessions_beside
@@ -49,7 +50,7 @@ class Index:
     check: bool = False
     """Check the split for leaks between training and validation: exit code 1 if there is one."""
     figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Write three figures for a paper: preprocessing, augmentation, the steering before and after balancing."""
+    """Write four figures for a paper: preprocessing, augmentation, balance, and how the sessions were steered."""
     force: bool = False
     """Replace figures of the same names."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
@@ -79,6 +80,7 @@ def index(config: Index) -> int:
             f"{config.index}: does not hold {names}; `bc-index` without names takes in all of {config.folder}"
         )
     print_table(sessions_table(indexed))
+    print_table(labels_table(indexed.labels))
     print_table(balance_table(indexed.balance))
     split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
     counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
@@ -125,4 +127,4 @@ def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
 
 
 def main() -> None:
-    run_command("bc-index", Index, index)
+    run_command("bc-index", Index, index, default=lambda: Index(config=IndexConfig.of(recipe_given())))

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from tyro.conf import arg
 
 from common.car import Camera
+from common.recipe import Recipe
 from dataset.augment import Alteration
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
 """The side correction's sign in the label of each camera that is trained on unless others are asked for."""
 
 Drives = Literal["all", "takeovers"]
+Labels = Literal["auto", "as-recorded"]
 
 
 @dataclass(frozen=True)
 class IndexConfig:
-    """How frames become balanced samples. The defaults are those of the original project."""
+    """How frames become balanced samples. What is not of the recipe is as in the original project."""
 
+    EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
+    """How the original project did, and earlier versions of this one, which had none of these settings."""
+
+    recipe: Recipe = "people"
+    """Defaults: people: what learns best from people (--labels auto); original: as the original project did."""
     bins: int = 25
     """Equal steering bins over -1..1."""
     balance: bool = True
@@ -35,10 +42,13 @@ class IndexConfig:
     """The cameras to train on."""
     side_correction: float = 0.2
     """Added to the steering of the left camera's pictures, taken from that of the right one's."""
-    label_smooth_s: Annotated[float, arg(name="label-smooth", metavar="SECONDS")] = 0.0
-    """Labels are the mean of the steering over so many seconds around the frame; 0: as recorded."""
-    label_shift_s: Annotated[float, arg(name="label-shift", metavar="SECONDS")] = 0.0
-    """Labels are the steering so many seconds later, because people react late; 0: at the frame itself."""
+    labels: Labels = "auto"
+    """What is learnt of each session: auto smooths and shifts steering that comes in steps or late, by how the
+    session was steered, and leaves rows of crashes out of training; as-recorded changes nothing."""
+    label_smooth_s: Annotated[float | None, arg(name="label-smooth", metavar="SECONDS")] = None
+    """For all sessions: the mean of the steering over so many seconds around the frame; 0: no smoothing."""
+    label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
+    """For all sessions: the steering so many seconds later, because people react late; 0: at the frame itself."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""
     viewpoints: int = 0
@@ -58,6 +68,11 @@ class IndexConfig:
     """Hold out these whole sessions for validation, and no blocks of the others."""
     seed: int = 0
     """Everything random here is drawn from it: same logs, same seed, same index."""
+
+    @classmethod
+    def of(cls, recipe: Recipe) -> IndexConfig:
+        """The defaults of a recipe."""
+        return cls(**cls.EARLIER) if recipe == "original" else cls()
 
     def __post_init__(self) -> None:
         """Raises ValueError, which names the flag, for a value that makes no sense."""
@@ -79,8 +94,8 @@ class IndexConfig:
             ("--block-s", self.block_s, 0.001 <= self.block_s <= 1e6, "0.001 to 1,000,000 seconds"),
             ("--gap-s", self.gap_s, 0 <= self.gap_s <= 1e6, "0 to 1,000,000 seconds"),
             ("--side-correction", self.side_correction, abs(self.side_correction) <= 2, "-2 to 2"),
-            ("--label-smooth", self.label_smooth_s, 0 <= self.label_smooth_s <= 60, "0 to 60 seconds"),
-            ("--label-shift", self.label_shift_s, abs(self.label_shift_s) <= 10, "-10 to 10 seconds"),
+            ("--label-smooth", self.label_smooth_s, 0 <= (self.label_smooth_s or 0) <= 60, "0 to 60 seconds"),
+            ("--label-shift", self.label_shift_s, abs(self.label_shift_s or 0) <= 10, "-10 to 10 seconds"),
             (
                 "--alter",
                 " ".join(self.alter),

@@ -160,6 +160,8 @@ def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]
 def _refuse_contradictions(config: Train) -> None:
     """Raise UsageError for flags that do not go together."""
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
+    if config.like is not None and config.config.recipe != _defaults().config.recipe:
+        raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
         raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
     if Path(config.name).name != config.name or config.name.startswith("."):
@@ -209,10 +211,11 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
 
 def _build_index(config: Train) -> int:
     """Build the index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
-    from dataset import build_index, find_logs
+    from dataset import IndexConfig, build_index, find_logs
     from dataset.index.index_report import print_log_notices
 
-    indexed = build_index(find_logs((), config.sessions), config.index, leave_out_unreadable=True)
+    settings = IndexConfig.of(config.config.recipe)
+    indexed = build_index(find_logs((), config.sessions), config.index, settings, leave_out_unreadable=True)
     return print_log_notices(indexed, config.sessions)
 
 

@@ -29,10 +29,13 @@ from recorder.log_tag_cli import LogPath, NameRows, warn_stale
 
 @dataclass(frozen=True)
 class ShowInfo:
-    """What a log holds and where it comes from; reads its end only, so it is quick however long the log is."""
+    """What a log holds, where it comes from, and how it was steered; reads its end only, so it is quick however
+    long the log is."""
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
+    look: bool = False
+    """Measure the lag of the steering, too, in up to 1,500 pictures."""
     json: bool = False
     """One JSON object a log, and no table."""
 
@@ -40,7 +43,7 @@ class ShowInfo:
         return _each(self.logs, self._one)
 
     def _one(self, path: Path) -> int:
-        info = describe(path)
+        info = describe(path, look=self.look)
         if self.json:
             print_result(json.dumps(dataclasses.asdict(info), allow_nan=False))
         else:

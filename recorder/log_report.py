@@ -14,6 +14,7 @@ from common.output import print_result, print_table
 from recorder.log.check import Checked
 from recorder.log.derived_log import Written
 from recorder.log.log_info import LogInfo
+from recorder.log.steering_report import steering_line
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE
 
@@ -32,6 +33,8 @@ def print_info(info: LogInfo) -> None:
     for name, value in sorted(info.session.items()):
         print_table(f"  {_plain(name)}: {_plain(value)}")
     _print_drives(info)
+    if info.steering is not None and info.steering.rows:
+        print_table(f"  {steering_line(info.steering, info.lag)}", f"  labels: {info.labels}")
     for topic_name, sizes in info.picture_sizes.items():
         print_table(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
     for tag in info.tags:

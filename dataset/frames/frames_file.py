@@ -7,8 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from common.files import final_path
 from dataset.config import IndexConfig
@@ -19,7 +22,7 @@ from recorder import Log
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE_COLUMNS
 
-FRAMES_FORMAT: Final = 6
+FRAMES_FORMAT: Final = 7
 
 FRAMES_SCHEMA: Final = pa.schema(
     [
@@ -42,6 +45,8 @@ FRAMES_SCHEMA: Final = pa.schema(
         pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
     ]
 )
+
+SPLITS: Final = ("train", "validation", "gap")
 
 
 class FramesError(DatasetError):
@@ -105,3 +110,10 @@ def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
         raise FramesError(
             f"{path}: damaged ({' '.join(str(error).split())}); remove it and give `bc-index`"
         ) from None
+
+
+def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:
+    """The position of each string among `names` (N,); -1 for others."""
+    found = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
+    positions: NDArray[np.int8] = pc.fill_null(found, -1).to_numpy().astype(np.int8)
+    return positions

@@ -15,7 +15,7 @@ from common.car import CAMERAS, Camera
 from dataset.config import IndexConfig
 from dataset.frames.drivers import DRIVERS, EXPERT, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
-from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
+from dataset.frames.frames_file import FRAMES_SCHEMA, SPLITS, session_name
 from dataset.frames.image_check_cache import read_image_check
 from dataset.frames.pairing import paired_rows
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
@@ -45,8 +45,7 @@ def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
     Where an expert drove, the steering is what he commanded at that picture, for it is that which he would teach:
     the wheels follow later. Raises LogError for a damaged log.
     """
-    vehicle = log.vehicle()
-    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    states = States.of(log.vehicle())
     commands = read_commands(log)
     state, command = paired_rows(commands, states)
     driver = np.zeros(len(states.row), np.int8)
@@ -111,7 +110,7 @@ def frames_of(
         "driver": pa.DictionaryArray.from_arrays(driver[state], list(DRIVERS)),
         "drive": drive[state],
         "block": block[state],
-        "split": pa.DictionaryArray.from_arrays(split[state], ["train", "validation", "gap"]),
+        "split": pa.DictionaryArray.from_arrays(split[state], list(SPLITS)),
         "bin": bins[state],
         "flags": frame_flags(states, paired, findings).take(pa.array(order)),
         "tags": _tags_of(states.row[state], tags),

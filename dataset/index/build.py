@@ -47,16 +47,17 @@ from dataset.index.build_state import (
     write_state,
 )
 from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictures
+from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
 from dataset.index.sessions import name_problem
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.parquet_file import read_metadata, write_table
 from dataset.samples.filter import Condition
-from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
 from recorder.errors import RecordingError
 from recorder.log.car_geometry import geometry_of
-from recorder.log.log_info import first_picture_sizes
+from recorder.log.log_info import driven_by, first_picture_sizes
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.tags import read_tags
 from recorder.log.topics import camera_topic
@@ -78,6 +79,7 @@ class Indexed:
     counts: dict[str, SessionCounts]
     notices: list[str]  # logs that were never finished, or that cannot be read at all
     remarks: list[str]  # logs in which damage is not noticed
+    labels: dict[str, SessionLabels]  # how each session was steered, and what was done for it
     sizes_px: dict[str, list[tuple[int, int]]]  # of each session, width and height of its cameras' first pictures
 
     @cached_property
@@ -135,7 +137,7 @@ def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> No
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
         raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
-    for folder in (index / FRAMES_FOLDER, index / IMAGE_CHECKS_FOLDER):
+    for folder in (index / FRAMES_FOLDER, index / IMAGE_CHECKS_FOLDER, index / LAGS_FOLDER):
         # what is written and deleted in a link would be somebody else's
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
@@ -199,8 +201,9 @@ def _build(
             }
             try:
                 refuse_shared_pictures(frames, by_name)
+                labels = labels_of_sessions(frames, by_name, held, index, config)
                 with index_write_errors(index / SAMPLES_NAME):
-                    made = write_samples(frames, samples, config, places)
+                    made = (*write_samples(frames, samples, config, places, labels), labels)
             except (LogError, FramesError):
                 if state.logs:
                     raise _StaleStateError from None
@@ -210,7 +213,8 @@ def _build(
                 write_state(
                     samples.with_name(STATE_NAME), BuildState(stat_of(samples), entries, sorted(passed_over))
                 )
-    return Indexed(index, list(held), read, *made, notices, remarks, sizes_px)
+    balance, counts, labels = made
+    return Indexed(index, list(held), read, balance, counts, notices, remarks, labels, sizes_px)
 
 
 def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: BuildState) -> BuiltLog | None:
@@ -259,6 +263,7 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
             log.file_fingerprint,
             notice=log.notice,
             has_crcs=log.has_crcs,
+            driven_by=driven_by(log),
             sizes_px=_sizes_px(log),
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
@@ -296,8 +301,8 @@ def _are_equal(new: Path, old: Path) -> bool:
 
 def _up_to_date(
     index: Path, held: Mapping[str, BuiltLog], places: Mapping[str, object], config: IndexConfig, state: BuildState
-) -> tuple[Balance, dict[str, SessionCounts]] | None:
-    """Balance and counts from samples.parquet, if building it anew would give the same file."""
+) -> tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]] | None:
+    """Balance, counts and labels from samples.parquet, if building it anew would give the same file."""
     before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}
     if {name: entry.frames for name, entry in held.items()} != before or stale_frames_files(set(held), index):
         return None
@@ -308,6 +313,7 @@ def _up_to_date(
         return None
     try:
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
-        return Balance.from_dict(stored["balance"]), counts
+        labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
+        return Balance.from_dict(stored["balance"]), counts, labels
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
         return None

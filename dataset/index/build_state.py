@@ -33,6 +33,7 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frames: Stat = None  # of its frames file
     notice: str = ""  # what to tell a person
     has_crcs: bool = True
+    driven_by: str = ""  # the machine that drove it
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
 
 

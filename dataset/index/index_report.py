@@ -14,7 +14,8 @@ from common.output import print_message
 from dataset.index.build import Indexed
 from dataset.index.sessions import unfinished_recordings
 from dataset.preprocess import SIZE_PX
-from dataset.samples.samples_format import Balance
+from dataset.samples.samples_format import Balance, SessionLabels
+from recorder.log.steering_report import STEERING_HEADINGS, steering_cells
 
 BAR_CELLS = 13  # so that a line fits 80 columns
 _MOST_NAMES = 8
@@ -25,16 +26,30 @@ def sessions_table(indexed: Indexed) -> Table:
     """Frames of each session, by what becomes of them; two of them only where there are some."""
     some_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
     some_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
+    some_crashed = any(counts.crashed for counts in indexed.counts.values())
     columns = ["frames", "training", "validation", "gap", "left out"]
     columns += ["not taken over"] * some_piloted + ["no label"] * some_unlabelled
+    columns += ["crash"] * some_crashed
     table = Table("session", *columns, "", title="frames")
     for session in indexed.sessions:
         counts = indexed.counts[session]
         left_out = counts.excluded + counts.unusable + counts.not_asked_for
         numbers = [counts.frames, counts.training, counts.validation, counts.gap, left_out]
         numbers += [counts.not_taken_over] * some_piloted + [counts.unlabelled] * some_unlabelled
+        numbers += [counts.crashed] * some_crashed
         state = "read" if session in indexed.read else "unchanged"
         table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
+    return table
+
+
+def labels_table(labels: Mapping[str, SessionLabels]) -> Table:
+    """How each session was steered, and what is learnt of it."""
+    table = Table(box=None, pad_edge=False, title="steering", title_justify="left")
+    for heading in ("session", *STEERING_HEADINGS, "labels"):
+        table.add_column(heading, no_wrap=heading in STEERING_HEADINGS, overflow="fold")
+    for session, of_session in labels.items():
+        cells = steering_cells(of_session.habits, of_session.lag)
+        table.add_row(escape(session), *cells, str(of_session.plan))
     return table
 
 

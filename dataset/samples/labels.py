@@ -14,6 +14,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from dataset.frames.distinct_rows import number_distinct
+from dataset.frames.drivers import DRIVERS
+from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
+from dataset.frames.frames_file import SPLITS, codes
+from recorder.log.label_plan import LabelPlan
 from recorder.log.row_quality import GAP_S
 
 _ONE: Final = 1 << 40
@@ -21,6 +25,19 @@ _ONE: Final = 1 << 40
 
 Steering = NDArray[np.float64]
 Times = NDArray[np.int64]
+
+
+def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray[np.bool_]]:
+    """The steering to be learnt of each of a session's frames (N,), as `labels_of` gives it, and a mask of those
+    that are left out of training as rows of crashes.
+
+    No label depends on another driver's steering, on the other side of the split, on frames that cannot be used or
+    are tagged `exclude`, or on a crash that is left out.
+    """
+    is_crashed = lists_with(frames["flags"], "crash") & plan.without_crashes
+    side = codes(frames["split"], SPLITS) + 4 * codes(frames["driver"], DRIVERS) + 16 * is_crashed.astype(np.int8)
+    is_good = ~is_unusable(frames) & ~is_excluded(frames)
+    return labels_of(frames, is_good, side, plan.smooth_s, plan.shift_s), is_crashed
 
 
 def labels_of(

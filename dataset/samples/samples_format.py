@@ -10,6 +10,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from recorder.log.label_plan import LabelPlan
+from recorder.log.steering_habits import SteeringHabits, SteeringLag
+
 SAMPLES_NAME: Final = "samples.parquet"
 
 SAMPLES_FORMAT: Final = 4
@@ -69,4 +72,14 @@ class SessionCounts:
     unusable: int  # steering out of range, or a broken picture
     unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
     not_asked_for: int  # another camera, or not what --where chooses
+    crashed: int  # for training otherwise, and left out of it as rows of crashes
     not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
+
+
+@dataclass(frozen=True)
+class SessionLabels:
+    """How a session was steered, and what was done to its labels for it."""
+
+    habits: SteeringHabits
+    lag: SteeringLag | None  # None: not measured, or nothing to measure it by
+    plan: LabelPlan

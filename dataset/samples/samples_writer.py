@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -25,14 +24,15 @@ from dataset.drawn_views import VIEWPOINT, draw_views, mirrored_view
 from dataset.errors import DatasetError
 from dataset.frames.drivers import DRIVERS, is_taken
 from dataset.frames.frame_flags import is_excluded, is_unusable
-from dataset.frames.frames_file import read_frames
+from dataset.frames.frames_file import SPLITS, codes, read_frames
 from dataset.parquet_file import METADATA_KEY
 from dataset.samples.filter import Condition
-from dataset.samples.labels import labels_of
+from dataset.samples.labels import planned_labels
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
-from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.samples.viewpoint_labels import has_way_back, label_back
 from dataset.steering_bins import bin_of
+from recorder.log.label_plan import LabelPlan
 from recorder.log.tags import EXCLUDE
 
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
@@ -54,19 +54,23 @@ class _Session:
 
 
 def write_samples(
-    frames: Mapping[str, Path], path: Path, config: IndexConfig, logs: Mapping[str, Mapping[str, str]]
+    frames: Mapping[str, Path],
+    path: Path,
+    config: IndexConfig,
+    logs: Mapping[str, Mapping[str, str]],
+    labels: Mapping[str, SessionLabels],
 ) -> tuple[Balance, dict[str, SessionCounts]]:
     """Write the samples of some sessions' frames files: mirrored, labelled, and the training split balanced.
 
-    Validation holds every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint) is
-    kept in the file's metadata. Raises DatasetError if no frame can be used.
+    Validation holds every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint)
+    and `labels` are kept in the file's metadata. Raises DatasetError if no frame can be used.
     """
     condition = Condition(config.where) if config.where is not None else None
     sessions: list[_Session] = []
     counts: dict[str, SessionCounts] = {}
     random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
-        session, counts[name] = _usable(read_frames(file), config, condition, random)
+        session, counts[name] = _usable(read_frames(file), config, labels[name].plan, condition, random)
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
@@ -76,6 +80,7 @@ def write_samples(
             f"{' of a stretch that was taken over' if config.drives == 'takeovers' else ''}"
             f", none that is not tagged {EXCLUDE}"
             f"{' and has a label with this --label-shift' if config.label_shift_s else ''}"
+            f"{' and is of no crash' if any(count.crashed for count in counts.values()) else ''}"
         )
     label = np.concatenate([session.label for session in sessions])
     is_training = np.concatenate([session.is_training for session in sessions])
@@ -85,6 +90,7 @@ def write_samples(
         "format": SAMPLES_FORMAT,
         "settings": asdict(config),
         "logs": {name: dict(source) for name, source in logs.items()},
+        "labels": {name: asdict(of_session) for name, of_session in labels.items()},
         "balance": balanced.as_dict(),
         "counts": {name: asdict(count) for name, count in counts.items()},
     }
@@ -109,24 +115,27 @@ def write_samples(
 
 
 def _usable(
-    frames: pa.Table, config: IndexConfig, condition: Condition | None, random: np.random.Generator
+    frames: pa.Table,
+    config: IndexConfig,
+    plan: LabelPlan,
+    condition: Condition | None,
+    random: np.random.Generator,
 ) -> tuple[_Session, SessionCounts]:
-    camera = _codes(frames["camera"], CAMERAS)
-    split = _codes(frames["split"], ("train", "validation", "gap"))
+    camera = codes(frames["camera"], CAMERAS)
+    split = codes(frames["split"], SPLITS)
     is_bad = is_unusable(frames)
     is_tagged = is_excluded(frames)
-    driver = _codes(frames["driver"], DRIVERS)
+    driver = codes(frames["driver"], DRIVERS)
     is_asked_for = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
     if condition is not None:
         is_asked_for &= condition.holds(frames)
     is_wanted = is_asked_for & is_taken(driver, config.drives)
     is_good = ~is_bad & ~is_tagged
-    # no label depends on another driver's steering, nor on the other side of the split
-    side = split + 4 * driver
-    steering = labels_of(frames, is_good, side, config.label_smooth_s, config.label_shift_s)
+    steering, is_crashed = planned_labels(frames, plan)
     usable = is_wanted & is_good
     has_label = ~np.isnan(steering)
-    chosen = usable & has_label & (split != 2)
+    is_left_out = is_crashed & (split == 0)
+    chosen = usable & has_label & (split != 2) & ~is_left_out
     at = np.flatnonzero(chosen)
     label = _of_camera(steering[at], camera[at], config)
     recorded = _of_camera(frames["steering"].to_numpy()[at], camera[at], config)
@@ -137,8 +146,9 @@ def _usable(
         gap=int((usable & (split == 2)).sum()),
         excluded=int((is_wanted & is_tagged).sum()),
         unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
-        unlabelled=int((usable & ~has_label & (split != 2)).sum()),
+        unlabelled=int((usable & ~has_label & (split != 2) & ~is_left_out).sum()),
         not_asked_for=int((~is_asked_for).sum()),
+        crashed=int((usable & is_left_out).sum()),
         not_taken_over=int((is_asked_for & ~is_wanted).sum()),
     )
     view = np.full(len(at), -1)
@@ -174,13 +184,6 @@ def _of_camera(
     """The steering that the pictures of each camera call for: -1..1, never -0.0."""
     signs = np.array([CORRECTION_SIGNS.get(name, 0.0) for name in CAMERAS])
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
-
-
-def _codes(column: pa.ChunkedArray, names: tuple[str, ...]) -> NDArray[np.int8]:
-    """The position of each string among `names`; -1 for others."""
-    found = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
-    codes: NDArray[np.int8] = pc.fill_null(found, -1).to_numpy().astype(np.int8)
-    return codes
 
 
 def _table(

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from recorder.server.world import World
+
+PUT_BACK: Final = "off the road, or stuck: the simulator put the car back"
 
 
 class CourseEvents:
@@ -19,7 +22,7 @@ class CourseEvents:
         events = []
         if world.interventions is not None:
             if self._interventions is not None and world.interventions > self._interventions:
-                events.append("off the road, or stuck: the simulator put the car back")
+                events.append(PUT_BACK)
             self._interventions = world.interventions
         if world.laps is not None:
             whole_laps = math.floor(world.laps)

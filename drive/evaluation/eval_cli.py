@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,11 +12,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from common import UserError
-from common.command import DONE, flags_given, run_command, usage_errors, warn, warn_skipped
+from common.command import (
+    DONE,
+    DONE_BUT_SKIPPED,
+    FAILED,
+    flags_given,
+    run_command,
+    usage_errors,
+    warn,
+    warn_skipped,
+)
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 
 if TYPE_CHECKING:
+    from drive.config import DriveConfig
+    from drive.evaluation.closed_loop import DriveResult
+    from drive.evaluation.simulator_process import BuiltInSimulator
+    from model.evaluation.differences import Verdict
     from model.evaluation.evaluate import Evaluation
 
 
@@ -32,10 +46,17 @@ class Eval:
     bc-eval first --session sunday
     bc-eval first --on sunday
     bc-eval first --simulator lake mountain
+    bc-eval --compare first second
     """
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """The run, by name or folder; the newest one by default."""
+    compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
+    """Compare run B with run A instead, on the same frames, or by driving with --simulator. Exit code 1 if B is
+    worse: more than chance and --tolerance explain."""
+    tolerance: Annotated[float | None, _default("SHARE", "0.02")] = None
+    """How much worse B may be, for --compare: a share of A's error; of 1 for the correlation and the offset, of
+    100 for autonomy."""
     index: Annotated[Path | None, _default("PATH", "the one that the run was trained on")] = None
     """The index whose frames are measured."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
@@ -72,7 +93,7 @@ class Eval:
     runs: Path = Path("runs")
     """Where runs are kept."""
     json: bool = False
-    """Print JSON and no table: one object, or with --simulator one a drive."""
+    """Print JSON and no table: one object, or with --simulator alone one a drive."""
 
 
 RECORDED = "recorded frames"
@@ -86,9 +107,11 @@ WAYS = {
 
 def evaluate(config: Eval) -> int:
     _refuse_contradictions(config)
+    if config.compare is not None:
+        return _compare(config, config.compare)
     if config.on is not None:
         return _drive_recordings(config, config.on)
-    return _measure(config) if config.simulator is None else _drive(config, config.simulator)
+    return _measure(config) if config.simulator is None else _drive(config)
 
 
 def _refuse_contradictions(config: Eval) -> None:
@@ -113,6 +136,17 @@ def _refuse_contradictions(config: Eval) -> None:
         raise UsageError("--sessions is where the logs of --session and --on are: give one of these too")
     if config.session is not None and (config.index is not None or config.split is not None):
         raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
+    if config.compare is None:
+        if config.tolerance is not None:
+            raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
+    elif config.run is not None:
+        raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
+    elif config.worst is not None:
+        raise UsageError("--worst is of one run, and --compare of two: give one or the other")
+    elif config.on is not None:
+        raise UsageError("--on drives with one run, and --compare takes two: give one or the other")
+    if config.tolerance is not None and not 0 <= config.tolerance < 1:
+        raise UsageError(f"--tolerance {config.tolerance:g}: a share from 0 to 1 was expected")
     if config.worst is not None and config.worst < 0:
         raise UsageError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
     if config.departure is not None and not 0 < config.departure < math.inf:
@@ -129,21 +163,10 @@ def _misplaced(flags: str, other: str, way: str) -> str:
 
 def _measure(config: Eval) -> int:
     """Measure on recorded frames."""
-    from dataset import find_logs
     from model import find_run
-    from model.evaluation.evaluate import evaluate as evaluate_run
-    from model.evaluation.evaluate import evaluate_sessions
     from model.worst_moments import worst_frames
 
-    run = find_run(config.run, config.runs)
-    split = config.split or "validation"
-    if config.session is None:
-        index = config.index or _index_of(run)
-        found = evaluate_run(run, index, split)
-        what: dict[str, Any] = {"index": str(index), "split": split}
-    else:
-        found = evaluate_sessions(run, find_logs(config.session, config.sessions or Path("sessions")))
-        what = {"index": None, "split": None}
+    what, (found,) = _evaluations(config, [find_run(config.run, config.runs)])
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
     if config.json:
         print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
@@ -151,9 +174,28 @@ def _measure(config: Eval) -> int:
         from drive.evaluation.eval_report import print_evaluation
 
         print_evaluation(found, worst)
-        if config.session is None:
-            print_result(f"measured on what {index} {'holds out' if split == 'validation' else 'trains on'}")
-    return _print_notices(found, is_training=config.session is None and split == "train")
+        _print_what(what)
+    return _print_notices(found, what)
+
+
+def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
+    """What is measured on (the index and its split, or None), and the runs' predictions for it. Where no index is
+    given, it is that of the first run."""
+    from dataset import find_logs
+    from model.evaluation.evaluate import evaluate_runs, evaluate_runs_on_sessions
+
+    if config.session is not None:
+        logs = find_logs(config.session, config.sessions or Path("sessions"))
+        return {"index": None, "split": None}, evaluate_runs_on_sessions(runs, logs)
+    index, split = config.index or _index_of(runs[0]), config.split or "validation"
+    return {"index": str(index), "split": split}, evaluate_runs(runs, index, split)
+
+
+def _print_what(what: dict[str, str | None]) -> None:
+    if what["index"] is not None:
+        print_result(
+            f"measured on what {what['index']} {'holds out' if what['split'] == 'validation' else 'trains on'}"
+        )
 
 
 def _index_of(run: Path) -> Path:
@@ -171,54 +213,88 @@ def _index_of(run: Path) -> Path:
     return index
 
 
-def _print_notices(found: Evaluation, *, is_training: bool) -> int:
+def _print_notices(found: Evaluation, what: dict[str, str | None]) -> int:
     """Print what a person should know before the numbers are used; the exit code."""
-    from model.runs.run_folder import run_name
-
     code = warn_skipped(found.skipped)
     for notice in found.notices:
         code = warn(notice)
     for remark in found.remarks:
         print_message(remark)
+    return max(code, _print_learnt(found, what))
+
+
+def _print_learnt(found: Evaluation, what: dict[str, str | None]) -> int:
+    """Print whether the run has learnt from the frames that it is measured by; the exit code."""
+    from model.runs.run_folder import run_name
+
     run, count = run_name(found.run), found.measures.frames
     if found.trained_on is None:
-        code = warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
+        return warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
     elif found.trained_on:
         line = f"{run} has learnt from {found.trained_on:,} of these {counted(count, 'frame')}"
-        if is_training:
-            print_message(f"bc-eval: {line}")
-        else:
-            code = warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
-    return code
+        if what["split"] != "train":
+            return warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
+        print_message(f"bc-eval: {line}")
+    return DONE
 
 
-def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
+def _compare(config: Eval, runs: tuple[str, str]) -> int:
+    """Compare two runs; exit code 1 if the second one is worse, 3 if nothing can be said."""
+    from model import find_run
+    from model.runs.run_folder import run_name
+
+    a, b = (find_run(run, config.runs) for run in runs)
+    names = run_name(a), run_name(b)
+    compare = _compare_on_frames if config.simulator is None else _compare_by_driving
+    verdict, code = compare(config, a, b, names)
+    if verdict == "worse":
+        return FAILED
+    return DONE_BUT_SKIPPED if verdict == "unknown" else code
+
+
+def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
+    from model.evaluation.differences import TOLERANCE, overall
+    from model.evaluation.run_comparison import Comparison
+
+    what, (of_a, of_b) = _evaluations(config, [a, b])
+    found = Comparison(of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
+    if config.json:
+        print_result(json.dumps({**what, **found.as_dict()}))
+    else:
+        from drive.evaluation.compare_report import print_comparison
+
+        print_comparison(found, names)
+        _print_what(what)
+    code = max(_print_notices(of_a, what), DONE if a == b else _print_learnt(of_b, what))
+    return overall(found.differences), code
+
+
+def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
+    from drive.evaluation.compare_report import print_drive_comparison
+    from drive.evaluation.drive_comparison import DriveComparison
+    from model.evaluation.differences import TOLERANCE
+
+    drives = _drives(config)
+    logs = config.logs or Path("drives")
+    (of_a, of_b) = (list(_driven(config, run, drives, logs / side)) for run, side in ((a, "a"), (b, "b")))
+    found = DriveComparison(*names, of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
+    if config.json:
+        print_result(json.dumps(found.as_dict()))
+    else:
+        print_drive_comparison(found, names)
+    return found.verdict, DONE
+
+
+def _drive(config: Eval) -> int:
     """Let the network drive."""
-    from drive.config import DriveConfig
-    from drive.errors import DriveError
-    from drive.evaluation.closed_loop import evaluate as evaluate_run
     from drive.evaluation.eval_report import print_drives
-    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
-    from model import find_run, load_pilot
+    from model import find_run
 
-    laps = 1.0 if config.laps is None else config.laps
-    with usage_errors(DriveError):
-        check_laps(laps)
-        configs = [DriveConfig(set_speed_mph=speed) for speed in config.speed or (10.0,)]
-    drives = [
-        (BuiltInSimulator(track, laps), each) for each in configs for track in tracks
-    ]  # before the seconds that a network takes to load: a track may be misspelt
-    pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
-    pilot.warm_up()
+    drives = _drives(config)  # before the seconds that a network takes to load: a track may be misspelt
     results = []
     try:
-        for result in evaluate_run(
-            pilot,
-            drives,
-            config.logs or Path("drives"),
-            overwrite=config.force,
-            notify=lambda text: print_message(f"bc-eval: {text}"),
-        ):
+        run = find_run(config.run, config.runs)
+        for result in _driven(config, run, drives, config.logs or Path("drives")):
             results.append(result)
             if config.json:
                 print_result(json.dumps(result.as_dict()))
@@ -226,6 +302,33 @@ def _drive(config: Eval, tracks: tuple[str, ...]) -> int:
         if results and not config.json:
             print_drives(results)
     return DONE
+
+
+def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
+    """The drives of each track at each speed."""
+    from drive.config import DriveConfig
+    from drive.errors import DriveError
+    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
+
+    laps = 1.0 if config.laps is None else config.laps
+    with usage_errors(DriveError):
+        check_laps(laps)
+        configs = [DriveConfig(set_speed_mph=speed) for speed in config.speed or (10.0,)]
+    return [(BuiltInSimulator(track, laps), each) for each in configs for track in config.simulator or ()]
+
+
+def _driven(
+    config: Eval, run: Path, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]], logs: Path
+) -> Iterator[DriveResult]:
+    """The results of a run's drives, as they come."""
+    from drive.evaluation.closed_loop import evaluate as evaluate_run
+    from model import load_pilot
+
+    pilot = load_pilot(run, config.precision or "auto")
+    pilot.warm_up()
+    yield from evaluate_run(
+        pilot, drives, logs, overwrite=config.force, notify=lambda text: print_message(f"bc-eval: {text}")
+    )
 
 
 def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:

@@ -111,6 +111,9 @@ def _measures_table(evaluation: Evaluation) -> Table:
         table.add_row(heading, *(_number(getattr(errors, name)) for errors in columns))
     table.add_row("balanced RMSE", *(_number(balanced[name]) for name in of))
     table.add_row("correlation", *(_number(errors.correlation) for errors in of.values()))
+    if (others := evaluation.without_crashes) is not None:
+        heading = f"RMSE without crashes ({evaluation.crashes:,})"
+        table.add_row(heading, *(_number(each.rmse_deg) for each in (others.network, others.zero, others.mean)))
     if is_scaled:
         scale, offset_deg = evaluation.answers.scale, MAX_STEERING_DEG * evaluation.answers.offset
         table.caption = f"answers: {scale:.2f} times what was learnt, {offset_deg:+.2f}"

@@ -14,10 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from common import Skipped
 from common.errors import counted
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
+from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
@@ -43,7 +46,7 @@ class Evaluation:
     """Predictions of a run's network for some frames, and their errors."""
 
     run: Path
-    frames: pa.Table  # session, row, camera, log_time_ns; recorded and predicted: steering, -1..1
+    frames: pa.Table  # session, row, camera, log_time_ns, crash; recorded and predicted: steering, -1..1
     logs: dict[str, Path]  # of the sessions
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
     trained_on: int | None  # number of the frames that the run was trained on; None where its config does not say
@@ -55,6 +58,17 @@ class Evaluation:
     @cached_property
     def measures(self) -> Measures:
         return _measure(self.frames)
+
+    @cached_property
+    def crashes(self) -> int:
+        """The number of frames in crashes: what is steered there says nothing about the road."""
+        return int(pc.sum(self.frames["crash"]).as_py() or 0)
+
+    @cached_property
+    def without_crashes(self) -> Measures | None:
+        """The measures of all other frames; None where that are all of them, or none."""
+        others = self.frames.filter(pc.invert(self.frames["crash"]))
+        return _measure(others) if 0 < len(others) < len(self.frames) else None
 
     @cached_property
     def as_learnt(self) -> Errors:
@@ -87,6 +101,8 @@ class Evaluation:
             **found,
             "answers": asdict(self.answers),
             "as_learnt": without_nan(asdict(self.as_learnt)),
+            "crashes": self.crashes,
+            "without_crashes": _as_dict(self.without_crashes) if self.without_crashes else None,
             "sessions": {
                 session: {"log": str(self.logs[session]), **_as_dict(measures)}
                 for session, measures in self.sessions.items()
@@ -100,6 +116,12 @@ def evaluate(run: Path | str, index: Path | str, split: Split = "validation") ->
     Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
     LogError for a damaged log.
     """
+    (found,) = evaluate_runs([run], index, split)
+    return found
+
+
+def evaluate_runs(runs: Sequence[Path | str], index: Path | str, split: Split = "validation") -> list[Evaluation]:
+    """As `evaluate`, for several runs at once: each picture is decoded once, and all have the same frames."""
     with Samples(Path(index)) as samples:
         seen = samples.driving_view(split)
         if not len(seen):
@@ -107,7 +129,7 @@ def evaluate(run: Path | str, index: Path | str, split: Split = "validation") ->
                 f"{samples.path}: no frame of the split {split} in it; give another --split, or whole sessions:"
                 " --session NAME"
             )
-        return _evaluate(Path(run), samples, seen)
+        return _evaluate([Path(run) for run in runs], samples, seen)
 
 
 def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation:
@@ -115,38 +137,50 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
 
     Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
     """
+    (found,) = evaluate_runs_on_sessions([run], logs)
+    return found
+
+
+def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | str]) -> list[Evaluation]:
+    """As `evaluate_sessions`, for several runs at once: each picture is decoded once, all have the same frames."""
     paths = {session_name(log): log for log in map(Path, logs)}
-    config = IndexConfig(validation=tuple(paths), balance=False, flip=False)
+    config = IndexConfig(validation=tuple(paths), balance=False, flip=False, labels="as-recorded")
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
         indexed = build_index(list(paths.values()), Path(folder), config)
-        found = evaluate(run, folder)
+        found = evaluate_runs(runs, folder)
     notices = indexed.notices + [
         f"{path}: not measured: no picture of the centre camera that can be used"
         for session, path in paths.items()
-        if session not in found.sessions
+        if session not in found[0].sessions
     ]
-    return replace(found, logs=paths, notices=tuple(notices), remarks=tuple(indexed.remarks))
+    remarks = tuple(indexed.remarks)
+    return [replace(each, logs=paths, notices=tuple(notices), remarks=remarks) for each in found]
 
 
-def _evaluate(run: Path, samples: Samples, seen: pa.Table) -> Evaluation:
-    config = load_config(run)
+def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Evaluation]:
+    configs = [load_config(run) for run in runs]
     loader = Loader(samples, seen, batch=BATCH, budget_bytes=0)  # each picture is looked at once
-    (steering,), is_decoded = predict_crops([run], loader.crops(np.arange(len(loader))), len(loader))
+    steering, is_decoded = predict_crops(runs, loader.crops(np.arange(len(loader))), len(loader))
     if not is_decoded.any():
         _, name = next(iter(loader.skipped))
         raise DatasetError(
             f"none of {counted(len(seen), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
         )
-    frames = _from_index(seen, samples).append_column("predicted", pa.array(steering)).filter(pa.array(is_decoded))
-    return Evaluation(
-        run,
-        frames,
-        {session: log.path.resolve() for session, log in samples.logs.items()},
-        {session: log.time_range_ns[0] for session, log in samples.logs.items()},
-        count_trained_on(by_session(frames), samples, config),
-        loader.skipped,
-        answers=load_answer_scale(run),
-    )
+    frames = _from_index(seen, samples)
+    frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
+    sessions = by_session(frames.filter(pa.array(is_decoded)))
+    return [
+        Evaluation(
+            run,
+            frames.append_column("predicted", pa.array(predicted)).filter(pa.array(is_decoded)),
+            {session: log.path.resolve() for session, log in samples.logs.items()},
+            {session: log.time_range_ns[0] for session, log in samples.logs.items()},
+            count_trained_on(sessions, samples, config),
+            loader.skipped,
+            answers=load_answer_scale(run),
+        )
+        for run, predicted, config in zip(runs, steering, configs, strict=True)
+    ]
 
 
 def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
@@ -159,6 +193,16 @@ def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
     if is_damaged:
         raise DatasetError(f"{samples.path}: damaged; remove it and give `bc-index`")
     return frames
+
+
+def _in_crashes(frames: pa.Table, samples: Samples) -> NDArray[np.bool_]:
+    """A mask of the frames (N,) in crashes."""
+    crash = np.zeros(len(frames), np.bool_)
+    session = frames["session"].combine_chunks().dictionary_encode()
+    for number, name in enumerate(session.dictionary.to_pylist()):
+        at = np.flatnonzero(session.indices.to_numpy() == number)
+        crash[at] = in_crashes(frames.take(pa.array(at)), samples.logs[name])
+    return crash
 
 
 def _measure(frames: pa.Table) -> Measures:

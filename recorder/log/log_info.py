@@ -12,8 +12,10 @@ from typing import Any
 import msgspec
 
 from recorder.log import topics
+from recorder.log.label_plan import goes_by_lag, plan_labels
 from recorder.log.reader import Log
-from recorder.log.row_quality import ROW_FLAGS, StatesWritten, summary
+from recorder.log.row_quality import ROW_FLAGS, States, summary
+from recorder.log.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits
 from recorder.log.tags import Tag, read_tags, stale_tags, tags_path
 
 
@@ -50,6 +52,9 @@ class LogInfo:
     drives: int | None
     flags: dict[str, int] | None  # rows that each flag holds for
     stretches: list[FlaggedRows]  # the first of them
+    steering: SteeringHabits | None  # None: nobody has looked at its rows, or it has none
+    lag: SteeringLag | None  # of the steering; None: not measured, or its pictures do not tell
+    labels: str  # what an index makes of its steering, as far as this tells; empty if nothing does
     picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
     tags: list[Tag]
     stale_tags: int  # of what had this name before
@@ -57,8 +62,8 @@ class LogInfo:
     is_ours: bool  # not another program's
 
 
-def describe(path: Path) -> LogInfo:
-    """Raises LogError if the log cannot be read."""
+def describe(path: Path, *, look: bool = False) -> LogInfo:
+    """`look`: also at some pictures, for the lag of the steering. Raises LogError if the log cannot be read."""
     with Log(path) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
@@ -67,6 +72,11 @@ def describe(path: Path) -> LogInfo:
         driven_s = _seconds(quality.get("driven_s")) if quality else None
         has_tags = tags_path(path).exists()  # without, the fingerprint need not be made
         rate_s = duration_s if driven_s is None else driven_s
+        steering, lag = _steering(log, quality), None
+        if look and steering and goes_by_lag(steering, driven_by(log)):
+            from recorder.log.steering_lag import measure_lag  # OpenCV
+
+            lag = measure_lag(log)
         return LogInfo(
             path=str(path),
             size_bytes=log.size,
@@ -81,12 +91,23 @@ def describe(path: Path) -> LogInfo:
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
+            steering=steering,
+            lag=lag,
+            labels=str(plan_labels(steering, lag, driven_by(log))) if steering else "",
             picture_sizes=_texts(quality.get("picture_sizes", "")),
             tags=read_tags(path, log.fingerprint) if has_tags else [],
             stale_tags=stale_tags(path, log.fingerprint) if has_tags else 0,
             notice=log.notice,
             is_ours=log.is_ours,
         )
+
+
+def driven_by(log: Log) -> str:
+    """The machine that drove a session, as its log says: its hand is smooth and in time. Empty for people, and
+    where nobody says."""
+    if log.counts.get(topics.PILOT_COMMAND):
+        return "a network"
+    return "the built-in expert" if log.metadata.get("driver") == "expert" else ""
 
 
 def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
@@ -104,10 +125,20 @@ def _quality(log: Log) -> dict[str, str]:
     stored = log.read_metadata(topics.QUALITY_METADATA)
     if stored or not log.problem:
         return stored
-    states = StatesWritten()
-    for message, state in log.vehicle_states():
-        states.add(message.sequence, message.log_time_ns, state)
-    return summary(states.states()) if len(states) else {}
+    return summary(states) if (states := _states(log)) else {}
+
+
+def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
+    """As the log's writer has noted it; of a log without, from its rows."""
+    if noted := habits_from(quality.get("steering", "")):
+        return noted
+    states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
+    return steering_habits(states) if states else None
+
+
+def _states(log: Log) -> States | None:
+    vehicle = log.vehicle()
+    return States.of(vehicle) if len(vehicle) else None
 
 
 def _count(text: str | None) -> int:

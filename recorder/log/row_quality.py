@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from array import array
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,29 @@ from numpy.typing import NDArray
 from common.stretches import stretches
 from recorder.bc_pb2 import VehicleState
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 GAP_S: Final = 1.0
+APART_S: Final = 1000.0  # more than any time over which rows are compared
 STANDING_MPH: Final = 0.5
 SPEED_RANGE_MPH: Final = (-30.0, 300.0)
 """No car reverses faster, and no simulator's that anybody drives goes faster; the real simulator's reaches 30."""
+CRASH_SPEED_SHARE: Final = 1 / 3
+"""Of the speed that is usual in the session, the median: bends are taken at more."""
+CRASH_S: Final = 0.5  # at least; a single row of no speed is a fault of the source
+IMPACT_MPH: Final = 9.0
+IMPACT_S: Final = 0.2
+"""So much speed lost in so short a time is twice what tyres can brake (1 g, 22 mph a second): an impact."""
+IMPACT_LEADS_S: Final = 0.5  # a car bounces, and rolls out, before it is slow
+CRASH_LOCK: Final = 0.5
+CRASH_LOCK_SHARE: Final = 0.25
+"""A wheel at half lock or more in so many of its rows is manoeuvring; who stops and starts has it straight."""
 STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MOST_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
 
-RowFlag = Literal["gap", "out_of_range", "standing_still", "stuck_steering"]
+RowFlag = Literal["gap", "out_of_range", "standing_still", "stuck_steering", "crash"]
 ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
 
 Values = NDArray[np.float64]
@@ -41,6 +55,11 @@ class States:
     throttle: Values
     brake: Values
     speed_mph: Values  # NaN where it is not known
+
+    @classmethod
+    def of(cls, vehicle: pa.Table) -> States:
+        """Those of a table of `Log.vehicle`."""
+        return cls(*(vehicle[name].to_numpy() for name in vehicle.column_names))
 
 
 class StatesWritten:
@@ -95,6 +114,14 @@ def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum((step_ns > GAP_S * 1e9) | (step_ns < 0))])[: len(time_ns)]
 
 
+def elapsed_s(time_ns: NDArray[np.int64]) -> Values:
+    """The rows' times (N,) in seconds, in ascending order; drives lie `APART_S` from each other, whatever lay
+    between them."""
+    same = np.diff(drive_numbers(time_ns)) == 0
+    step_s = np.where(same, np.diff(time_ns) / 1e9, APART_S)
+    return np.concatenate([[0.0], np.cumsum(step_s)])[: len(time_ns)]
+
+
 def driven_s(time_ns: NDArray[np.int64]) -> float:
     """The time that was driven: that of all drives, without what lies between them."""
     return float(np.diff(time_ns)[np.diff(drive_numbers(time_ns)) == 0].sum()) / 1e9
@@ -105,7 +132,7 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
 
     `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
     number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for
-    long while the car moves.
+    long while the car moves; `crash`: the car stands at an obstacle, or manoeuvres to get away from it.
     """
     drive = drive_numbers(states.time_ns)
     standing = states.speed_mph < STANDING_MPH  # False for an unknown speed
@@ -119,6 +146,7 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
         "out_of_range": ~in_range,
         "standing_still": standing,
         "stuck_steering": _stuck(states, drive, standing),
+        "crash": _crashed(states, drive, standing),
     }
 
 
@@ -130,3 +158,39 @@ def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]
     limit_s = np.where(states.steering[first] == 0, STUCK_AT_ZERO_S, STUCK_S)
     held_ns = states.time_ns[last] - states.time_ns[first]
     return np.repeat(~standing[first] & (held_ns >= limit_s * 1e9), last - first + 1)
+
+
+def _crashed(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Stretches far below the usual speed in which the car stands, and which an impact began or in which the wheel
+    is turned far for long. One that begins a drive is a start, whatever the wheel does: nothing was driven into.
+
+    A session that is slow throughout has a slow usual speed, and in a hairpin nobody stands.
+    """
+    crashed = np.zeros(len(drive), np.bool_)
+    speed_mph = np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), np.nan)
+    moving = speed_mph[speed_mph >= STANDING_MPH]
+    if not len(moving) or not standing.any():
+        return crashed
+    time_s = elapsed_s(states.time_ns)
+    is_hit = np.interp(time_s - IMPACT_S, time_s, speed_mph) - speed_mph >= IMPACT_MPH
+    turned = np.abs(states.steering) >= CRASH_LOCK
+    slow = speed_mph < CRASH_SPEED_SHARE * np.median(moving)
+    for first, last in _within_drives(slow, drive):
+        starts_drive = first == 0 or drive[first - 1] != drive[first]
+        is_brief = time_s[last] - time_s[first] < CRASH_S
+        if starts_drive or is_brief or not standing[first : last + 1].any():
+            continue
+        before = np.searchsorted(time_s, time_s[first] - IMPACT_LEADS_S)  # no earlier drive is so near
+        if is_hit[before : last + 1].any() or turned[first : last + 1].mean() >= CRASH_LOCK_SHARE:
+            crashed[first : last + 1] = True
+    return crashed
+
+
+def _within_drives(mask: NDArray[np.bool_], drive: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First and last row of every run of True in a mask (N,); where a drive begins, so does a run."""
+    starts = np.flatnonzero(np.diff(drive)) + 1
+    return [
+        (first + at, last + at)
+        for at, part in zip([0, *starts.tolist()], np.split(mask, starts), strict=True)
+        for first, last in stretches(part)
+    ]

@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, Self
@@ -32,6 +33,7 @@ from recorder.log.compressed_image import image_data, is_image_channel
 from recorder.log.copied_channels import CopiedChannels
 from recorder.log.row_quality import StatesWritten, summary
 from recorder.log.split_chunks import SplitChunks
+from recorder.log.steering_habits import steering_habits
 from recorder.log.topics import (
     CAMERA_TOPICS,
     COMPRESSED_IMAGE,
@@ -239,7 +241,9 @@ class LogWriter:
                 "first_picture_px": json.dumps(self._sizes.first()),
                 **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
             }
-            self.add_metadata(topics.QUALITY_METADATA, summary(self._states.states()) | sizes)
+            states = self._states.states()
+            steering = json.dumps(asdict(steering_habits(states)), allow_nan=False)
+            self.add_metadata(topics.QUALITY_METADATA, summary(states) | {"steering": steering} | sizes)
         if self.same_as:
             self._to_disk(self._chunks.flush)
             about = {"fingerprint": self.same_as, "chunks": self._chunks.content_digest}

@@ -102,7 +102,7 @@ masks = st.lists(st.lists(st.booleans(), min_size=3, max_size=3), max_size=30)
 def test_lists_hold_each_flag_of_their_frame_once_and_in_one_order(odd: list[list[bool]]) -> None:
     rows = len(odd)
     standing, wrong, broken = np.array(odd, np.bool_).reshape(rows, 3).T
-    told = states(rows, speed_mph=np.where(standing, 0.0, 9.0), throttle=np.where(wrong, 7.0, 0.5))
+    told = states(rows, speed_mph=np.where(standing, 0.0, 5.0), throttle=np.where(wrong, 7.0, 0.5))
     looked = ImageFindings(rows, {"center": tuple((int(at), int(at)) for at in np.flatnonzero(broken))}, {})
     in_order: list[str] = list(FRAME_FLAGS)
     names = ("standing_still", "out_of_range", "broken_picture")

@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from common.car import CAMERAS
 from dataset import DatasetError, IndexConfig
 from dataset.frames.frames_table import frames_of
+from dataset.index.build_state import BuiltLog
+from dataset.index.session_labels import labels_of_sessions
 from dataset.parquet_file import write_table
 from dataset.samples.samples_writer import write_samples
 from dataset.steering_bins import bin_of
@@ -63,7 +65,9 @@ def write_index(
         frames += table.to_pylist()
         files[f"s{number}"] = folder / f"s{number}.parquet"
         write_table(files[f"s{number}"], table, {})
-    write_samples(files, folder / "samples.parquet", config, {})
+    built = {name: BuiltLog(("", None, None, None)) for name in files}
+    labels = labels_of_sessions(files, files, built, folder, config)  # so short, that no log is looked into
+    write_samples(files, folder / "samples.parquet", config, {}, labels)
     return frames, pq.read_table(folder / "samples.parquet").to_pylist()
 
 

@@ -9,14 +9,16 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Self
+from typing import Final, Self
 
 import cv2
 import numpy as np
 import pytest
 import torch
 
+from forked import Forked, ForkServer
 from model.network.original import SteeringNetwork
 from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
@@ -54,12 +56,31 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1", "COLUMNS": "400", "NO_COLOR": "1"}
 
 
+SERVER: Final = ForkServer(environment())
+_LOADING_PYTORCH = [command(name) for name in ("bc-train", "bc-drive", "bc-eval", "bc-demo")]
+
+
+def started(line: Sequence[str], cwd: Path | None = None) -> Forked | subprocess.Popen[str]:
+    """A program with pipes for its output; one that loads PyTorch is forked, where that is like a start."""
+    if any(line[:3] == known for known in _LOADING_PYTORCH) and SERVER.can_start(environment()):
+        return SERVER.start(line[2], line[3:], cwd, environment())
+    pipe = subprocess.PIPE
+    return subprocess.Popen(line, cwd=cwd, env=environment(), stdout=pipe, stderr=pipe, text=True)
+
+
 def run(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     line = command(name, *arguments)
-    return subprocess.run(
-        line, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
+    process = started(line, cwd)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    with process.stdout, process.stderr, ThreadPoolExecutor() as threads:
+        said = [threads.submit(stream.read) for stream in (process.stdout, process.stderr)]
+        try:
+            code = process.wait(PATIENCE_S)
+        finally:
+            process.kill()
+        return subprocess.CompletedProcess(line, code, *(text.result() for text in said))
 
 
 def run_code(code: str, *flags: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -117,9 +138,7 @@ class Process:
     """A command that runs on; its stderr is read as it comes. It is killed with the context, if it still runs."""
 
     def __init__(self, line: Sequence[str], cwd: Path | None = None) -> None:
-        self.popen = subprocess.Popen(
-            line, cwd=cwd, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+        self.popen = started(line, cwd)
         self.stderr: list[str] = []
         self.stdout = ""
         self._said = threading.Condition()

@@ -24,9 +24,11 @@ from safetensors.numpy import load_file, save_file
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, build_index, decode
 from drive.evaluation.eval_cli import main
-from logs import not_a_picture, plain_read, read_messages, write_log
+from logs import START_NS, not_a_picture, plain_read, read_messages, write_log
 from model import load_pilot, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
 from recorder.log.edit import rewrite
 from toy import STEERING, TINY, road
 from udacity import call
@@ -351,6 +353,34 @@ def test_frames_for_training_can_be_measured_and_that_is_said(
     assert found["learnt"] == found["frames"]
     (line,) = told.err.splitlines()
     assert line == f"bc-eval: toy has learnt from {found['frames']} of these {found['frames']} frames"
+
+
+def test_frames_of_crashes_are_told_apart(here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three seconds at a wall: the errors of all frames, and of all but these."""
+    rows, wall = 60, range(25, 55)
+    log = tmp_path / "crash.mcap"
+    with LogWriter(log, {"source": "test"}) as writer:
+        for row in range(rows):
+            time_ns = START_NS + row * 10**8
+            state = VehicleState(steering=0.9 if row in wall else 0.01 * row, speed_mph=0.1 if row in wall else 20)
+            writer.picture("center", time_ns, row, road("center", row % len(STEERING)))
+            writer.vehicle(time_ns, row, state)
+    assert call(main, "toy", "--session", log, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    frames = evaluate_sessions(here / "runs" / "toy", [log]).frames.to_pylist()
+    off = {row["row"]: 25 * (row["predicted"] - row["recorded"]) for row in frames}
+    rmse = {
+        name: math.sqrt(statistics.fmean(off[row] ** 2 for row in of))
+        for name, of in (("all", off), ("others", off.keys() - set(wall)))
+    }
+    assert (found["crashes"], found["without_crashes"]["frames"]) == (30, 30)
+    assert found["network"]["rmse_deg"] == pytest.approx(rmse["all"])
+    assert found["without_crashes"]["network"]["rmse_deg"] == pytest.approx(rmse["others"])
+    assert call(main, "toy", "--session", log) == 0
+    assert f"RMSE without crashes (30) {rmse['others']:.2f}" in " ".join(capsys.readouterr().out.split())
+    assert call(main, "toy", "--session", "new", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["crashes"], found["without_crashes"]) == (0, None)
 
 
 def test_whole_sessions_that_the_run_never_saw_are_measured_frame_by_frame(

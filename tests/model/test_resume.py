@@ -108,7 +108,6 @@ def train_until_killed(
 # Every training is a process of its own, forked from one that has loaded PyTorch.
 EXECUTIONER = """
 import json, os, sys
-import torch._dynamo  # which Adam loads
 from test_resume import train_until_killed
 
 for line in sys.stdin:

@@ -117,6 +117,60 @@ def test_a_new_drive_begins_anew() -> None:
     assert flagged(states(times, steering=0.25), "stuck_steering") == []
 
 
+def driven(*parts: tuple[float, float, float]) -> States:
+    """Rows every tenth of a second: so many seconds at this speed with this steering, one part after the other."""
+    rows = [(speed, steering) for seconds, speed, steering in parts for _ in range(round(seconds * 10))]
+    speeds, steerings = zip(*rows, strict=True)
+    return states(every_tenth(len(rows)), speed_mph=list(speeds), steering=list(steerings))
+
+
+CRUISE = (20.0, 24.0, 0.0)
+
+
+def test_a_car_that_hits_a_wall_and_manoeuvres_is_in_a_crash_until_it_drives_again() -> None:
+    at_the_wall = [(1.0, 0.2, 0.0), (2.0, 3.0, 1.0), (1.0, 6.0, -0.4)]
+    rows = driven(CRUISE, *at_the_wall, (1.0, 12.0, -1.0), CRUISE)
+    assert flagged(rows, "crash") == list(range(200, 240))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        pytest.param([CRUISE, (2.0, 0.0, 0.0)], id="an impact, at whose wall the recording ends"),
+        pytest.param([CRUISE, *[(0.2, 24 - 2 * i, 0.0) for i in range(12)], (2.0, 0.1, 0.9)], id="full lock"),
+    ],
+)
+def test_a_crash_is_told_by_its_impact_or_by_the_wheel(parts: list[tuple[float, float, float]]) -> None:
+    assert len(flagged(driven(*parts, CRUISE), "crash")) >= 20
+
+
+BRAKED = [(0.2, 24.0 - 2 * i, 0.0) for i in range(12)]
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        pytest.param([(3.0, 0.0, 1.0), (2.0, 5.0, 1.0), CRUISE], id="a start, whatever the wheel does"),
+        pytest.param([CRUISE, *BRAKED, (5.0, 0.0, 0.0), (1.0, 5.0, 0.2), CRUISE], id="a stop"),
+        pytest.param([CRUISE, *BRAKED[:10], (6.0, 4.0, 1.0), CRUISE], id="a hairpin"),
+        pytest.param([(60.0, 3.0, 0.3), (5.0, 10.0, -1.0), (3.0, 1.5, 1.0), (9.0, 5.0, 0.9)], id="slow always"),
+        pytest.param([CRUISE, (0.2, 0.0, 0.0), CRUISE], id="two rows without a speed"),
+        pytest.param([CRUISE, (5.0, math.nan, 1.0), CRUISE], id="an unknown speed"),
+        pytest.param([(30.0, 0.0, 1.0)], id="a car that never moves"),
+    ],
+)
+def test_what_is_no_crash(parts: list[tuple[float, float, float]]) -> None:
+    assert flagged(driven(*parts), "crash") == []
+
+
+@pytest.mark.parametrize("rate_hz", [2, 60])
+def test_a_crash_is_told_at_any_rate(rate_hz: int) -> None:
+    time_s = [i / rate_hz for i in range(30 * rate_hz)]
+    speed_mph = [24.0 if second < 20 or second >= 24 else 0.1 for second in time_s]
+    crash = flagged(states(time_s, speed_mph=speed_mph), "crash")
+    assert [time_s[crash[0]], time_s[crash[-1]]] == [20.0, 24 - 1 / rate_hz]
+
+
 numbers = st.floats(width=32) | st.sampled_from([0.0, -0.0, 1.0, math.inf, math.nan])
 
 

@@ -1,0 +1,142 @@
+"""What learns from people: recipes on recordings of people, on road and in recordings that no network has seen.
+
+python benchmarks/people.py FOLDER sessions/lake.mcap sessions/jungle.mcap ... [--across lake:other_lake ...]
+    [--recipes original people ...] [--seeds 0 1 2] [--epochs 6]
+
+For each recipe and seed: a network of all the logs' training blocks, measured on the blocks held out of each; and
+for each pair of --across, a network of the first session alone, measured on all of the second, and the other way
+round. Errors are shares of those of always predicting the mean of the very frames; with several seeds, their mean
+(least to most). FOLDER is kept: what it has already is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from dataset import IndexConfig, build_index
+from model import TrainConfig, train
+from model.evaluation.evaluate import evaluate, evaluate_sessions
+from model.metrics import Measures
+
+ORIGINAL: Final = IndexConfig.of("original"), TrainConfig.of("original")
+PEOPLE: Final = IndexConfig(), TrainConfig()
+
+RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
+    "original": ORIGINAL,
+    "original + labels": (PEOPLE[0], ORIGINAL[1]),
+    "original + answers": (ORIGINAL[0], replace(ORIGINAL[1], answers="natural")),
+    "original + averaged": (ORIGINAL[0], replace(ORIGINAL[1], average_steps=PEOPLE[1].average_steps)),
+    "original + keep rmse": (ORIGINAL[0], replace(ORIGINAL[1], keep="rmse")),
+    "original + keep last": (ORIGINAL[0], replace(ORIGINAL[1], keep="last")),
+    "people": PEOPLE,
+    "people, side 0.1": (replace(PEOPLE[0], side_correction=0.1), PEOPLE[1]),
+    "people, not balanced": (replace(PEOPLE[0], balance=False), PEOPLE[1]),
+}
+
+MEASURED: Final[Mapping[str, Callable[[Measures], float]]] = {
+    "RMSE": lambda found: found.network.rmse_deg / found.mean.rmse_deg,
+    "error on turns": lambda found: found.network.turning_mae_deg / found.mean.turning_mae_deg,
+    "correlation": lambda found: found.network.correlation,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("logs", type=Path, nargs="+")
+    parser.add_argument("--across", nargs="+", default=[], metavar="A:B", help="sessions of the same road")
+    parser.add_argument("--recipes", nargs="+", default=["original", "people"], choices=RECIPES)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--epochs", type=int, default=6)
+    arguments = parser.parse_args()
+    logs: dict[str, Path] = {log.stem: log.resolve() for log in arguments.logs}
+    pairs = [(here, there) for here, _, there in (pair.partition(":") for pair in arguments.across)]
+    if any(name not in logs for pair in pairs for name in pair):
+        parser.error(f"--across: two of the logs' names, such as {':'.join(list(logs)[:2])}")
+    parts: list[Part] = [Part("held-out blocks of ", tuple(logs.values()))]
+    for here, there in [*pairs, *((there, here) for here, there in pairs)]:
+        parts.append(Part(f"{here} -> ", (logs[here],), (logs[there],)))
+    found: dict[str, dict[str, list[dict[str, float]]]] = {}
+    for seed in arguments.seeds:
+        for part in parts:
+            for recipe in arguments.recipes:
+                measured = measures(arguments.folder, recipe, seed, arguments.epochs, part)
+                for session, values in measured.items():
+                    found.setdefault(part.heading + session, {}).setdefault(recipe, []).append(values)
+            print_table(found)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is learnt, and what it is measured on: other logs, or else the blocks that are held out."""
+
+    heading: str
+    learnt: tuple[Path, ...]
+    unseen: tuple[Path, ...] = ()
+
+
+def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> dict[str, dict[str, float]]:
+    """Train, and measure; by session."""
+    learnt, unseen = part.learnt, part.unseen
+    of_index, of_training = RECIPES[recipe]
+    name = "-".join([slug(recipe), *sorted(log.stem for log in learnt)])
+    result = folder / "results" / f"{name}-{epochs}-{seed}.json"
+    if not result.exists():
+        if unseen:  # nothing of the others is needed to choose an epoch, but something has to be held out
+            of_index = replace(of_index, validation_share=0.1)
+        index = build_index(list(learnt), folder / f"index-{name}", of_index).path
+        run = folder / "runs" / f"{name}-{epochs}-{seed}"
+        print(run.name, file=sys.stderr, flush=True)
+        config = replace(of_training, epochs=epochs, seed=seed)
+        train(index, run, config, resume=run.exists(), figures=False)
+        found = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
+        values = {session: values_of(measured) for session, measured in found.sessions.items()}
+        result.parent.mkdir(exist_ok=True)
+        unfinished = result.with_suffix(".part")
+        unfinished.write_text(json.dumps(values))
+        unfinished.rename(result)
+    return dict(json.loads(result.read_text()))
+
+
+def values_of(found: Measures) -> dict[str, float]:
+    return {name: value(found) for name, value in MEASURED.items()}
+
+
+def print_table(found: Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]) -> None:
+    print(f"\n| measured on | recipe | {' | '.join(MEASURED)} |")
+    print("|" + "---|" * (2 + len(MEASURED)))
+    recipes = list(dict.fromkeys(recipe for of_recipes in found.values() for recipe in of_recipes))
+    for session, of_recipes in found.items():
+        for recipe, seeds in of_recipes.items():
+            print(f"| {session} | {recipe} | {' | '.join(cells(seeds))} |")
+    for recipe in recipes:
+        seeds = [seed for of_recipes in found.values() for seed in of_recipes.get(recipe, ())]
+        means = {name: [mean(seed[name] for seed in seeds)] for name in MEASURED}
+        print(f"| all | {recipe} | {' | '.join(f'{value[0]:.2f}' for value in means.values())} |")
+    sys.stdout.flush()
+
+
+def cells(seeds: Sequence[Mapping[str, float]]) -> list[str]:
+    columns = [[seed[name] for seed in seeds] for name in MEASURED]
+    return [f"{mean(values):.2f} ({min(values):.2f} to {max(values):.2f})" for values in columns]
+
+
+def mean(values: Iterable[float]) -> float:
+    numbers = [value for value in values if not math.isnan(value)]
+    return statistics.fmean(numbers) if numbers else math.nan
+
+
+def slug(recipe: str) -> str:
+    return recipe.replace(" + ", "+").replace(", ", "-").replace(" ", "-")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""How each session of an index was steered, and so what is done to its labels.
+
+A lag that was measured in pictures is kept in `index/lags/SESSION.json`, so that it is measured once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from common import atomic_file
+from common.progress import track
+from dataset.config import IndexConfig
+from dataset.errors import index_write_errors
+from dataset.frames.distinct_rows import number_distinct
+from dataset.frames.frames_file import read_frames
+from dataset.index.build_state import BuiltLog
+from dataset.samples.samples_format import SessionLabels
+from recorder import Log
+from recorder.log.label_plan import AS_RECORDED, goes_by_lag, plan_labels
+from recorder.log.row_quality import States
+from recorder.log.steering_habits import SteeringHabits, SteeringLag, steering_habits
+from recorder.log.topics import VEHICLE_COLUMNS
+
+LAGS_FOLDER: Final = "lags"
+_MOST_BYTES: Final = 1 << 16
+
+
+def labels_of_sessions(
+    frames: Mapping[str, Path],
+    logs: Mapping[str, Path],
+    built: Mapping[str, BuiltLog],
+    index: Path,
+    config: IndexConfig,
+) -> dict[str, SessionLabels]:
+    """By session, from its frames file, its log, and what is known of that. Pictures are decoded of sessions only
+    whose labels may depend on them. Raises LogError or FramesError for a damaged file."""
+    habits = {name: habits_of_frames(file) for name, file in frames.items()}
+    is_asked = config.labels == "auto" and config.label_shift_s is None
+    asked = [name for name in frames if is_asked and goes_by_lag(habits[name], built[name].driven_by)]
+    lags = {name: _read_lag(index, name, built[name].fingerprint) for name in asked}
+    missing = [name for name in asked if lags[name] is None]
+    if missing:
+        from recorder.log.steering_lag import measure_lag  # OpenCV
+    for name in track(missing, "measuring the steering's lag", len(missing)):
+        with Log(logs[name]) as log:
+            lags[name] = _Stored(1, built[name].fingerprint, measure_lag(log))
+            _write_lag(index, name, lags[name])
+    return {name: _labels(config, habits[name], lags.get(name), built[name].driven_by) for name in frames}
+
+
+def _labels(config: IndexConfig, habits: SteeringHabits, known: _Stored | None, driver: str) -> SessionLabels:
+    lag = known.lag if known else None
+    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, lag, driver)
+    if config.label_smooth_s is not None:
+        plan = replace(plan, smooth_s=config.label_smooth_s, why=AS_RECORDED.why)
+    if config.label_shift_s is not None:
+        plan = replace(plan, shift_s=config.label_shift_s, why=AS_RECORDED.why)
+    return SessionLabels(habits, lag, plan)
+
+
+def habits_of_frames(file: Path) -> SteeringHabits:
+    """How the rows of a session that have pictures were steered. Raises FramesError for a damaged file."""
+    names = ("row", "log_time_ns", *VEHICLE_COLUMNS)
+    frames: pa.Table = read_frames(file, names)
+    columns = [frames[name].to_numpy() for name in names]
+    _, rows = number_distinct(columns[1], columns[0])
+    row, time_ns, *values = (column[rows] for column in columns)
+    return steering_habits(States(row.astype(np.int64), time_ns.astype(np.int64), *values))
+
+
+class _Stored(msgspec.Struct):
+    format: Literal[1]
+    fingerprint: str
+    lag: SteeringLag | None
+
+
+def _write_lag(index: Path, session: str, stored: _Stored | None) -> None:
+    path = _path(index, session)
+    with index_write_errors(path), atomic_file(path, overwrite=True) as part:
+        part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
+
+
+def _read_lag(index: Path, session: str, fingerprint: str) -> _Stored | None:
+    """What was measured in the log with this fingerprint; None if nothing was, or the file is damaged."""
+    path = _path(index, session)
+    try:
+        if path.is_symlink() or path.stat().st_size > _MOST_BYTES:
+            return None
+        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
+    except (OSError, ValueError, RecursionError):
+        return None
+    return stored if stored.fingerprint == fingerprint else None
+
+
+def _path(index: Path, session: str) -> Path:
+    return index / LAGS_FOLDER / f"{session}.json"

@@ -1,0 +1,101 @@
+"""The tables and lines that `bc-eval --compare` prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+from rich.table import Table
+
+from common.errors import counted, printable
+from common.output import print_message, print_result, print_table
+from model.evaluation.differences import CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
+from model.evaluation.run_comparison import BLOCK_S, Comparison
+
+if TYPE_CHECKING:
+    from drive.evaluation.drive_comparison import DriveComparison  # loads the server
+
+
+def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
+    """Print the table of a comparison on recorded frames, and what it says."""
+    length = f" of {BLOCK_S:g} s" if comparison.units == "blocks" else ""
+    units = f"{comparison.unit_count:,} {comparison.units}{length}"
+    title = f"{counted(len(comparison.unit), 'frame')} in {units}; errors in degrees"
+    print_table(_table(title, comparison.differences, names), "")
+    _print_verdict(overall(comparison.differences), comparison.differences, comparison.tolerance, comparison.units)
+    errors = comparison.a.measures
+    if errors.network.rmse_deg >= errors.mean.rmse_deg:
+        print_message(
+            f"bc-eval: A is no better here than always predicting the mean (RMSE {errors.mean.rmse_deg:.2f}): what"
+            " goes straight on might pass as well"
+        )
+
+
+def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) -> None:
+    """Print the tables of a comparison by driving, and what it says."""
+    drives = Table(title="each drive, A then B", title_justify="left", box=None, pad_edge=False)
+    for heading in ("track", "set mph", "interventions", "", "autonomy", "", "mean offset", ""):
+        drives.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
+    for a, b in zip(comparison.a, comparison.b, strict=True):
+        drives.add_row(
+            a.simulator.track,
+            f"{a.config.set_speed_mph:g}",
+            *(f"{each.report['interventions']:,}" for each in (a, b)),
+            *(f"{each.report['autonomy_percent']:.1f} %" for each in (a, b)),
+            *(f"{each.report['mean_offset']:.3f}" for each in (a, b)),
+        )
+    title = (
+        f"{counted(len(comparison.a), 'drive')}, {counted(comparison.stretches, 'stretch', 'stretches')} of road"
+    )
+    print_table(drives, "", _table(title, comparison.differences, names), "")
+    if comparison.gave_up:
+        print_result(f"B is worse: it did not get round {', '.join(comparison.gave_up)}, and A did")
+    else:
+        _print_verdict(comparison.verdict, comparison.differences, comparison.tolerance, "stretches of road")
+
+
+def _print_verdict(verdict: Verdict, differences: Sequence[Difference], tolerance: float, units: str) -> None:
+    """Print the line that tells whether B is worse, and by what."""
+    of = {
+        each: ", ".join(found.measure.heading for found in differences if found.verdict == each)
+        for each in ("worse", "better")
+    }
+    beyond = f", beyond the tolerance of {tolerance:.0%}" if tolerance else ""
+    if verdict == "worse":
+        print_result(f"B is worse than A: {of['worse']}{beyond}")
+    elif verdict == "better":
+        print_result(f"B is better than A: {of['better']}; it is not shown to be worse in anything{beyond}")
+    elif verdict == "not told apart":
+        print_result(f"B is not shown to be worse than A{beyond}")
+    else:
+        print_message(f"nothing can be said: at least {FEWEST_BLOCKS} {units} are needed", style="yellow")
+
+
+def _table(title: str, differences: Sequence[Difference], names: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    a, b = (escape(printable(name)) for name in names)
+    headings = ("", f"A: {a}", f"B: {b}", "B - A", f"{CONFIDENCE:.0%} of all", "B is")
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if 0 < number < len(headings) - 1 else "left")
+    for each in differences:
+        is_count = each.measure.name == "interventions"
+        digits = 0 if is_count else 3 if each.measure.scale == 1.0 else 2
+        table.add_row(
+            each.measure.heading,
+            _number(each.a, digits),
+            _number(each.b, digits),
+            _signed(each.b - each.a, digits),
+            "-" if math.isnan(each.low) else f"{_signed(each.low, digits)} .. {_signed(each.high, digits)}",
+            each.verdict,
+        )
+    return table
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _signed(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:+.{digits}f}"

@@ -1,0 +1,96 @@
+"""How much worse or better one network is than another, measure by measure, and whether that can be chance.
+
+The rule: B is worse than A if, for any measure, the whole confidence interval of the difference lies on the worse
+side, by more than the tolerance. The intervals of all measures hold together (Bonferroni: each is as much wider):
+however many measures there are, a B that is as good as A is called worse in one of forty comparisons at most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from model.evaluation.block_bootstrap import Floats, Statistic, intervals
+from model.runs.run_files import without_nan
+
+CONFIDENCE: Final = 0.95  # that the intervals of all measures hold, together
+TOLERANCE: Final = 0.02
+FEWEST_BLOCKS: Final = 6  # of fewer, an interval is a guess
+
+Verdict = Literal["worse", "better", "not told apart", "unknown"]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number that is compared."""
+
+    name: str  # in JSON
+    heading: str
+    is_error: bool = True  # less of it is better
+    scale: float | None = None  # the tolerance is a share of this; None: of A's own value
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One measure of A and B, and the confidence interval of B - A. What does not exist is NaN."""
+
+    measure: Measure
+    a: float
+    b: float
+    low: float
+    high: float
+    allowed: float  # B may be worse by so much: it does not matter
+
+    @property
+    def verdict(self) -> Verdict:
+        """Worse or better only if the whole interval is; worse only beyond what is allowed."""
+        best, worst = (self.low, self.high) if self.measure.is_error else (-self.high, -self.low)
+        if math.isnan(best) or math.isnan(worst):
+            return "unknown"
+        if best > self.allowed:
+            return "worse"
+        return "better" if worst < 0 else "not told apart"
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; what does not exist is None."""
+        numbers = {"a": self.a, "b": self.b, "difference": self.b - self.a, "low": self.low, "high": self.high}
+        found: dict[str, Any] = without_nan({**numbers, "allowed": self.allowed})
+        return {**found, "verdict": self.verdict}
+
+
+def compare_sums(
+    a: Floats, b: Floats, measures: Sequence[Measure], statistic: Statistic, tolerance: float
+) -> tuple[Difference, ...]:
+    """The difference in each measure, from the sums of each block of A and of B: (blocks, K) each, in the same
+    order. `statistic` gives the measures of such sums. The intervals of fewer than `FEWEST_BLOCKS` are NaN, unless
+    A and B are the same.
+    """
+    found_a, found_b = statistic(a.sum(axis=0)), statistic(b.sum(axis=0))
+    low = high = np.full(len(measures), math.nan)
+    if np.array_equal(a, b):  # of however few blocks: there is no difference that chance could have made
+        low = high = found_b - found_a
+    elif len(a) >= FEWEST_BLOCKS:
+        split = a.shape[1]
+        low, high = intervals(
+            np.hstack([a, b]),
+            lambda sums: statistic(sums[..., split:]) - statistic(sums[..., :split]),
+            1 - (1 - CONFIDENCE) / len(measures),
+        )
+    values = np.stack([found_a, found_b, low, high], axis=1).tolist()
+    return tuple(
+        Difference(
+            measure, of_a, of_b, low, high, tolerance * (abs(of_a) if measure.scale is None else measure.scale)
+        )
+        for measure, (of_a, of_b, low, high) in zip(measures, values, strict=True)
+    )
+
+
+def overall(differences: Sequence[Difference]) -> Verdict:
+    """B is worse if any measure is; better if one is and none is worse; unknown where nothing can be said."""
+    verdicts = {difference.verdict for difference in differences}
+    ranked: tuple[Verdict, ...] = ("worse", "better", "not told apart")
+    return next((verdict for verdict in ranked if verdict in verdicts), "unknown")

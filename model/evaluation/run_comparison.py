@@ -1,0 +1,141 @@
+"""Two runs compared on the same recorded frames.
+
+bc-eval --compare A B
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from dataset import MAX_STEERING_DEG
+from dataset.frames.split import block_numbers
+from dataset.steering_bins import bin_of
+from model.evaluation.block_bootstrap import Floats
+from model.evaluation.differences import CONFIDENCE, TOLERANCE, Difference, Measure, compare_sums, overall
+from model.evaluation.evaluate import Evaluation
+from model.metrics import BINS, TURNING
+from model.runs.run_folder import run_name
+
+BLOCK_S: Final = 5.0  # measured: what one second has to do with another is gone after 2 to 5 s
+MANY_SESSIONS: Final = 10  # these are drawn whole instead of blocks: sessions differ by more than blocks do
+
+MEASURES: Final = (
+    Measure("rmse_deg", "RMSE"),
+    Measure("turning_mae_deg", "MAE on turns"),
+    Measure("balanced_rmse_deg", "balanced RMSE"),
+    Measure("correlation", "correlation", is_error=False, scale=1.0),
+)
+"""Those of `model.metrics` that a network is judged by."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Predictions of two runs for the same frames, and how their errors differ."""
+
+    a: Evaluation
+    b: Evaluation
+    tolerance: float = TOLERANCE
+
+    @cached_property
+    def unit(self) -> NDArray[np.int64]:
+        """The block, or the session where there are many, that each frame is in: numbers from 0, (frames,)."""
+        session = self.a.frames["session"].combine_chunks().dictionary_encode()
+        number: NDArray[np.int64] = session.indices.to_numpy().astype(np.int64)
+        if self.units == "sessions":
+            return number
+        return blocks_of(number, self.a.frames["log_time_ns"].to_numpy())
+
+    @property
+    def units(self) -> str:
+        """What is drawn, and counted: blocks or sessions."""
+        return "sessions" if len(self.a.sessions) >= MANY_SESSIONS else "blocks"
+
+    @property
+    def unit_count(self) -> int:
+        return int(self.unit.max()) + 1
+
+    @cached_property
+    def differences(self) -> tuple[Difference, ...]:
+        a, b = (_sums(each.frames, self.unit) for each in (self.a, self.b))
+        return compare_sums(a, b, MEASURES, _measures, self.tolerance)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "a": run_name(self.a.run),
+            "b": run_name(self.b.run),
+            "learnt": {"a": self.a.trained_on, "b": self.b.trained_on},
+            "skipped": dict(self.a.skipped.counts),
+            "frames": len(self.unit),
+            self.units: self.unit_count,
+            "confidence": CONFIDENCE,
+            "tolerance": self.tolerance,
+            "measures": {each.measure.name: each.as_dict() for each in self.differences},
+            "verdict": overall(self.differences),
+        }
+
+
+def blocks_of(session: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The number of the block of `BLOCK_S` that each frame is in, from 0. Both are (frames,), in the order of the
+    recording. A block ends with its session, and where half of one is missing or a clock was set back."""
+    step_ns = np.diff(time_ns)
+    is_apart = (np.diff(session) != 0) | (step_ns < 0) | (step_ns > BLOCK_S / 2 * 1e9)
+    return block_numbers(time_ns, np.concatenate([[0], np.cumsum(is_apart)]), BLOCK_S)
+
+
+def _sums(frames: pa.Table, unit: NDArray[np.int64]) -> Floats:
+    """The sums of each block that the measures are functions of: (blocks, K), as `_measures` takes them apart."""
+    predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
+    off_deg = MAX_STEERING_DEG * (predicted - recorded)
+    is_turning = np.abs(recorded) > TURNING
+    in_bin = bin_of(np.round(recorded, 6), BINS)[:, None] == np.arange(BINS)  # rounded as in model.metrics
+    per_frame = np.column_stack(
+        [
+            np.ones(len(recorded)),
+            np.square(off_deg),
+            is_turning,
+            np.abs(off_deg) * is_turning,
+            predicted,
+            recorded,
+            np.square(predicted),
+            np.square(recorded),
+            predicted * recorded,
+            in_bin,
+            in_bin * np.square(off_deg)[:, None],
+        ]
+    )
+    sums = np.zeros((int(unit.max()) + 1, per_frame.shape[1]))
+    np.add.at(sums, unit, per_frame)
+    return sums
+
+
+def _measures(sums: Floats) -> Floats:
+    """`MEASURES` of such sums, (..., K) to (..., 4); NaN where there are no such frames.
+
+    A network that answers the same to everything has the correlation 0 here: it is worse than any that follows the
+    road. Where the recorded steering is constant there is none.
+    """
+    count, squares, turns, turn_errors, p, r, pp, rr, pr = np.moveaxis(sums[..., :9], -1, 0)
+    in_bin, bin_squares = sums[..., 9 : 9 + BINS], sums[..., 9 + BINS :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bin_means = np.where(in_bin > 0, bin_squares / in_bin, 0.0)
+        covariance, variance_p, variance_r = pr - p * r / count, pp - p * p / count, rr - r * r / count
+        correlation = covariance / np.sqrt(variance_p * variance_r)
+        rounding = 1e-12 * count  # of sums of squares of at most 1
+        correlation = np.where(variance_p > rounding, correlation, 0.0)
+        correlation = np.where(variance_r > rounding, correlation, np.nan)
+        return np.stack(
+            [
+                np.sqrt(squares / count),
+                turn_errors / turns,
+                np.sqrt(bin_means.sum(axis=-1) / (in_bin > 0).sum(axis=-1)),
+                correlation,
+            ],
+            axis=-1,
+        )

@@ -1,0 +1,206 @@
+"""What an index makes of the labels of each session by itself, and how it says so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from common.stored_settings import settings_from
+from dataset import IndexConfig, Indexed, Samples, build_index
+from dataset.cli import main
+from logs import write_log
+from panorama import hand, views, write_drive
+from recorder import Log
+from recorder.log.tags import Tag, add_tag
+from udacity import call
+
+ROWS = 650  # of 65 s
+NO_PICTURES = [f"{row}".encode() for row in range(ROWS)]
+
+
+def keys(at_s: np.ndarray) -> np.ndarray:
+    """A key for half of each second, left and right."""
+    return np.asarray(np.where(at_s % 1 < 0.5, np.where(at_s % 2 < 1, 0.6, -0.6), 0.0))
+
+
+def indexed(folder: Path, *logs: Path, **settings: Any) -> Indexed:
+    config: Any = {"flip": False, "balance": False, "block_s": 5.0, "gap_s": 0.0, **settings}
+    return build_index(logs, folder / "index", IndexConfig(**config))
+
+
+def label_and_recorded(indexed: Indexed) -> tuple[np.ndarray, np.ndarray]:
+    samples = indexed.samples
+    return samples["label"].to_numpy(), samples["recorded"].to_numpy()
+
+
+def metadata(indexed: Indexed) -> dict[str, Any]:
+    stored: dict[str, Any] = json.loads(pq.read_schema(indexed.path / "samples.parquet").metadata[b"bc.index"])
+    return stored
+
+
+def test_keys_are_learnt_as_with_the_flags_that_suit_them(tmp_path: Path) -> None:
+    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys)
+    automatic = indexed(tmp_path, log)
+    label, recorded = label_and_recorded(automatic)
+    assert not np.array_equal(label, recorded)
+    plan = metadata(automatic)["labels"]["a"]["plan"]
+    assert (plan["smooth_s"], plan["shift_s"], plan["without_crashes"]) == (0.5, 0.2, True)
+    given = indexed(tmp_path, log, labels="as-recorded", label_smooth_s=0.5, label_shift_s=0.2)
+    assert automatic.samples.equals(given.samples)
+
+
+def test_as_recorded_is_as_it_was_driven(tmp_path: Path) -> None:
+    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys)
+    label, recorded = label_and_recorded(indexed(tmp_path, log, labels="as-recorded"))
+    assert label.tolist() == recorded.tolist() == np.float64(keys(np.arange(ROWS) / 10)).tolist()
+
+
+def test_seconds_that_are_given_hold_for_every_session(tmp_path: Path) -> None:
+    logs = [
+        write_drive(tmp_path / "a.mcap", NO_PICTURES, keys),
+        write_drive(tmp_path / "b.mcap", NO_PICTURES[::-1], driver="expert"),
+    ]
+    plans = metadata(indexed(tmp_path, *logs, label_shift_s=0.4))["labels"]
+    assert [(plans[name]["plan"]["smooth_s"], plans[name]["plan"]["shift_s"]) for name in "ab"] == [
+        (0.5, 0.4),
+        (0.0, 0.4),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("late_s", "shift_s"), [(0.0, 0.0), (0.3, 0.4), (-0.3, 0.0), (-0.7, -0.6)], ids=lambda value: f"{value} s"
+)
+def test_a_smooth_hand_is_learnt_as_recorded_unless_its_record_is_late_or_early(
+    late_s: float, shift_s: float, tmp_path: Path
+) -> None:
+    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - late_s))
+    index = indexed(tmp_path, log)
+    plan = metadata(index)["labels"]["a"]["plan"]
+    assert plan["smooth_s"] == 0
+    assert plan["shift_s"] == pytest.approx(shift_s, abs=0.051)
+    label, recorded = label_and_recorded(index)
+    assert np.array_equal(label, recorded) == (shift_s == 0)
+
+
+def test_the_built_in_expert_is_learnt_as_recorded_whatever_it_did_and_no_picture_is_looked_at(
+    tmp_path: Path,
+) -> None:
+    """Its pictures would say that it is late; and no rows are left out."""
+    speed = lambda at_s: np.where((at_s > 30) & (at_s < 35), 0.1, 20.0)  # noqa: E731
+    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - 0.5), speed, driver="expert")
+    automatic = indexed(tmp_path, log)
+    stored = metadata(automatic)
+    assert stored["labels"]["a"]["lag"] is None
+    assert not (tmp_path / "index" / "lags").exists()
+    as_recorded = indexed(tmp_path, log, labels="as-recorded")
+    assert automatic.samples.equals(as_recorded.samples)
+    assert metadata(as_recorded)["balance"] == stored["balance"]
+
+
+def test_pictures_are_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - 0.3))
+    first = metadata(indexed(tmp_path, log))["labels"]
+    kept = tmp_path / "index" / "lags" / "a.json"
+    stored = json.loads(kept.read_text())
+    stored["lag"]["lag_s"] = 0.55  # what is kept is believed, for the log that it was measured in
+    kept.write_text(json.dumps(stored))
+    again = metadata(indexed(tmp_path, log, seed=7))["labels"]
+    assert (first["a"]["plan"]["shift_s"], again["a"]["plan"]["shift_s"]) == (pytest.approx(0.4, abs=0.051), 0.65)
+    for damaged in ("{", json.dumps(stored | {"fingerprint": "another"}), json.dumps(stored | {"lag": 3})):
+        kept.write_text(damaged)
+        assert metadata(indexed(tmp_path, log, seed=len(damaged)))["labels"] == first
+
+
+def crashing(at_s: np.ndarray) -> np.ndarray:
+    """At 30 s and at 50 s the car hits something, and needs four seconds to get away."""
+    return np.asarray(np.where((at_s % 20 >= 10) & (at_s % 20 < 14) & (at_s > 29), 0.2, 25.0))
+
+
+def test_crashes_are_not_learnt_but_measured_and_no_label_depends_on_them(tmp_path: Path) -> None:
+    at_the_wall = lambda at_s: np.where(crashing(at_s) < 1, 1.0, keys(at_s))  # noqa: E731
+    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, at_the_wall, crashing)
+    crash = {*range(300, 340), *range(500, 540)}
+    # the second one is held out: blocks of 5 s, chosen by the session's name
+    learnt = indexed(tmp_path, log, validation_share=0.5, seed=1)
+    frames = learnt.frames.to_pylist()
+    assert {row["row"] for row in frames if "crash" in row["flags"]} == crash
+    split = {row["row"]: row["split"] for row in frames}
+    assert {split[row] for row in crash} == {"train", "validation"}
+    samples = {row["row"]: row for row in learnt.samples.to_pylist()}
+    assert not {row for row in crash if split[row] == "train"} & samples.keys()
+    assert {row for row in crash if split[row] == "validation" and row + 2 in crash} <= samples.keys()
+    assert max(abs(row["label"]) for row in samples.values() if row["row"] not in crash) <= 0.6 + 1e-9
+    assert learnt.counts["a"].crashed == sum(split[row] == "train" for row in crash)
+    everything = indexed(tmp_path, log, validation_share=0.5, seed=1, labels="as-recorded")
+    assert {row["row"] for row in everything.samples.to_pylist()} == set(range(ROWS))
+    assert everything.counts["a"].crashed == 0
+
+
+def test_an_index_of_an_earlier_version_is_read_as_recorded_and_rebuilt(tmp_path: Path) -> None:
+    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys)
+    index = indexed(tmp_path, log, labels="as-recorded")
+    before = index.samples
+    file = index.path / "samples.parquet"
+    stored = metadata(index)
+    settings = stored["settings"]
+    del settings["labels"], stored["labels"], stored["counts"]["a"]["crashed"]
+    settings |= {"label_smooth_s": 0.0, "label_shift_s": 0.0}
+    pq.write_table(before.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
+    with Samples(index.path) as samples:
+        assert samples.table.equals(before)
+    config = settings_from(IndexConfig, settings)
+    assert (config.labels, config.label_smooth_s, config.label_shift_s) == ("as-recorded", 0, 0)
+    assert build_index([log], tmp_path / "again", config).samples.equals(before)
+    assert not indexed(tmp_path, log).samples.equals(before)
+    assert metadata(index)["settings"]["labels"] == "auto"
+
+
+# What is said of it
+
+
+def test_the_command_says_how_each_session_was_steered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    write_drive(folder / "keyboard.mcap", NO_PICTURES, keys)
+    write_drive(folder / "late.mcap", views(ROWS), lambda at_s: hand(at_s - 0.3))
+    write_log(folder / "short.mcap", [0.1, 0.2] * 30)
+    write_drive(folder / "mirrored.mcap", views(ROWS)[1:], lambda at_s: -hand(at_s + 0.1))
+    for _ in ("built", "found built"):
+        assert call(main, "--sessions", folder, "--index", tmp_path / "index") == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert "keyboard keys 50% 65 x 0.5 s 10.0" in said
+        for word in ("mean of 0.5 s", "is 0.4 s late", "too short to tell", "is left right?"):
+            assert word in said
+
+
+def test_nothing_comes_out_of_no_steering(tmp_path: Path) -> None:
+    """Of sessions that nobody steered, or in another scale, what is recorded is learnt, or nothing is."""
+    wheels: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "never": np.zeros_like,
+        "constant": lambda at_s: np.full_like(at_s, 0.25),
+        "tiny": lambda at_s: hand(at_s) / 100,
+        "degrees": lambda at_s: 25 * hand(at_s),
+    }
+    logs = [
+        write_drive(tmp_path / f"{name}.mcap", [f"{name} {row}".encode() for row in range(ROWS)], wheel)
+        for name, wheel in wheels.items()
+    ]
+    index = indexed(tmp_path, *logs)
+    label, recorded = label_and_recorded(index)
+    assert label.tolist() == recorded.tolist()
+    kinds = {name: of["habits"]["kind"] for name, of in metadata(index)["labels"].items()}
+    assert kinds == {"never": "none", "constant": "constant", "tiny": "other scale", "degrees": "other scale"}
+
+
+def test_a_tagged_crash_stays_out_as_before(tmp_path: Path) -> None:
+    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys, crashing)
+    with Log(log) as opened:
+        add_tag(log, opened.fingerprint, Tag(300, 320, "exclude"))
+    counts = indexed(tmp_path, log, validation_share=0.0).counts["a"]
+    assert (counts.excluded, counts.crashed) == (21, 59)

@@ -1,0 +1,90 @@
+"""Runs the Python code that forked.py sends it, each in a fork of this process, which has loaded what takes long.
+
+A program of its own: it begins no thread and runs nothing but imports, so that a fork of it is as good as a start.
+Its standard input is a connection on which each request comes, as JSON with four open files: the new process's
+standard streams, and a socket that is told its number and then its status as `os.waitpid` gives it.
+"""
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import selectors
+import signal
+import socket
+import sys
+import warnings
+from typing import Any
+
+LOADED = (
+    *("torch", "cv2", "pyarrow.compute", "pyarrow.parquet", "tyro", "rich.progress"),
+    *("model.cli", "model.pilot", "model.training.trainer", "dataset.cli", "drive.cli"),
+)
+LOADED_IF_INSTALLED = ("pandas", "matplotlib.figure", "matplotlib.backends.backend_agg")  # by pyarrow; for figures
+
+
+def serve() -> dict[str, Any]:
+    """Fork for each request; return in each fork, with the request. The server itself ends with the connection."""
+    connection = socket.socket(fileno=os.dup(0))
+    ended, wake = socket.socketpair()
+    for end in (ended, wake):
+        end.setblocking(False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wake.fileno())
+    told: dict[int, socket.socket] = {}
+    selector = selectors.DefaultSelector()
+    for socket_read in (connection, ended):
+        selector.register(socket_read, selectors.EVENT_READ)
+    while True:
+        for key, _ in selector.select():
+            if key.fileobj is ended:
+                ended.recv(4096)
+                tell_ended(told)
+                continue
+            sent, files, _, _ = socket.recv_fds(connection, 1 << 20, 4)
+            if not sent:
+                os._exit(0)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # jemalloc's thread minds no fork
+                process = os.fork()
+            if process:
+                for file in files[:3]:
+                    os.close(file)
+                told[process] = socket.socket(fileno=files[3])
+                told[process].send(b"%d\n" % process)
+                continue
+            signal.set_wakeup_fd(-1)
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+            selector.close()
+            for other in (connection, ended, wake, *told.values()):
+                other.close()
+            for number, file in enumerate(files[:3]):
+                os.dup2(file, number)
+            for file in files:
+                os.close(file)
+            request: dict[str, Any] = json.loads(sent)
+            return request
+
+
+def tell_ended(told: dict[int, socket.socket]) -> None:
+    while told:
+        process, status = os.waitpid(-1, os.WNOHANG)
+        if not process:
+            return
+        with told.pop(process) as answer, contextlib.suppress(OSError):  # nobody waits for it any more
+            answer.send(b"%d\n" % status)
+
+
+for name in LOADED:
+    importlib.import_module(name)
+for name in LOADED_IF_INSTALLED:
+    with contextlib.suppress(ImportError):
+        importlib.import_module(name)
+gc.freeze()  # else each fork looks through all of it once more at its end
+request = serve()
+os.chdir(request["cwd"])
+os.environ.clear()
+os.environ.update(request["environment"])
+sys.argv[1:] = request["arguments"]
+exec(compile(request["code"], "<string>", "exec"), {"__name__": "__main__"})

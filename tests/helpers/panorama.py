@@ -1,0 +1,55 @@
+"""A car that turns on the spot within a panorama: what its wheel did, its pictures show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from logs import START_NS
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+
+RATE_HZ = 10.0
+Seconds = NDArray[np.float64]
+
+
+def hand(at_s: Seconds) -> Seconds:
+    """The wheel at these times: turned all the time, never twice the same way."""
+    return np.asarray(0.25 * np.sin(at_s * 1.3) + 0.2 * np.sin(at_s * 0.71 + 1) + 0.15 * np.sin(at_s * 2.9 + 2))
+
+
+@cache
+def views(rows: int) -> list[bytes]:
+    """The JPEG at each row, (80, 160): the car turns by 60 columns a second at full lock."""
+    noise = np.random.default_rng(0).uniform(-1, 1, (80, 900))
+    far = np.clip(128 + 300 * cv2.GaussianBlur(noise, (0, 0), 1.5), 0, 255).astype(np.float32)
+    step_s = 0.01
+    heading = np.cumsum(hand(np.arange(0, rows / RATE_HZ, step_s))) * step_s * 60
+    at = (np.arange(rows) / RATE_HZ / step_s).round().astype(int)
+    shown = [cv2.getRectSubPix(far, (160, 80), (450 + float(heading[i]), 40.0)).astype(np.uint8) for i in at]
+    return [cv2.imencode(".jpg", picture)[1].tobytes() for picture in shown]
+
+
+def write_drive(
+    path: Path,
+    pictures: list[bytes],
+    wheel: Callable[[Seconds], Seconds] = hand,
+    speed_mph: Callable[[Seconds], Seconds] | float = 15.0,
+    **about: str,
+) -> Path:
+    """A log of these pictures in which the wheel is noted to have stood so; `about` is its metadata."""
+    at_s = np.arange(len(pictures)) / RATE_HZ
+    steering = wheel(at_s)
+    speed = speed_mph(at_s) if callable(speed_mph) else np.full(len(at_s), speed_mph)
+    with LogWriter(path, {"source": "test", **about}) as writer:
+        for row, picture in enumerate(pictures):
+            time_ns = START_NS + round(row * 1e9 / RATE_HZ)
+            state = VehicleState(steering=float(steering[row]), throttle=0.5, speed_mph=float(speed[row]))
+            writer.picture("center", time_ns, row, picture)
+            writer.vehicle(time_ns, row, state)
+    return path

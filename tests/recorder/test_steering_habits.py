@@ -1,0 +1,183 @@
+"""How a session was steered: each figure on rows whose answer is known, and whatever a log may hold."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import START_NS, write_log
+from recorder.log.label_plan import plan_labels
+from recorder.log.row_quality import States
+from recorder.log.steering_habits import SteeringHabits, steering_habits
+from recorder.log_cli import main
+from udacity import call
+
+
+def rows_of(steering: Sequence[float], rate_hz: float = 10.0, time_s: Sequence[float] | None = None) -> States:
+    time_ns = START_NS + np.round(
+        np.array(time_s if time_s is not None else np.arange(len(steering)) / rate_hz) * 1e9
+    ).astype(np.int64)
+    every = np.ones(len(steering))
+    return States(np.arange(len(steering)), time_ns, np.array(steering, np.float64), every, 0 * every, 9 * every)
+
+
+def keys(seconds: float, rate_hz: float = 10.0) -> list[float]:
+    """Every two seconds a key is pressed: the wheel ramps up in 0.3 s at 3 of full lock a second, and back."""
+    at = np.arange(round(seconds * rate_hz)) / rate_hz
+    side = np.where((at // 2) % 2 == 0, 1.0, -1.0)
+    return list(side * np.clip(np.minimum(at % 2, 0.6 - at % 2) * 3, 0, 1).round(9))
+
+
+def hand(seconds: float, rate_hz: float = 10.0) -> list[float]:
+    """A wheel that is turned all the time."""
+    at = np.arange(round(seconds * rate_hz)) / rate_hz
+    return list(0.3 * np.sin(at) + 0.2 * np.sin(0.37 * at + 1) + 0.01)
+
+
+def test_the_figures_of_a_keyboard() -> None:
+    found = steering_habits(rows_of(keys(100)))
+    assert (found.kind, found.keys, found.rows) == ("steps", True, 1000)
+    assert found.rate_hz == pytest.approx(10)
+    # 0.1 to 0.5 s of each 2 s: five of twenty rows
+    assert (found.zeros, found.presses) == (0.75, 50)
+    assert found.press_s == pytest.approx(0.5)
+    assert (found.left, found.right) == (0.125, 0.125)
+    assert found.values == 7  # 0, and three to each side
+    assert found.spread_deg == pytest.approx(25 * np.std(keys(100)))
+    assert found.largest_deg == pytest.approx(25 * 0.9)
+
+
+def test_a_hand_at_the_wheel_is_smooth() -> None:
+    found = steering_habits(rows_of(hand(100)))
+    assert (found.kind, found.keys) == ("smooth", False)
+    assert found.ceiling[1] is not None
+    assert found.ceiling[1] > 0.99
+
+
+def test_the_ceiling_is_the_correlation_with_the_neighbours_of_the_same_drive() -> None:
+    """Beside one that is computed row by row; one row is alone."""
+    steering = np.random.default_rng(0).uniform(-1, 1, 200).cumsum() % 1
+    time_s = np.sort(np.random.default_rng(1).uniform(0, 25, 200))
+    time_s[100:] += 2.5
+    time_s[150] += 1000
+    time_s[151:] += 2000
+    found = steering_habits(rows_of(list(steering), time_s=list(time_s)))
+    gaps = np.concatenate([[0], np.cumsum((np.diff(time_s) > 1) | (np.diff(time_s) < 0))])
+    for width_s, ceiling in zip((0.25, 0.5, 1.0), found.ceiling, strict=True):
+        pairs = []
+        for i in range(200):
+            near = [
+                steering[j]
+                for j in range(200)
+                if j != i and gaps[j] == gaps[i] and abs(time_s[j] - time_s[i]) <= width_s / 2
+            ]
+            pairs += [(steering[i], np.mean(near))] if near else []
+        assert ceiling == pytest.approx(np.corrcoef(np.array(pairs).T)[0, 1], abs=1e-6)
+
+
+ODD: dict[str, tuple[Callable[[], States], str, str]] = {
+    "no rows": (lambda: rows_of([]), "none", "no steering"),
+    "never steered": (lambda: rows_of([0.0] * 1000), "none", "no steering"),
+    "constant": (lambda: rows_of([0.25] * 1000), "constant", "constant"),
+    "seconds only": (lambda: rows_of(keys(5)), "too short", "too short"),
+    "one row": (lambda: rows_of([0.3]), "constant", "constant"),
+    "tiny": (lambda: rows_of([0.01 * value for value in hand(100)]), "other scale", "scale"),
+    "degrees": (lambda: rows_of([25 * value for value in hand(100)]), "other scale", "scale"),
+    "no numbers": (lambda: rows_of([math.nan] * 1000), "other scale", "scale"),
+    "2 Hz": (lambda: rows_of(keys(200, 2), 2), "steps", "rows a second"),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_a_session_that_tells_nothing_is_named_and_learnt_as_recorded(name: str) -> None:
+    make, kind, why = ODD[name]
+    habits = steering_habits(make())
+    plan = plan_labels(habits, None)
+    assert (habits.kind, plan.smooth_s, plan.shift_s) == (kind, 0, 0)
+    assert why in plan.why
+    json.dumps(asdict(habits), allow_nan=False)
+
+
+def test_one_direction_only_is_told() -> None:
+    found = steering_habits(rows_of([abs(value) for value in keys(100)]))
+    assert (found.kind, found.left, found.right) == ("steps", 0.0, 0.25)
+
+
+@pytest.mark.parametrize("rate_hz", [5, 15, 60])
+def test_keys_are_keys_at_any_rate(rate_hz: int) -> None:
+    found = steering_habits(rows_of(keys(100, rate_hz), rate_hz))
+    assert (found.kind, found.keys) == ("steps", True)
+    assert found.press_s == pytest.approx(0.6, abs=0.21)
+
+
+def test_times_that_jump_do_not_count() -> None:
+    """Half of the rows lie years later, and then again before all others; some have the same time."""
+    time_s = np.arange(1000) / 10
+    time_s[300:] += 1e8
+    time_s[600:] -= 1.5e8
+    time_s[800:] -= 0.1
+    found, plain = (steering_habits(rows_of(keys(100), time_s=at)) for at in (list(time_s), None))
+    assert found.driven_s == pytest.approx(99.6)  # 99.9, and three steps less
+    assert (found.kind, found.zeros) == (plain.kind, plain.zeros)
+    assert found.rate_hz == pytest.approx(10)
+
+
+numbers = st.floats() | st.sampled_from([0.0, 1.0, -1.0, math.inf, math.nan])
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**63 - 1), numbers, numbers), max_size=12))
+def test_whatever_a_log_holds_something_is_told(rows: list[tuple[int, float, float]]) -> None:
+    time_ns, steering, speed = zip(*rows, strict=True) if rows else ((), (), ())
+    zero = np.zeros(len(rows))
+    states = States(
+        np.arange(len(rows)), np.array(time_ns, np.int64), np.array(steering), zero, zero, np.array(speed)
+    )
+    json.dumps(asdict(steering_habits(states)), allow_nan=False)
+
+
+# In a log
+
+
+def info_of(path: Path, capsys: pytest.CaptureFixture[str], *flags: str) -> dict[str, Any]:
+    assert call(main, "info", path, "--json", *flags) == 0
+    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return told
+
+
+def test_info_says_how_a_log_was_steered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_log(tmp_path / "a.mcap", keys(70), cameras=("center",))
+    told = info_of(path, capsys)
+    expected = json.loads(json.dumps(asdict(steering_habits(rows_of(keys(70))))))
+    assert told["steering"] == expected
+    assert (told["lag"], told["labels"]) == (None, "mean of 0.5 s, 0.2 s later")
+    assert info_of(path, capsys, "--look") == told  # its pictures are none
+    assert call(main, "info", path) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "steered: keys; 75% zeros" in printed
+    assert "labels: mean of 0.5 s, 0.2 s later" in printed
+
+
+def test_a_log_that_does_not_say_it_is_asked_for_its_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those of earlier versions, and whatever somebody else has written there."""
+    new = info_of(write_log(tmp_path / "new.mcap", keys(70)), capsys)["steering"]
+    for number, noted in enumerate(("", "[]", '{"kind": "steps"}', "\\ud800")):
+        monkeypatch.setattr("recorder.log.writer.json.dumps", lambda *_, said=noted, **__: said)
+        path = write_log(tmp_path / f"old{number}.mcap", keys(70))
+        monkeypatch.undo()
+        assert info_of(path, capsys)["steering"] == new
+
+
+def test_habits_are_told_without_a_row() -> None:
+    nothing: SteeringHabits = steering_habits(rows_of([]))
+    assert (nothing.rows, nothing.rate_hz, nothing.zeros, nothing.ceiling) == (0, None, None, (None, None, None))

@@ -1,0 +1,61 @@
+"""The lag of steering, measured in pictures of a panorama that turns as the wheel did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from panorama import hand, views, write_drive
+from recorder import Log
+from recorder.log.steering_habits import SteeringLag
+from recorder.log.steering_lag import measure_lag
+
+ROWS = 420
+
+
+def lag_of(path: Path) -> SteeringLag | None:
+    with Log(path) as log:
+        return measure_lag(log)
+
+
+@pytest.mark.parametrize("late_s", [-0.5, -0.2, 0.0, 0.1, 0.3, 0.6])
+def test_steering_that_was_recorded_late_or_early_is_found_out(late_s: float, tmp_path: Path) -> None:
+    found = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - late_s)))
+    assert found is not None
+    assert found.lag_s == pytest.approx(late_s, abs=0.051)
+    assert found.correlation > 0.9
+    assert found.pictures == ROWS
+
+
+def test_pictures_that_turn_the_other_way_are_told(tmp_path: Path) -> None:
+    found = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: -hand(at_s - 0.2)))
+    assert found is not None
+    assert found.lag_s == pytest.approx(0.2, abs=0.051)
+    assert found.correlation < -0.9
+
+
+def test_an_unknown_speed_does_not_matter(tmp_path: Path) -> None:
+    found = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), speed_mph=float("nan")))
+    assert found is not None
+    assert found.lag_s == pytest.approx(0, abs=0.051)
+
+
+def test_what_tells_nothing_is_no_lag(tmp_path: Path) -> None:
+    pictures = views(ROWS)
+    assert lag_of(write_drive(tmp_path / "short.mcap", pictures[:150])) is None
+    assert lag_of(write_drive(tmp_path / "slow.mcap", pictures, speed_mph=2.0)) is None
+    assert lag_of(write_drive(tmp_path / "still.mcap", pictures[:1] * ROWS)) is None
+    assert lag_of(write_drive(tmp_path / "broken.mcap", [b"no picture"] * ROWS)) is None
+    assert lag_of(write_drive(tmp_path / "straight.mcap", pictures, np.zeros_like)) is None
+    someone_else = np.random.default_rng(3).uniform(-1, 1, ROWS)
+    assert lag_of(write_drive(tmp_path / "other.mcap", pictures, lambda at_s: someone_else)) is None
+
+
+def test_a_picture_that_does_not_decode_is_passed_over(tmp_path: Path) -> None:
+    some = [picture if row % 9 else b"\xff\xd8 broken" for row, picture in enumerate(views(ROWS))]
+    found = lag_of(write_drive(tmp_path / "a.mcap", some))
+    assert found is not None
+    assert found.lag_s == pytest.approx(0, abs=0.051)
+    assert found.pictures < ROWS

@@ -1,0 +1,58 @@
+"""Commands that tests fork (tests/helpers/forked.py) are told of as those that are started."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from driving import PATIENCE_S, SERVER, environment
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="commands are forked so on Linux")
+BEGIN = "import os, signal, sys; print(os.getcwd(), sys.argv, os.environ['COLUMNS'], sys.stdin.read(), __name__)\n"
+
+
+@pytest.mark.parametrize(
+    ("end", "code"),
+    [
+        ("", 0),
+        ("sys.exit(3)", 3),
+        ("sys.exit('why')", 1),
+        ("import atexit; atexit.register(print, 'last')", 0),
+        ("raise KeyboardInterrupt", -signal.SIGINT),
+        ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL),
+        ("1 / 0", 1),
+        ("print([int(name) for name in os.listdir('/proc/self/fd')][:3], file=sys.stderr)", 0),
+        ("print([signal.getsignal(name) for name in signal.Signals])", 0),
+    ],
+)
+def test_a_fork_ends_as_a_start_does(end: str, code: int, tmp_path: Path) -> None:
+    found = environment() | {"PYTHONUNBUFFERED": "1"}
+    line = [sys.executable, "-c", BEGIN + end, "a", "b c"]
+    pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
+    done = subprocess.run(
+        line, cwd=tmp_path, env=found, stdin=nothing, stdout=pipe, stderr=pipe, text=True, check=False
+    )
+    fork = SERVER.start(BEGIN + end, ["a", "b c"], tmp_path, found)
+    with fork.stdout, fork.stderr:
+        stdout, stderr = fork.stdout.read(), fork.stderr.read()
+    assert (fork.wait(PATIENCE_S), stdout) == (done.returncode, done.stdout)
+    assert done.returncode == code
+    assert stderr.splitlines()[-1:] == done.stderr.splitlines()[-1:]
+
+
+def test_a_fork_is_stopped_as_a_start_is() -> None:
+    fork = SERVER.start("import time; print('begun', flush=True); time.sleep(600)", [], None, environment())
+    with fork.stdout, fork.stderr:
+        assert fork.stdout.readline() == "begun\n"
+        assert fork.poll() is None
+        fork.send_signal(signal.SIGINT)
+        assert fork.wait(PATIENCE_S) == -signal.SIGINT
+        assert fork.stderr.read().endswith("KeyboardInterrupt\n")
+
+
+def test_another_environment_is_not_that_of_the_forks() -> None:
+    assert not SERVER.can_start(environment() | {"OMP_NUM_THREADS": "2"})
