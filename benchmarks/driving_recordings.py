@@ -93,7 +93,9 @@ def report(lines: Sequence[dict[str, Any]]) -> None:
 
 
 def spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """The correlation of ranks; equal values share the mean of theirs."""
+    """The correlation of ranks; equal values share the mean of theirs. NaN where all are equal."""
+    if np.ptp(first) == 0 or np.ptp(second) == 0:
+        return float("nan")
     return float(np.corrcoef(ranks(first), ranks(second))[0, 1])
 
 

@@ -82,8 +82,7 @@ def main() -> None:
 
 def moments(log: Log, count: int = MOMENTS) -> list[Moment]:
     """Pictures of all cameras at rows spread over what can be driven of a log."""
-    vehicle = log.vehicle()
-    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+    states = States.of(log.vehicle())
     can_be = stretches_to_drive(states, np.ones(len(states.row), np.bool_))
     rows = np.concatenate([states.row[each.first : each.end] for each in can_be])
     chosen = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)].tolist()
@@ -170,9 +169,8 @@ def errors(
 def line(path: Path) -> None:
     """The line by steering and speed against the log's poses, from many places of the log on."""
     with Log(path) as log:
-        geometry, vehicle = geometry_of(log), log.vehicle()
+        geometry, states = geometry_of(log), States.of(log.vehicle())
         poses = {m.sequence: pose for m, pose in log.decoded("/pose")}
-    states = States(*(vehicle[name].to_numpy() for name in vehicle.column_names))
     x, y, heading = (np.array([place(poses[row])[k] for row in states.row.tolist()]) for k in range(3))
     for seconds in (1, 2, 4):
         found = []

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
 from recorder.log.car_geometry import CarGeometry
-from recorder.log.row_quality import GAP_S, SPEED_RANGE_MPH, States
+from recorder.log.row_quality import GAP_S, States, row_flags
 
 MPS_PER_MPH: Final = 0.44704
 SLOW_MPH: Final = 5.0
@@ -42,17 +42,14 @@ def stretches_to_drive(states: States, has_picture: NDArray[np.bool_]) -> list[D
     """The stretches of a log's rows between its borders.
 
     Borders are gaps in time, time that goes backwards, rows without a picture or with numbers that cannot be, rows
-    slower than `SLOW_MPH`, and the second before and after the car hits something. What is shorter than
-    `SHORTEST_S` is left out.
+    slower than `SLOW_MPH` or of a crash, and the second before and after the car hits something. What is shorter
+    than `SHORTEST_S` is left out.
     """
     if not len(states.row):
         return []
-    slowest, fastest = SPEED_RANGE_MPH
+    flags = row_flags(states)
     speed = states.speed_mph
-    with np.errstate(invalid="ignore"):
-        is_good = (
-            has_picture & (np.abs(states.steering) <= 1) & (speed >= max(SLOW_MPH, slowest)) & (speed <= fastest)
-        )
+    is_good = has_picture & ~flags["out_of_range"] & ~flags["crash"] & (speed >= SLOW_MPH)  # False if not known
     time_s = (states.time_ns - states.time_ns[0]) / 1e9
     step_s = np.diff(time_s)
     lost_mps = -np.diff(speed) * MPS_PER_MPH

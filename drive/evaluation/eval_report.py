@@ -74,7 +74,7 @@ def print_recorded_drives(run: str, drives: Sequence[RecordedDrive]) -> None:
     put_back = f"put back from {drives[0].departure_m:g} m on"
     table = _table(
         f"{printable(run)} on recordings; metres from the recorded line, {put_back}",
-        *("session", "rows", "left out", "km", "interventions", "autonomy", "mean", "largest", "seen"),
+        *("session", "rows", "left out", "km", "interventions", "autonomy", "mean", "max", "known"),
     )
     for drive in drives:
         table.add_row(
