@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
+
+if TYPE_CHECKING:  # a run's history is read and shown without PyTorch
+    from torch import Tensor
 
 LEAST_SCALE, MOST_SCALE = 0.1, 2.0
 """What a fit may give: beyond it, the network knows nothing of the road, and no scale helps."""

@@ -11,6 +11,7 @@ from typing import Annotated, Final
 import tyro
 
 from common import Skipped, UserError
+from common.errors import counted
 from common.files import refuse_existing
 from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
@@ -35,8 +36,8 @@ class SimulatedDrive:
     track: str = "lake"
     """The track of the built-in simulator: lake, mountain, or random:SEED."""
     driver: DriverName = "expert"
-    """Who drives: the expert, who steers smoothly and in time, or someone like a person at a keyboard: late,
-    in presses of a key, and only when the car strays."""
+    """Who drives: the expert, who steers smoothly and in time, or somebody like a person, late and only when
+    the car strays: at a keyboard in short presses of a key, with a mouse by dragging it aside for a second."""
     laps: float = 1.0
     """How far to drive; 0.5 records the first half of the track and nothing of the second."""
     speed: float = 10.0
@@ -78,7 +79,7 @@ def record_simulated(
         "drive.seed": str(drive.seed),
     }
     length_m = drive.laps * simulation.track.line.length_m
-    rows = 0
+    rows = put_back = 0
     with (
         UdacityWriter(udacity) if udacity is not None else contextlib.nullcontext() as folder,
         LogWriter(log, metadata, overwrite=overwrite) as writer,
@@ -105,12 +106,19 @@ def record_simulated(
                     speed_mph=step.speed_mph,
                 )
             rows += 1
+            put_back += step.after_gap and not step.recovering
             bar.update(task, completed=step.progress_m)
         if not rows:
             raise UserError(f"{drive.laps:g} laps: too short to record a single row")
         if folder is not None:
             folder.finish()
-    return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped())
+    notices = []
+    if put_back:
+        notices.append(
+            f"off the road {counted(put_back, 'time')}: the car was put back on its line, with a gap in the times,"
+            " as if somebody had stopped recording to drive back"
+        )
+    return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), notices)
 
 
 def check_drive(drive: SimulatedDrive) -> None:

@@ -97,6 +97,11 @@ def _drive(
         if recovering_since_s is None and course.time_s >= next_push_s:
             _push(course, random)
             recovering_since_s, after_gap = course.time_s, True
+        if course.off_road:
+            # Nobody should learn that either: a person stops recording, drives back, and goes on.
+            course.displace(0.0, 0.0, PUSH_S)
+            recovering_since_s, after_gap = None, True
+            next_push_s = max(next_push_s, course.time_s + _USUAL_RECOVERY_S)
         steering, throttle = driver.control(course)
         yield DriveStep(
             time_s=course.time_s,

@@ -7,9 +7,10 @@ from typing import Literal, Protocol, assert_never
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.driving.keyboard import KeyboardDriver
+from simulator.driving.mouse import MouseDriver
 from simulator.roads.centreline import Centreline
 
-DriverName = Literal["expert", "keyboard"]
+DriverName = Literal["expert", "keyboard", "mouse"]
 
 
 class SimulatedDriver(Protocol):
@@ -29,5 +30,7 @@ def make_driver(
             return Expert(line, set_speed_mph, noise, seed)
         case "keyboard":
             return KeyboardDriver(line, set_speed_mph, noise, seed)
+        case "mouse":
+            return MouseDriver(line, set_speed_mph, noise, seed)
         case _:
             assert_never(name)
