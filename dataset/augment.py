@@ -12,6 +12,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
+from dataset.drawn_views import VIEWPOINT, crop_from
 from dataset.errors import DatasetError
 from dataset.preprocess import Image
 
@@ -51,14 +52,14 @@ ALTERATIONS: Final[dict[str, Callable[[Image, np.random.Generator], Image]]] = {
 
 def alter(picture: Image, names: str, seed: int) -> Image:
     """Apply the alterations called `names` ("blur+shadow"; "" for none) one after another, drawn from `seed` (not
-    negative).
+    negative). "viewpoint" is for crops, (128, 128, 3): the view that the seed names.
 
     Raises DatasetError for a name or a seed that no index of ours has, and for a name that comes twice.
     """
     wanted = names.split("+") if names else []
-    if seed < 0 or not set(wanted) <= ALTERATIONS.keys() or len(set(wanted)) < len(wanted):
+    if seed < 0 or not {VIEWPOINT, *ALTERATIONS}.issuperset(wanted) or len(set(wanted)) < len(wanted):
         raise DatasetError(f"{names!r} with seed {seed} is no alteration; build the index again with `bc-index`")
     random = np.random.default_rng(seed)
     for name in wanted:
-        picture = ALTERATIONS[name](picture, random)
+        picture = crop_from(picture, seed) if name == VIEWPOINT else ALTERATIONS[name](picture, random)
     return picture

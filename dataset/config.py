@@ -51,6 +51,9 @@ class IndexConfig:
     """For all sessions: the steering so many seconds later, because people react late; 0: at the frame itself."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""
+    viewpoints: int = 0
+    """How many views from beside the line each picture of the centre camera gives for training, warped, with
+    labels that lead back to it; 0: none."""
     drives: Drives = "all"
     """What to take of drives: all frames; or takeovers: only those that an expert or a human drove."""
     where: Annotated[str | None, arg(metavar="SQL")] = None
@@ -77,6 +80,7 @@ class IndexConfig:
         expected = (
             ("--bins", self.bins, 1 <= self.bins <= 10_000, "1 to 10,000"),
             ("--max-uses", self.max_uses, self.max_uses >= 1, "at least 1"),
+            ("--viewpoints", self.viewpoints, 0 <= self.viewpoints <= 100, "0 to 100"),
             ("--cameras", "", len(self.cameras) > 0, "at least one"),
             (
                 "--per-bin",

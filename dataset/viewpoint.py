@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import Camera
-from dataset.preprocess import Image
+from dataset.preprocess import SIZE_PX, Image, seen_rows
 from recorder.log.car_geometry import OUTLINE_PX, CarGeometry, Outline
 
 Mask = NDArray[np.bool_]
@@ -38,24 +38,34 @@ class WarpedView:
 
 
 class Viewpoint:
-    """Warps pictures of one size, taken by the cameras of one car."""
+    """Warps pictures of one size, taken by the cameras of one car, or crops of them."""
 
-    def __init__(self, geometry: CarGeometry, width_px: int, height_px: int) -> None:
+    def __init__(self, geometry: CarGeometry, width_px: int, height_px: int, *, of_crops: bool = False) -> None:
+        """`of_crops`: what is warped are the crops (128, 128) of such pictures."""
         self.geometry = geometry
+        # from a picture's pixels to those of what is warped; a pixel's middle is half a pixel beside its corner
+        shown = np.eye(3)
         self.width_px, self.height_px = width_px, height_px
+        if of_crops:
+            rows = seen_rows(height_px)
+            across, down = SIZE_PX / width_px, SIZE_PX / (rows.stop - rows.start)
+            shown = np.array([[across, 0.0, 0.0], [0.0, down, -down * rows.start], [0.0, 0.0, 1.0]])
+            self.width_px = self.height_px = SIZE_PX
         focal_px = geometry.focal * height_px
-        # a pixel's middle is half a pixel beside its corner
-        intrinsic = np.array(
-            [[focal_px, 0.0, width_px / 2 - 0.5], [0.0, focal_px, height_px / 2 - 0.5], [0.0, 0.0, 1.0]]
-        )
+        intrinsic = np.array([[focal_px, 0.0, width_px / 2], [0.0, focal_px, height_px / 2], [0.0, 0.0, 1.0]])
+        intrinsic = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]]) @ shown @ intrinsic
         down = math.atan2(0.5 - geometry.horizon, geometry.focal)
         cos, sin = math.cos(down), math.sin(down)
         # from the camera's (right, down, ahead) to the same axes level to the road
         level = np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]])
         self._to_level = level @ np.linalg.inv(intrinsic)
         self._from_level = intrinsic @ level.T
-        self._horizon_px = math.ceil(geometry.horizon * height_px - 0.5)  # the first row of the road
-        self._bonnets = {name: _bonnet(line, width_px, height_px) for name, line in geometry.bonnet.items()}
+        horizon_px = float(shown[1, 1] * geometry.horizon * height_px + shown[1, 2])
+        self._horizon_px = min(self.height_px, max(0, math.ceil(horizon_px - 0.5)))  # the first row of the road
+        outline = shown @ np.diag([width_px / OUTLINE_PX[0], height_px / OUTLINE_PX[1], 1.0])
+        self._bonnets = {
+            name: _bonnet(line, outline, self.width_px, self.height_px) for name, line in geometry.bonnet.items()
+        }
 
     def nearest(self, left_m: float, turn_rad: float, cameras: Collection[Camera]) -> Camera:
         """Which of `cameras` stands nearest to the centre camera of a car that is moved and turned."""
@@ -72,37 +82,51 @@ class Viewpoint:
         nearest. The car's bonnet stays where it is in the centre camera's, if that is among them. Raises
         ValueError for a picture of another size, or a turn of more than `MOST_TURN_RAD`.
         """
+        camera = camera or self.nearest(left_m, turn_rad, pictures.keys())
+        picture = self._picture(pictures, left_m, turn_rad, camera)
+        if camera == "center" and left_m == turn_rad == 0.0:
+            return WarpedView(picture, np.ones(picture.shape[:2], np.bool_), camera)
+        known = np.where(self._bonnets[camera].mask, 0, _KNOWN).astype(np.uint8)
+        is_known = self._warp(known, left_m, turn_rad, camera, cv2.BORDER_CONSTANT) == _KNOWN
+        if "center" in pictures:
+            is_known |= self._bonnets["center"].mask
+        return WarpedView(picture, is_known, camera)
+
+    def picture(self, picture: Image, left_m: float, turn_rad: float) -> Image:
+        """As `view`, of a picture of the centre camera, without saying what of it is known."""
+        return self._picture({"center": picture}, left_m, turn_rad, "center")
+
+    def _picture(self, pictures: Mapping[Camera, Image], left_m: float, turn_rad: float, camera: Camera) -> Image:
         if not (abs(turn_rad) <= MOST_TURN_RAD and math.isfinite(left_m)):
             raise ValueError(f"no picture can be warped by {left_m} m and {turn_rad} rad")
-        camera = camera or self.nearest(left_m, turn_rad, pictures.keys())
         picture = pictures[camera]
         if picture.shape != (self.height_px, self.width_px, 3):
             raise ValueError(f"a picture of {picture.shape}, not {(self.height_px, self.width_px, 3)}")
         if camera == "center" and left_m == turn_rad == 0.0:
-            return WarpedView(picture, np.ones(picture.shape[:2], np.bool_), camera)
+            return picture
+        bonnet, own = self._bonnets[camera], self._bonnets["center"]
+        road = picture.copy()
+        road[bonnet.first :] = picture[bonnet.above[bonnet.first :], np.arange(self.width_px)]
+        found = self._warp(road, left_m, turn_rad, camera, cv2.BORDER_REPLICATE)
+        if "center" in pictures:
+            np.copyto(found[own.first :], pictures["center"][own.first :], where=own.mask[own.first :, :, None])
+        return found
+
+    def _warp(self, picture: Image, left_m: float, turn_rad: float, camera: Camera, border: int) -> Image:
         forward_m = self.geometry.forward_m
         aside_m = left_m + forward_m * math.sin(turn_rad) - self.geometry.left_m[camera]
         ahead_m = forward_m * (math.cos(turn_rad) - 1.0)
-
-        bonnet = self._bonnets[camera]
-        road = picture[bonnet.above, np.arange(self.width_px)]
-        known = np.where(bonnet.mask, 0, _KNOWN).astype(np.uint8)
-        found, is_known = np.empty_like(picture), np.empty(picture.shape[:2], np.uint8)
-        below = slice(self._horizon_px, self.height_px)
-        for rows, matrix in (
-            (slice(0, self._horizon_px), self._far(turn_rad)),
-            (below, self._road(ahead_m, aside_m, turn_rad)),
+        found = np.empty_like(picture)
+        for first, end, matrix in (
+            (0, self._horizon_px, self._far(turn_rad)),
+            (self._horizon_px, self.height_px, self._road(ahead_m, aside_m, turn_rad)),
         ):
-            matrix = matrix @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows.start], [0.0, 0.0, 1.0]])
-            size, flags = (self.width_px, rows.stop - rows.start), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-            found[rows] = cv2.warpPerspective(road, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-            is_known[rows] = cv2.warpPerspective(known, matrix, size, flags=flags)
-        mask = is_known == _KNOWN
-        if "center" in pictures:
-            own = self._bonnets["center"].mask
-            np.copyto(found, pictures["center"], where=own[..., None])
-            mask |= own
-        return WarpedView(found, mask, camera)
+            if first < end:
+                matrix = matrix @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, first], [0.0, 0.0, 1.0]])
+                flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+                size = (self.width_px, end - first)
+                found[first:end] = cv2.warpPerspective(picture, matrix, size, flags=flags, borderMode=border)
+        return found
 
     def _far(self, turn_rad: float) -> Matrix:
         """From pixels of the turned camera to those of the recorded one, of what is infinitely far away."""
@@ -124,12 +148,14 @@ def _turn(left_rad: float) -> Matrix:
 @dataclass(frozen=True)
 class _Bonnet:
     mask: Mask  # (height, width)
+    first: int  # the first row with a part of it
     above: NDArray[np.intp]  # (height, width): the row to draw there so that the road goes on under the bonnet
 
 
-def _bonnet(outline: Outline, width_px: int, height_px: int) -> _Bonnet:
-    columns, rows = (np.array(outline) * (width_px / OUTLINE_PX[0], height_px / OUTLINE_PX[1])).T
+def _bonnet(outline: Outline, shown: Matrix, width_px: int, height_px: int) -> _Bonnet:
+    """`shown`: from the outline's pixels to those of the picture."""
+    columns, rows, _ = shown @ np.column_stack([np.array(outline, np.float64), np.ones(len(outline))]).T
     column = np.arange(width_px) + 0.5
-    top = np.floor(np.interp(column, columns, rows, left=height_px, right=height_px)).astype(np.intp)
+    top = np.floor(np.interp(column, columns, rows, left=np.inf, right=np.inf).clip(0, height_px)).astype(np.intp)
     row = np.arange(height_px)[:, None]
-    return _Bonnet(row >= top, np.minimum(row, np.maximum(top - 1, 0)))
+    return _Bonnet(row >= top, int(top.min()), np.minimum(row, np.maximum(top - 1, 0)))

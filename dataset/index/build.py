@@ -7,6 +7,7 @@ which can be read give.
 
 from __future__ import annotations
 
+import contextlib
 import filecmp
 import json
 from collections.abc import Mapping, Sequence
@@ -54,6 +55,8 @@ from dataset.samples.filter import Condition
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
+from recorder.errors import RecordingError
+from recorder.log.car_geometry import geometry_of
 from recorder.log.log_info import driven_by, first_picture_sizes
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.tags import read_tags
@@ -110,6 +113,8 @@ def build_index(
     by_name = dict(sorted((session_name(Path(path)), Path(path)) for path in logs))
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
+        if config.viewpoints:
+            _refuse_unknown_cameras(list(by_name.values()))
         finish_interrupted_build(index)
         state, damaged = read_state(index), dict[str, str]()
         while True:
@@ -138,6 +143,16 @@ def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> No
             raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
         Condition(config.where).check(FRAMES_SCHEMA.empty_table())
+
+
+def _refuse_unknown_cameras(logs: Sequence[Path]) -> None:
+    """Raise DatasetError for a log of which nothing tells where its cameras stand: no view can be warped."""
+    for path in logs:
+        with contextlib.suppress(LogError), Log(path) as log:  # what cannot be read is told where it is read
+            try:
+                geometry_of(log)
+            except RecordingError as error:
+                raise DatasetError(f"--viewpoints: {error}") from None
 
 
 def _build(

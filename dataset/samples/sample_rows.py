@@ -11,6 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from dataset.augment import ALTERATIONS
+from dataset.drawn_views import VIEWPOINT
 from dataset.frames.distinct_rows import number_distinct
 
 
@@ -40,7 +41,7 @@ def rows_of(table: pa.Table, sources: Mapping[str, object]) -> Rows:
     alteration, alterations = words_as_numbers(table["alteration"])
     if unknown := set(sessions) - sources.keys():
         raise ValueError(f"its session {min(unknown)!r} has no log")
-    known = {"", *ALTERATIONS}
+    known = {"", VIEWPOINT, *ALTERATIONS}
     if len(alterations) > 255 or any(not known.issuperset(names.split("+")) for names in alterations):
         raise ValueError("an unknown alteration")
     offset, length, chunk = (numbers(table[name], np.int64) for name in ("offset", "length", "chunk"))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from common import atomic_file
 from common.car import CAMERAS
 from dataset.config import CORRECTION_SIGNS, IndexConfig
+from dataset.drawn_views import VIEWPOINT, draw_views, mirrored_view
 from dataset.errors import DatasetError
 from dataset.frames.drivers import DRIVERS, is_taken
 from dataset.frames.frame_flags import is_excluded, is_unusable
@@ -29,6 +30,7 @@ from dataset.samples.filter import Condition
 from dataset.samples.labels import planned_labels
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
+from dataset.samples.viewpoint_labels import has_way_back, label_back
 from dataset.steering_bins import bin_of
 from recorder.log.label_plan import LabelPlan
 from recorder.log.tags import EXCLUDE
@@ -43,7 +45,12 @@ class _Session:
     position: NDArray[np.int32]  # in its frames file
     label: NDArray[np.float64]  # the camera's, unmirrored
     recorded: NDArray[np.float64]  # the same as it was driven
+    view: NDArray[np.int64]  # from beside the line, by its number; -1: the picture as it is
     is_training: NDArray[np.bool_]
+
+    def taken(self, frame: NDArray[np.int64]) -> _Session:
+        """Some of the frames, perhaps more than once."""
+        return _Session(*(column[frame] for column in vars(self).values()))
 
 
 def write_samples(
@@ -61,8 +68,9 @@ def write_samples(
     condition = Condition(config.where) if config.where is not None else None
     sessions: list[_Session] = []
     counts: dict[str, SessionCounts] = {}
+    random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
-        session, counts[name] = _usable(read_frames(file), config, labels[name].plan, condition)
+        session, counts[name] = _usable(read_frames(file), config, labels[name].plan, condition, random)
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
@@ -102,12 +110,16 @@ def write_samples(
                 part_of = chosen.between(start, end)
                 frame = part_of.frame - first_frame
                 taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
-                writer.write_table(_table(taken, session.label[frame], session.recorded[frame], part_of, config))
+                writer.write_table(_table(taken, session.taken(frame), part_of, config))
     return balanced, counts
 
 
 def _usable(
-    frames: pa.Table, config: IndexConfig, plan: LabelPlan, condition: Condition | None
+    frames: pa.Table,
+    config: IndexConfig,
+    plan: LabelPlan,
+    condition: Condition | None,
+    random: np.random.Generator,
 ) -> tuple[_Session, SessionCounts]:
     camera = codes(frames["camera"], CAMERAS)
     split = codes(frames["split"], SPLITS)
@@ -139,7 +151,31 @@ def _usable(
         crashed=int((usable & is_left_out).sum()),
         not_taken_over=int((is_asked_for & ~is_wanted).sum()),
     )
-    return _Session(at.astype(np.int32), label, recorded, split[at] == 0), counts
+    view = np.full(len(at), -1)
+    session = _Session(at.astype(np.int32), label, recorded, view, split[at] == 0)
+    if config.viewpoints:
+        speed_mph = frames["speed_mph"].to_numpy()[at]
+        is_seen = session.is_training & (camera[at] == CAMERAS.index("center")) & has_way_back(speed_mph)
+        session = _with_views(session, speed_mph, is_seen, config.viewpoints, random)
+    return session, counts
+
+
+def _with_views(
+    session: _Session,
+    speed_mph: NDArray[np.float64],
+    is_seen: NDArray[np.bool_],
+    each: int,
+    random: np.random.Generator,
+) -> _Session:
+    """A session's frames, and behind each that `is_seen` its views from beside the line."""
+    times = np.where(is_seen, 1 + each, 1)
+    frame = np.repeat(np.arange(len(times)), times)
+    is_view = np.ones(len(frame), np.bool_)
+    is_view[np.cumsum(times) - times] = False
+    found = session.taken(frame)
+    found.view[is_view] = draw_views(int(is_view.sum()), random)
+    found.label[is_view] = label_back(found.label[is_view], speed_mph[frame[is_view]], found.view[is_view])
+    return found
 
 
 def _of_camera(
@@ -152,25 +188,28 @@ def _of_camera(
 
 def _table(
     frames: pa.Table,
-    label: NDArray[np.float64],
-    recorded: NDArray[np.float64],
+    session: _Session,
     chosen: ChosenSamples,
     config: IndexConfig,
 ) -> pa.Table:
-    """The samples of one session: `frames`, `label` and `recorded` are those of each sample."""
-    names = config.alterations
+    """The samples of one session: `frames` and `session` are of each sample."""
+    names = (VIEWPOINT, *config.alterations)  # first of all: what is blurred or darkened is the view
     combinations = [
         "+".join(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1 << len(names))
     ]
-    label, recorded = (np.where(chosen.flip, -steering, steering) + 0.0 for steering in (label, recorded))
+    is_view = session.view >= 0
+    view = np.where(chosen.flip, mirrored_view(session.view), session.view)
+    label, recorded = (
+        np.where(chosen.flip, -steering, steering) + 0.0 for steering in (session.label, session.recorded)
+    )
     columns = {
         **{name: frames[name] for name in FROM_FRAMES},
         "flip": chosen.flip,
-        "alteration": pa.DictionaryArray.from_arrays(chosen.alteration, combinations),
-        "seed": chosen.seed,
+        "alteration": pa.DictionaryArray.from_arrays(chosen.alteration << 1 | is_view, combinations),
+        "seed": np.where(is_view, (chosen.seed >> 1) << 32 | view, chosen.seed),
         "label": label,
         "recorded": recorded,
         "bin": bin_of(label, config.bins),
-        "copy": chosen.is_copy,
+        "copy": chosen.is_copy | is_view,
     }
     return pa.table({field.name: columns[field.name] for field in SAMPLES_SCHEMA}).cast(SAMPLES_SCHEMA)

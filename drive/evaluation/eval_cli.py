@@ -336,6 +336,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     from dataset import find_logs
     from model import find_run, load_pilot
     from model.evaluation.recorded_drive import DEPARTURE_M, drive_recording
+    from recorder import RecordingError
 
     logs = find_logs(sessions, config.sessions or Path("sessions"))
     pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
@@ -344,7 +345,10 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     drives = []
     try:
         for log in logs:
-            drive = drive_recording(pilot.predict, log, departure_m=departure_m, car=config.car or "auto")
+            try:
+                drive = drive_recording(pilot.predict, log, departure_m=departure_m, car=config.car or "auto")
+            except RecordingError as error:
+                raise UserError(f"{error}; if it is of one of these, give --car") from None
             drives.append(drive)
             if config.json:
                 print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))

@@ -86,41 +86,46 @@ def drive_recording(
     Raises LogError for a damaged log, RecordingError where nothing tells of which car it is, DatasetError for one
     of which nothing can be driven, RunError for a network that predicts what is no number.
     """
+    with LogViews(log, car) as views:
+        return drive_views(predict, views, departure_m)
+
+
+def drive_views(predict: Predict, views: LogViews, departure_m: float = DEPARTURE_M) -> RecordedDrive:
+    """As `drive_recording`, of a log that is open."""
     if not (departure_m > 0 and math.isfinite(departure_m)):
         raise ValueError(f"departure_m must be above 0, not {departure_m}")
-    with LogViews(log, car) as views:
-        stretches = views.stretches
-        drive = _Drive(views, predict, departure_m)
-        with progress_bar() as bar:
-            task = bar.add_task(
-                f"driving {views.session}", total=sum(each.end - each.first for each in stretches), note=""
-            )
-            for each in stretches:
-                drive.stretch(each, lambda: bar.advance(task))
-        if not drive.driven_s:
-            raise DatasetError(
-                f"{log}: nothing in it can be driven: {SHORTEST_S:g} seconds at {SLOW_MPH:g} mph or more were"
-                " expected, with whole pictures of the centre camera and steering in -1..1; `bc-log info` tells"
-                " what it holds"
-            )
-        offsets_m = np.abs([moment.left_m for moment in drive.moments])
-        return RecordedDrive(
-            session=views.session,
-            log=views.path,
-            departure_m=departure_m,
-            rows=len(drive.moments),
-            rows_left_out=len(views.states.row) - len(drive.moments),
-            stretches=len(stretches),
-            driven_s=drive.driven_s,
-            distance_m=drive.distance_m,
-            interventions=drive.interventions,
-            mean_offset_m=float(offsets_m.mean()),
-            max_offset_m=float(offsets_m.max()),
-            known_share=float(np.mean([moment.known for moment in drive.moments])),
-            moments=drive.moments,
-            skipped=views.skipped,
-            notice=views.notice,
+    stretches = views.stretches
+    drive = _Drive(views, predict, departure_m)
+    with progress_bar() as bar:
+        task = bar.add_task(
+            f"driving {views.session}", total=sum(each.end - each.first for each in stretches), note=""
         )
+        for each in stretches:
+            drive.stretch(each, lambda: bar.advance(task))
+    if not drive.driven_s:
+        raise DatasetError(
+            f"{views.path}: nothing in it can be driven: {SHORTEST_S:g} seconds at {SLOW_MPH:g} mph or more were"
+            " expected, with whole pictures of the centre camera and steering in -1..1; `bc-log info` tells"
+            " what it holds"
+        )
+    offsets_m = np.abs([moment.left_m for moment in drive.moments])
+    return RecordedDrive(
+        session=views.session,
+        log=views.path,
+        departure_m=departure_m,
+        rows=len(drive.moments),
+        rows_left_out=len(views.states.row) - len(drive.moments),
+        stretches=len(stretches),
+        driven_s=drive.driven_s,
+        distance_m=drive.distance_m,
+        interventions=drive.interventions,
+        mean_offset_m=float(offsets_m.mean()),
+        max_offset_m=float(offsets_m.max()),
+        known_share=float(np.mean([moment.known for moment in drive.moments])),
+        moments=drive.moments,
+        skipped=views.skipped,
+        notice=views.notice,
+    )
 
 
 class _Drive:

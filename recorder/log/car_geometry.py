@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from recorder.log import topics
 from recorder.log.reader import Log
 
 KnownCar = Literal["udacity", "built-in"]
-KNOWN_CARS: Final[tuple[KnownCar, ...]] = get_args(KnownCar)
 
 Outline = tuple[tuple[float, float], ...]
 """The upper edge of the bonnet in a picture: (column, row) of its corners, of a picture 320 by 160."""
@@ -44,9 +43,9 @@ class CarGeometry:
 UDACITY: Final = CarGeometry(
     focal=0.866,  # of Unity's default field of view: 60 degrees, from top to bottom
     horizon=0.375,
-    height_m=1.43,
-    forward_m=1.5,
-    left_m={"center": 0.0, "left": 0.9, "right": -0.9},
+    height_m=1.35,
+    forward_m=2.0,
+    left_m={"center": 0.0, "left": 0.85, "right": -0.85},
     bonnet={
         "center": (
             (36, 160),
@@ -65,8 +64,8 @@ UDACITY: Final = CarGeometry(
         "left": ((182, 160), (187, 152), (199, 145), (213, 141), (240, 137), (262, 135), (285, 134), (320, 134)),
         "right": ((0, 133), (35, 133), (55, 136), (80, 139), (98, 143), (112, 146), (123, 152), (126, 160)),
     },
-    wheelbase_m=2.6,
-    lag_s=0.0,
+    wheelbase_m=3.0,
+    lag_s=0.07,
 )
 
 
@@ -95,7 +94,7 @@ def built_in() -> CarGeometry:
 
 
 def geometry_of(log: Log, car: KnownCar | Literal["auto"] = "auto") -> CarGeometry:
-    """The geometry of the car that a log is of. Raises RecordingError where nothing tells it."""
+    """The geometry of the car that a log is of. Raises RecordingError where nothing tells which one it is."""
     if car == "auto":
         car = _told_by(log)
     return UDACITY if car == "udacity" else built_in()
@@ -111,6 +110,6 @@ def _told_by(log: Log) -> KnownCar:
     if source in ("drive", "telemetry"):  # the real simulator tells nobody where its car is
         return "built-in" if log.counts.get(topics.POSE) else "udacity"
     raise RecordingError(
-        f"{log.path}: nothing in it tells where its cameras stand; if it is of one of these cars, say so:"
-        f" --car {' or --car '.join(KNOWN_CARS)}"
+        f"{log.path}: nothing in it tells where its cameras stand; that is known of Udacity's simulator and of the"
+        " built-in one"
     )

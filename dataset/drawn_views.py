@@ -1,0 +1,57 @@
+"""Views from beside the line for training: which there are, and what is seen from them.
+
+A network that has only seen the middle of the road does not know what to do beside it. Side cameras show that from
+two places; of the centre camera's pictures, any other place can be warped (`dataset/viewpoint.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.preprocess import Image
+from dataset.viewpoint import Viewpoint
+from recorder.log.car_geometry import OUTLINE_PX, UDACITY
+
+VIEWPOINT: Final = "viewpoint"
+"""What a sample that shows such a view has among its alterations."""
+MOST_LEFT_M: Final = 0.8  # to either side, about as far as the side cameras
+MOST_TURN_RAD: Final = math.radians(6.0)
+
+_MOST: Final = 0xFFFF  # a view's number: 16 bits for where it is, 16 for how it is turned
+
+Values = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+def draw_views(count: int, random: np.random.Generator) -> Numbers:
+    """Numbers (N,) of views, each of which stands for a place beside the line and a turn."""
+    return random.integers(0, 1 << 32, count)
+
+
+def mirrored_view(view: Numbers) -> Numbers:
+    """The number of the view from the other side, turned the other way."""
+    return view ^ ((_MOST << 16) | _MOST)
+
+
+def place_of(view: Numbers | int) -> tuple[Values, Values]:
+    """Metres to the left of the line, and the turn to the left in rad, of views by their numbers, or by the seeds
+    that hold them in their lowest 32 bits."""
+    shares = [(np.asarray(view) >> bits & _MOST) / (_MOST / 2) - 1.0 for bits in (0, 16)]
+    return shares[0] * MOST_LEFT_M, shares[1] * MOST_TURN_RAD
+
+
+def crop_from(crop: Image, seed: int) -> Image:
+    """The crop (128, 128, 3) as seen from the view whose number is in a seed's lowest 32 bits."""
+    left_m, turn_rad = place_of(seed)
+    return _crops().picture(crop, float(left_m), float(turn_rad))
+
+
+@cache
+def _crops() -> Viewpoint:
+    """The built-in simulator's cameras are within a twentieth of these."""
+    return Viewpoint(UDACITY, *OUTLINE_PX, of_crops=True)
