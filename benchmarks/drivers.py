@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from common.car import MAX_STEERING_DEG
 from dataset.figure_style import BLUE, DPI, ORANGE, figure_style, new_figure
 from recorder import Log
+from recorder.log.steering_habits import neighbours_mean
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import drive_for_recording
@@ -161,15 +162,9 @@ def step_s(found: Drive) -> float:
 
 def ceiling(found: Drive) -> float:
     """The correlation of each row's steering with the mean of its neighbours': what any network may reach."""
-    time_s, steering, piece = found.time_s, found.steering_deg, found.piece
-    begin = np.searchsorted(time_s, time_s - AROUND_S - 1e-6)
-    end = np.searchsorted(time_s, time_s + AROUND_S + 1e-6, side="right")
-    rows = [
-        (steering[row], (steering[i:j].sum() - steering[row]) / (j - i - 1))
-        for row, (i, j) in enumerate(zip(begin.tolist(), end.tolist(), strict=True))
-        if j - i > 2 and piece[i] == piece[j - 1]
-    ]
-    return float(np.corrcoef(np.array(rows).T)[0, 1])
+    others = neighbours_mean(found.steering_deg, found.time_s, AROUND_S)
+    known = np.isfinite(others)
+    return float(np.corrcoef(found.steering_deg[known], others[known])[0, 1])
 
 
 def print_head() -> None:

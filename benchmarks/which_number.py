@@ -41,7 +41,7 @@ EPOCHS: Final = (1, 2, 4)
 PREDICT: Final = Path(__file__).resolve().with_name("which_number_predict.py")
 LEARNT_SEED, HELD_OUT_SEED = 1, 2
 
-AS_RECORDED: Final = ("--label-smooth", "0", "--label-shift", "0")
+AS_RECORDED: Final = ("--labels", "as-recorded")
 AS_MEANT: Final = ("--label-smooth", "0.5", "--label-shift", "0.2")
 SMALL: Final = ("--per-bin", "150")  # 3,750 samples an epoch: half a minute for four
 ORIGINAL: Final = ("--recipe", "original")
@@ -61,6 +61,7 @@ RECIPES: Final = {
     "original": Recipe((*AS_RECORDED, *SMALL)),
     "natural answers": Recipe((*AS_RECORDED, *SMALL), PEOPLE),
     "labels as meant": Recipe((*AS_MEANT, *SMALL)),
+    "labels auto": Recipe(("--labels", "auto", *SMALL)),
     "meant, natural": Recipe((*AS_MEANT, *SMALL), PEOPLE),
     "not balanced": Recipe((*AS_RECORDED, "--no-balance", "--where", "row % 3 = 0")),
     "half balanced": Recipe((*AS_RECORDED, "--per-bin", "500", "--max-uses", "1", "--where", "row % 2 = 0")),

@@ -34,7 +34,17 @@ DRAWS: Final = 500
 
 def write(folder: Path) -> None:
     """Write FOLDER/which_number.parquet, .md and .png; print the table."""
-    networks = [path.stem for path in sorted((folder / "driven").glob("*.jsonl"))]
+    measured = [
+        {path.stem for path in (folder / name).glob(pattern)}
+        for name, pattern in (
+            ("predictions", "*.parquet"),
+            ("recordings_driven", "*.jsonl"),
+            ("driven", "*.jsonl"),
+        )
+    ]
+    networks = sorted(set.intersection(*measured))
+    if not networks:
+        raise SystemExit(f"{folder}: no network in it is measured yet")
     rows = [row for network in networks for row in rows_of(folder, network)]
     with atomic_file(folder / "which_number.parquet", overwrite=True) as part:
         pq.write_table(pa.Table.from_pylist(rows), part)

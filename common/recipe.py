@@ -7,7 +7,7 @@ import contextlib
 from typing import Final, Literal, get_args
 
 Recipe = Literal["people", "original"]
-"""people: what learns best from people's recordings (docs/recipe.md); original: as the original project did."""
+"""people: what learns best from people (docs/learning-from-people.md); original: as the original project did."""
 
 DEFAULT: Final[Recipe] = "people"
 

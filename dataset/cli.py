@@ -31,7 +31,8 @@ from dataset.samples.samples_format import SAMPLES_NAME
 class Index:
     """Build the index: frames and balanced samples, as parquet, from the logs.
 
-    Only sessions that changed are read again; no picture is decoded unless --look asks for it.
+    Only sessions that changed are read again; of people's, some pictures are decoded once, of others none without
+    --look.
 
     bc-index
     bc-index lake mountain --where "speed_mph > 5" --figures figures

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rich.markup import escape
 from rich.table import Table
@@ -74,11 +74,12 @@ def _print_verdict(verdict: Verdict, differences: Sequence[Difference], toleranc
 
 
 def _table(title: str, differences: Sequence[Difference], names: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     a, b = (escape(printable(name)) for name in names)
-    headings = ("", f"A: {a}", f"B: {b}", "B - A", f"{CONFIDENCE:.0%} of all", "B is")
+    table = Table(title=f"A: {a}\nB: {b}\n{title}", title_justify="left", box=None, pad_edge=False)
+    headings = ("", "A", "B", "B - A", f"{CONFIDENCE:.0%} of all", "B is")
     for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if 0 < number < len(headings) - 1 else "left")
+        justify: Literal["left", "right"] = "right" if 0 < number < len(headings) - 1 else "left"
+        table.add_column(heading, justify=justify, no_wrap=True)
     for each in differences:
         is_count = each.measure.name == "interventions"
         digits = 0 if is_count else 3 if each.measure.scale == 1.0 else 2

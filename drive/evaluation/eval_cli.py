@@ -54,7 +54,7 @@ class Eval:
     compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
     """Compare run B with run A instead, on the same frames, or by driving with --simulator. Exit code 1 if B is
     worse: more than chance and --tolerance explain."""
-    tolerance: Annotated[float | None, _default("SHARE", "0.02")] = None
+    tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
     """How much worse B may be, for --compare: a share of A's error; of 1 for the correlation and the offset, of
     100 for autonomy."""
     index: Annotated[Path | None, _default("PATH", "the one that the run was trained on")] = None
@@ -253,11 +253,11 @@ def _compare(config: Eval, runs: tuple[str, str]) -> int:
 
 
 def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
-    from model.evaluation.differences import TOLERANCE, overall
+    from model.evaluation.differences import overall
     from model.evaluation.run_comparison import Comparison
 
     what, (of_a, of_b) = _evaluations(config, [a, b])
-    found = Comparison(of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
+    found = Comparison(of_a, of_b, config.tolerance or 0.0)
     if config.json:
         print_result(json.dumps({**what, **found.as_dict()}))
     else:
@@ -271,8 +271,7 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
 
 def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
     from drive.evaluation.compare_report import print_drive_comparison
-    from drive.evaluation.drive_comparison import DriveComparison
-    from model.evaluation.differences import TOLERANCE
+    from drive.evaluation.drive_comparison import TOLERANCE, DriveComparison
 
     drives = _drives(config)
     logs = config.logs or Path("drives")

@@ -18,7 +18,6 @@ from model.evaluation.block_bootstrap import Floats, Statistic, intervals
 from model.runs.run_files import without_nan
 
 CONFIDENCE: Final = 0.95  # that the intervals of all measures hold, together
-TOLERANCE: Final = 0.02
 FEWEST_BLOCKS: Final = 6  # of fewer, an interval is a guess
 
 Verdict = Literal["worse", "better", "not told apart", "unknown"]

@@ -17,7 +17,7 @@ from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
 from dataset.steering_bins import bin_of
 from model.evaluation.block_bootstrap import Floats
-from model.evaluation.differences import CONFIDENCE, TOLERANCE, Difference, Measure, compare_sums, overall
+from model.evaluation.differences import CONFIDENCE, Difference, Measure, compare_sums, overall
 from model.evaluation.evaluate import Evaluation
 from model.metrics import BINS, TURNING
 from model.runs.run_folder import run_name
@@ -40,7 +40,7 @@ class Comparison:
 
     a: Evaluation
     b: Evaluation
-    tolerance: float = TOLERANCE
+    tolerance: float = 0.0
 
     @cached_property
     def unit(self) -> NDArray[np.int64]:

@@ -110,7 +110,7 @@ def train(
             group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin)))
         loop = TrainingLoop(samples, writer, config, machine, group, listeners, bar)
         notices = validation_notices(samples, loop.validation, init)
-        remarks: list[str] = []
+        remarks = [] if resume else _recipe_remarks(samples, config)
         if begins:
             if init is not None:
                 loop.start_from(init)
@@ -137,6 +137,17 @@ def _new_run(writer: RunWriter, config: dict[str, Any]) -> Iterator[None]:
     create_run(writer.run, config)
     with removed_unless_saved(writer.run, lambda: writer.has_saved), locked_for_training(writer.run):
         yield
+
+
+def _recipe_remarks(samples: Samples, config: TrainConfig) -> list[str]:
+    """A remark if the index was built by another recipe than it is trained by."""
+    built = samples.metadata["settings"].get("recipe", "original")  # earlier versions had no other
+    if built == config.recipe:
+        return []
+    return [
+        f"{samples.path}: built by the recipe {built}, trained by {config.recipe}; for one of both give bc-train"
+        f" --recipe {built}, or build it again: `bc-index --recipe {config.recipe}`"
+    ]
 
 
 def _draw_figures(loop: TrainingLoop, notices: list[str], remarks: list[str]) -> None:

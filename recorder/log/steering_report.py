@@ -37,7 +37,7 @@ def steering_line(habits: SteeringHabits, lag: SteeringLag | None) -> str:
         f"steered: {_how(habits)}",
         f"{_told(habits.zeros, '{:.0%}')} zeros, {_told(habits.left, '{:.0%}')} left,"
         f" {_told(habits.right, '{:.0%}')} right",
-        f"{counted(habits.presses, 'press', 'presses')} of {_told(habits.press_s, '{:.2f}')} s",
+        counted(habits.presses, "press", "presses") + (f" of {habits.press_s:.2f} s" if habits.press_s else ""),
         f"{counted(habits.values, 'value')}",
         f"{_told(habits.rate_hz, '{:.1f}')} rows/s",
         f"spread {_told(habits.spread_deg, '{:.2f}')} deg, up to {_told(habits.largest_deg, '{:.1f}')}",

@@ -184,7 +184,8 @@ def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFi
     assert call(main, "--compare", "good", "shifted", "--session", "new") == 1
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
-    assert lines[0].startswith("60 frames in 12 blocks of 5 s")
+    assert [line.rstrip() for line in lines[:2]] == ["A: good", "B: shifted"]
+    assert lines[2].startswith("60 frames in 12 blocks of 5 s")
     error = found["measures"]["rmse_deg"]
     (row,) = (line.split() for line in lines if line.startswith("RMSE"))
     assert row[1:] == [
