@@ -37,8 +37,11 @@ RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
     "original + keep rmse": (ORIGINAL[0], replace(ORIGINAL[1], keep="rmse")),
     "original + keep last": (ORIGINAL[0], replace(ORIGINAL[1], keep="last")),
     "people": PEOPLE,
-    "people, side 0.1": (replace(PEOPLE[0], side_correction=0.1), PEOPLE[1]),
+    "people, keep rmse": (PEOPLE[0], replace(PEOPLE[1], keep="rmse")),
+    "people, keep last": (PEOPLE[0], replace(PEOPLE[1], keep="last")),
     "people, not balanced": (replace(PEOPLE[0], balance=False), PEOPLE[1]),
+    "people, side 0.1": (replace(PEOPLE[0], side_correction=0.1), PEOPLE[1]),
+    "people, viewpoints 1": (replace(PEOPLE[0], viewpoints=1), PEOPLE[1]),
 }
 
 MEASURED: Final[Mapping[str, Callable[[Measures], float]]] = {
