@@ -84,9 +84,10 @@ def validation_notices(samples: Samples, validation: Validation, init: Path | No
         return []
     try:  # making the split of another training again needs more packages than training does
         from model.runs.trained_on import by_session, count_trained_on
+
+        count = count_trained_on(by_session(validation.frames), samples, load_config(init))
     except ImportError as error:
         return [f"{init}: whether it has learnt from the frames held out cannot be told here ({error})"]
-    count = count_trained_on(by_session(validation.frames), samples, load_config(init))
     if count == 0:
         return []
     known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"

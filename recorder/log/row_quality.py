@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.stretches import stretches
-from recorder.bc_pb2 import VehicleState
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from recorder.bc_pb2 import VehicleState
 
 GAP_S: Final = 1.0
 APART_S: Final = 1000.0  # more than any time over which rows are compared
