@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset import IndexConfig, Loader, Samples, build_index
+from dataset.recorded_line import MPS_PER_MPH
 
 FAR_ROWS: Final = 57  # of the crop's 128: hills and trees, and the road far ahead
 AROUND_M: Final = tuple(range(-12, 13, 3))
 MEAN_S: Final = 1.0
-MPS_PER_MPH: Final = 0.44704
 
 
 class Drive(NamedTuple):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -20,11 +19,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.progress import progress_bar
 from common.stretches import consecutive
-from dataset.errors import index_write_errors
+from dataset.findings_file import read_findings, write_findings
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
 from recorder.log.message_index import UNCOMPRESSED
@@ -101,19 +99,13 @@ def write_image_check(index: Path, session: str, fingerprint: str, found: ImageF
     """Keep what was found in the log with this fingerprint."""
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
     stored = _Stored(1, fingerprint, found.pictures, broken, frozen)
-    path = image_check_path(index, session)
-    with index_write_errors(path), atomic_file(path, overwrite=True) as part:
-        part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
+    write_findings(image_check_path(index, session), stored)
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
     """The findings in the log with this fingerprint; None if it was not checked, or the file is damaged."""
-    path = image_check_path(index, session)
-    try:
-        if path.is_symlink() or path.stat().st_size > _MOST_BYTES:
-            return None
-        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
-    except (OSError, ValueError, RecursionError):
+    stored = read_findings(image_check_path(index, session), _Stored, _MOST_BYTES)
+    if stored is None:
         return None
     stretches = itertools.chain(stored.broken.values(), stored.frozen.values())
     if stored.fingerprint != fingerprint or not all(map(_are_ascending, stretches)):

@@ -5,7 +5,6 @@ A lag that was measured in pictures is kept in `index/lags/SESSION.json`, so tha
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +14,9 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from common import atomic_file
 from common.progress import track
 from dataset.config import IndexConfig
-from dataset.errors import index_write_errors
+from dataset.findings_file import read_findings, write_findings
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import BuiltLog
@@ -51,8 +49,9 @@ def labels_of_sessions(
         from recorder.log.steering_lag import measure_lag  # OpenCV
     for name in track(missing, "measuring the steering's lag", len(missing)):
         with Log(logs[name]) as log:
-            lags[name] = _Stored(1, built[name].fingerprint, measure_lag(log))
-            _write_lag(index, name, lags[name])
+            measured = _Stored(1, built[name].fingerprint, measure_lag(log))
+            write_findings(_path(index, name), measured)
+            lags[name] = measured
     return {name: _labels(config, habits[name], lags.get(name), built[name].driven_by) for name in frames}
 
 
@@ -82,22 +81,10 @@ class _Stored(msgspec.Struct):
     lag: SteeringLag | None
 
 
-def _write_lag(index: Path, session: str, stored: _Stored | None) -> None:
-    path = _path(index, session)
-    with index_write_errors(path), atomic_file(path, overwrite=True) as part:
-        part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
-
-
 def _read_lag(index: Path, session: str, fingerprint: str) -> _Stored | None:
     """What was measured in the log with this fingerprint; None if nothing was, or the file is damaged."""
-    path = _path(index, session)
-    try:
-        if path.is_symlink() or path.stat().st_size > _MOST_BYTES:
-            return None
-        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
-    except (OSError, ValueError, RecursionError):
-        return None
-    return stored if stored.fingerprint == fingerprint else None
+    stored = read_findings(_path(index, session), _Stored, _MOST_BYTES)
+    return stored if stored is not None and stored.fingerprint == fingerprint else None
 
 
 def _path(index: Path, session: str) -> Path:

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import MAX_STEERING_DEG
 from recorder.log.row_quality import (
     States,
     Values,
@@ -24,7 +25,6 @@ from recorder.log.row_quality import (
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
 """How long the time around a row is whose other rows are its neighbours: half of it before, half after."""
-DEGREES: Final = 25.0  # of a steering of 1
 ENOUGH_S: Final = 60.0
 """Of driving. In less there are too few presses and bends to tell a habit by."""
 NARROW: Final = 0.05
@@ -114,8 +114,8 @@ def steering_habits(states: States) -> SteeringHabits:
         presses=len(presses),
         press_s=float(np.median(presses)) * step_s if len(presses) and step_s else None,
         keys=_is_of_keys(steering, time_ns, same),
-        spread_deg=float(steering.std()) * DEGREES if rows else None,
-        largest_deg=float(np.abs(steering).max()) * DEGREES if rows else None,
+        spread_deg=float(steering.std()) * MAX_STEERING_DEG if rows else None,
+        largest_deg=float(np.abs(steering).max()) * MAX_STEERING_DEG if rows else None,
         ceiling=ceiling,
         crashes=_share(flags["crash"]),
     )
