@@ -6,11 +6,11 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING, Final, Literal
 
+from common.autonomy import autonomy_percent
 from drive.control.drive_clock import DriveClock
 from drive.log.latency_histogram import LatencyHistogram
 from recorder.log.row_quality import GAP_S
 from recorder.server.world import World
-from simulator.driving.course import INTERVENTION_COST_S
 from simulator.driving.vehicle import MPS_PER_MPH
 
 if TYPE_CHECKING:
@@ -143,8 +143,7 @@ class DriveSummary:
         intervention counts as six seconds of a human's driving."""
         if self.is_all_lost or not self.driven_s:
             return None
-        lost_s = INTERVENTION_COST_S * self.interventions
-        return 100.0 * max(0.0, 1.0 - lost_s / self.driven_s)
+        return autonomy_percent(self.interventions, self.driven_s)
 
     @property
     def mean_speed_mph(self) -> float | None:

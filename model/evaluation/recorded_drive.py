@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from common import Skipped
+from common.autonomy import autonomy_percent
 from common.progress import progress_bar
 from dataset.errors import DatasetError
 from dataset.loader.log_views import AnyCar, LogViews
@@ -26,7 +27,6 @@ from dataset.recorded_line import MPS_PER_MPH, SHORTEST_S, SLOW_MPH, CarBesideLi
 from model.errors import RunError
 
 DEPARTURE_M: Final = 1.0
-INTERVENTION_COST_S: Final = 6.0  # a person takes over, steers back, restarts the system (Bojarski et al. 2016)
 
 Predict = Callable[[Image], float]
 """From a crop (128, 128, 3) BGR to steering, -1 (left) .. 1 (right); what is beyond is clamped."""
@@ -65,7 +65,7 @@ class RecordedDrive:
 
     @property
     def autonomy_percent(self) -> float:
-        return 100.0 * max(0.0, 1.0 - INTERVENTION_COST_S * self.interventions / self.driven_s)
+        return autonomy_percent(self.interventions, self.driven_s)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from common.autonomy import autonomy_percent
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M, MPS_PER_MPH, STEP_S, WHEELBASE_M, CarState, step
 from simulator.pose import Pose
 from simulator.roads.centreline import Centreline
@@ -18,8 +19,6 @@ Height = Callable[[float, float], float]
 """The ground's height in metres at (x_m, y_m)."""
 
 WHEEL_TRACK_M = 1.6  # between the left and the right wheels
-# Bojarski et al. 2016, section 7.1: a person takes over, steers back, restarts the system
-INTERVENTION_COST_S = 6.0
 STUCK_S = 5.0  # without a metre of progress for this long, the car is stuck
 _STUCK_PROGRESS_M = 1.0
 
@@ -169,7 +168,7 @@ class Course:
             distance_m=self._distance_m,
             laps=self.laps,
             interventions=self.interventions,
-            autonomy_percent=100.0 * max(0.0, 1.0 - INTERVENTION_COST_S * self.interventions / seconds),
+            autonomy_percent=autonomy_percent(self.interventions, seconds),
             mean_offset=self._offset_sum / steps,
             max_offset=self._max_offset,
             steering_per_s=self._steering_travel / seconds,
