@@ -6,6 +6,7 @@ from behavioural_cloning_toolkit import refuse_hidden
 refuse_hidden(__name__)
 
 
+from simulator.gymnasium_ids import register_environments
 from simulator.protocol.client import (
     NoHostError,
     SimulatorClient,
@@ -15,3 +16,5 @@ from simulator.protocol.client import (
 )
 
 __all__ = ["NoHostError", "SimulatorClient", "SimulatorTelemetry", "SteerCommand", "WaitTimeoutError"]
+
+register_environments()

@@ -164,7 +164,7 @@ def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
             "dataset, model, model.training",
             ["rerun", "socketio", "engineio", "eventlet", "websocket", "viz", "drive"],
         ),
-        ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch"]),
+        ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch", "gymnasium"]),
         ("viz, viz.cli", ["socketio", "eventlet", "torch", "websocket"]),
     ],
 )

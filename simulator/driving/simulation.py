@@ -7,7 +7,7 @@ import cv2
 from common.car import Camera
 from simulator.driving.course import Course
 from simulator.pose import Pose
-from simulator.rendering.camera import Renderer
+from simulator.rendering.camera import Picture, Renderer
 from simulator.rendering.world_maps import build_world
 from simulator.roads.track import load_track
 
@@ -23,9 +23,13 @@ class Simulation:
         self.course = Course(self.track, world.height_m)
         self._renderer = Renderer(world)
 
+    def picture(self, camera: Camera = "center", pose: Pose | None = None) -> Picture:
+        """What a camera sees, (160, 320, 3) uint8 BGR, at the car's pose or at another one."""
+        return self._renderer.render(pose or self.course.pose, camera)
+
     def jpeg(self, camera: Camera = "center", pose: Pose | None = None) -> bytes:
-        """A camera's picture, 320x160, at the car's pose or at another one."""
-        picture = self._renderer.render(pose or self.course.pose, camera)
+        """The same as a JPEG."""
+        picture = self.picture(camera, pose)
         ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         if not ok:  # cannot happen with a picture of ours; said rather than lost in silence
             raise RuntimeError("OpenCV could not write a JPEG")
