@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import cv2
 import gymnasium
@@ -45,7 +45,7 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     from the seed, or at `options["start_m"]`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": RATE_HZ}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": RATE_HZ}  # noqa: RUF012 - Gymnasium's
 
     def __init__(
         self,
@@ -67,9 +67,11 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._step_s = steps_each(rate_hz) * STEP_S
         self.metadata = {**type(self).metadata, "render_fps": rate_hz}
         self.render_mode = render_mode
-        pictures = {camera: spaces.Box(0, 255, (HEIGHT_PX, WIDTH_PX, 3), np.uint8) for camera in cameras}
-        speed = spaces.Box(-MAX_SPEED_MPH, MAX_SPEED_MPH, (1,), np.float32)
-        self.observation_space = spaces.Dict({**pictures, "speed_mph": speed})
+        observed: dict[str, spaces.Space[Any]] = {
+            camera: spaces.Box(0, 255, (HEIGHT_PX, WIDTH_PX, 3), np.uint8) for camera in cameras
+        }
+        observed["speed_mph"] = spaces.Box(-MAX_SPEED_MPH, MAX_SPEED_MPH, (1,), np.float32)
+        self.observation_space: spaces.Space[Observation] = spaces.Dict(observed)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._simulation = Simulation(track)
         self.course = self._simulation.course
@@ -104,7 +106,7 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         is_over: bool = info["success"] or self.course.intervention_due
         return self._observe(), self.course.progress_m - before_m, is_over, False, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """The centre camera's picture, (160, 320, 3) RGB; None without a render mode."""
         return None if self.render_mode is None else self._picture("center")
 
