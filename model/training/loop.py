@@ -128,7 +128,8 @@ class TrainingLoop:
                 f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.batches.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
-        self.answers = AnswerScale(self.position.answer_scale, self.position.answer_offset)
+        of = self.position
+        self.answers = AnswerScale(of.answer_scale, of.answer_offset, of.answer_curve)
         self.cut_history()
         if not self.group.is_first:  # the first one has the sums of all
             self.position = replace(
@@ -235,6 +236,7 @@ class TrainingLoop:
             best_deg=best_deg,
             answer_scale=self.answers.scale,
             answer_offset=self.answers.offset,
+            answer_curve=self.answers.curve,
         )
 
     def _validate(self) -> tuple[float, float]:
