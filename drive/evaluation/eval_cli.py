@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from drive.evaluation.simulator_process import BuiltInSimulator
     from model.evaluation.differences import Verdict
     from model.evaluation.evaluate import Evaluation
+    from model.runs.kept_results import Way
 
 
 def _default(metavar: str, value: str) -> Any:
@@ -166,7 +167,9 @@ def _measure(config: Eval) -> int:
     from model import find_run
     from model.worst_moments import worst_frames
 
-    what, (found,) = _evaluations(config, [find_run(config.run, config.runs)])
+    run = find_run(config.run, config.runs)
+    what, (found,) = _evaluations(config, [run])
+    _keep(run, "frames", {**what, **found.as_dict()})
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
     if config.json:
         print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
@@ -189,6 +192,17 @@ def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | No
         return {"index": None, "split": None}, evaluate_runs_on_sessions(runs, logs)
     index, split = config.index or _index_of(runs[0]), config.split or "validation"
     return {"index": str(index), "split": split}, evaluate_runs(runs, index, split)
+
+
+def _keep(run: Path, way: Way, result: dict[str, Any]) -> None:
+    """Keep a result in the run, for `bc-runs`; a folder that cannot be written to costs no measurement."""
+    from model.errors import RunWriteError
+    from model.runs.kept_results import keep_result
+
+    try:
+        keep_result(run, way, result)
+    except RunWriteError as error:
+        print_message(f"bc-eval: the result is not kept in the run: {error}", style="yellow")
 
 
 def _print_what(what: dict[str, str | None]) -> None:
@@ -295,6 +309,7 @@ def _drive(config: Eval) -> int:
         run = find_run(config.run, config.runs)
         for result in _driven(config, run, drives, config.logs or Path("drives")):
             results.append(result)
+            _keep(run, "simulator", result.as_dict())
             if config.json:
                 print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
@@ -338,7 +353,8 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     from recorder import RecordingError
 
     logs = find_logs(sessions, config.sessions or Path("sessions"))
-    pilot = load_pilot(find_run(config.run, config.runs), config.precision or "auto")
+    run = find_run(config.run, config.runs)
+    pilot = load_pilot(run, config.precision or "auto")
     pilot.warm_up()
     departure_m = DEPARTURE_M if config.departure is None else config.departure
     drives = []
@@ -349,6 +365,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
             except RecordingError as error:
                 raise UserError(f"{error}; if it is of one of these, give --car") from None
             drives.append(drive)
+            _keep(run, "recording", drive.as_dict())
             if config.json:
                 print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))
     finally:  # what was measured is shown, whatever stops the rest
