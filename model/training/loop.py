@@ -249,7 +249,7 @@ class TrainingLoop:
         if self.natural_frames is not None:
             self.answers = self.natural_frames.fit(self.averaged.network)
         predicted = self.answers.natural(learnt)
-        epoch = self.validation.epoch(position, learnt, recorded, self.answers)
+        epoch = self.validation.epoch(position, learnt, predicted, recorded, self.answers)
         self.writer.add_epoch(epoch, self.validation.worst(position.epoch, predicted, recorded))
         self.history.append(epoch)
         if epoch.is_best:
