@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -22,9 +23,10 @@ from common.preview import has_display, preview
 from common.progress import StatusLine
 from drive.config import DriveConfig
 from drive.errors import DriveError
+from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
 
 if TYPE_CHECKING:
-    from drive.drive_server import DriveServer
+    from drive.drive_session import DriveSession
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Drive:
 
     bc-drive first --log run.mcap
     bc-drive first --simulator mountain
+    bc-drive racer --gym CarRacing-v3 --gym-action steering,throttle,brake --expert my_expert:drive
     """
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
@@ -76,6 +79,9 @@ class Drive:
     """Address to listen on; other machines are let in by 0.0.0.0."""
     port: int = 4567
     """Port to listen on; the simulator connects to 4567."""
+    environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
+    seed: int = 0
+    """Seed of the first reset of --gym's environment."""
     runs: Path = Path("runs")
     """Where runs are kept."""
     force: bool = False
@@ -98,6 +104,8 @@ def drive(config: Drive) -> int:
         raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
+    if config.environment.gym is not None:
+        return _drive_environment(config, settings, path)
 
     from drive.drive_server import DriveServer
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
@@ -141,11 +149,22 @@ def drive(config: Drive) -> int:
                 drive_built_in(server, simulator, stopped, shows_progress=False)
             if server.session.is_empty:
                 raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
-    return _print_drives(server)
+    return _print_drives(server.sessions)
 
 
 def _refuse_contradictions(config: Drive) -> None:
     """Raise UsageError for flags that would be passed over, and for what is no port."""
+    if config.environment.gym is not None:
+        others = ("simulator", "laps", "real_time", "takeover", "aggregate", "server", "host", "port")
+        if flags := flags_given(config, *others, "epochs", "sessions"):
+            raise UsageError(
+                f"{flags}: not with --gym, which neither connects to a port nor tells where its car is"
+            )
+        if config.seed < 0:
+            raise UsageError(f"--seed {config.seed}: a whole number from 0 on was expected")
+        return
+    if flags := flags_given(config.environment, *GYM_FLAGS) or flags_given(config, "seed"):
+        raise UsageError(f"{flags}: only with --gym ID")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
     if config.simulator is None and (flags := flags_given(config, "real_time")):
@@ -163,6 +182,39 @@ def _refuse_contradictions(config: Drive) -> None:
         )
 
 
+def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
+    """Drive a Gymnasium environment."""
+    from drive.drive_server import drive_metadata
+    from drive.drive_session import DriveSession
+    from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward
+    from model import find_run, load_pilot
+    from recorder import LogWriter
+    from recorder.sources.gymnasium_car import GymnasiumCar
+
+    run = find_run(config.run, config.runs)
+    with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
+        check_pedals(car)
+        pilot = load_pilot(run, config.precision)
+        pilot.warm_up()
+        told = {"simulator": car.name, "gym.args": config.environment.gym_args, "gym.action": car.actions.text}
+        metadata = drive_metadata(pilot, settings) | told
+        writer = LogWriter(path, metadata, overwrite=config.force, live=True)
+        session = after.enter_context(DriveSession(pilot, settings, writer, _notify))
+        if (viewer := _viewer_target(config, path)) is not None:
+            shown = preview(writer.part, viewer, overwrite=config.force, idle_priority=True, notify=print_message)
+            after.enter_context(shown)
+        episodes = []
+        for episode in drive_gymnasium(session, car, config.seed, config.environment.episodes, stopped):
+            episodes.append(episode)
+            steps = counted(episode.steps, "step")
+            print_result(f"seed {episode.seed}: {steps}, reward {episode.reward:,.1f}, {episode.end}")
+        if session.is_empty:
+            raise DriveError(f"{path}: nothing was driven: stopped before the first step")
+    if len(episodes) > 1:
+        print_result(f"reward {mean_reward(episodes):,.1f} on average")
+    return _print_drives([session])
+
+
 def _notify(text: str) -> None:
     print_message(f"bc-drive: {text}")
 
@@ -178,12 +230,12 @@ def _viewer_target(config: Drive, log: Path) -> str | None:
     return None if config.viewer == "off" else config.viewer
 
 
-def _print_drives(server: DriveServer) -> int:
+def _print_drives(sessions: Sequence[DriveSession]) -> int:
     """Print the summaries of the drives; the exit code. Raises DriveError if no telemetry could be driven on."""
     from drive.log.summary_lines import summary_lines
 
     code = DONE
-    for session in server.sessions:
+    for session in sessions:
         log, summary = session.writer.path, session.summary
         look = f"; look at it with `bc-play {shlex.quote(str(log))}`" if session.log.frames else ""
         print_result(f"{log}: {counted(session.log.frames, 'frame')}{look}")
@@ -196,8 +248,8 @@ def _print_drives(server: DriveServer) -> int:
                 f"{log}: the disk was too slow: {counted(session.log.dropped_pictures, 'picture')} and"
                 f" {counted(session.log.dropped_rows, 'row')} were not written; log to a faster one with --log"
             )
-    if all(session.summary.is_all_lost for session in server.sessions):
-        raise DriveError(f"nothing was driven: {server.session.summary.no_drive_reason}")
+    if all(session.summary.is_all_lost for session in sessions):
+        raise DriveError(f"nothing was driven: {sessions[0].summary.no_drive_reason}")
     return code
 
 

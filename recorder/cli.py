@@ -6,20 +6,24 @@ import contextlib
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from common.command import check_port, run_command, usage_errors, warn_skipped
+from common.command import check_port, flags_given, run_command, usage_errors, warn_skipped
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
+from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported
 from recorder.sources.recording_kinds import Topics, import_recording, refuse_to_watch
+
+if TYPE_CHECKING:
+    from recorder.sources.record_gymnasium import GymRecording
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,7 @@ class Record:
 
     bc-record lake --track lake --laps 0.5
     bc-record mine --from ~/beta_simulator/recording --watch
+    bc-record racing --gym CarRacing-v3 --gym-action steering,throttle,brake --expert my_expert:drive
     """
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -51,8 +56,8 @@ class Record:
     all_catalogs: bool = False
     """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
     rate: float | None = None
-    """Rows a second: of the built-in simulator (10 by default; it must divide 50), or of a recording whose
-    pictures tell no time in their names."""
+    """Rows a second: of the built-in simulator (10 by default; it must divide 50), of --gym's environment (each
+    step by default), or of a recording whose pictures tell no time in their names."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
     sessions: Path = Path("sessions")
@@ -60,6 +65,10 @@ class Record:
     force: bool = False
     """Replace a session of the same name."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
+    environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
+    wander: float = 0.0
+    """With --gym: what is sent wanders about the expert's steering by this standard deviation (0.1), so that he
+    has something to correct; what he wanted is recorded."""
 
 
 def record(config: Record) -> int:
@@ -93,6 +102,10 @@ def _record_to(config: Record, log: Path) -> Imported:
                 overwrite=config.force,
                 on_started=show,
             )
+        if config.environment.gym is not None:
+            from recorder.sources.record_gymnasium import record_gymnasium
+
+            return record_gymnasium(_gym_recording(config), log, overwrite=config.force)
         if config.source is not None and config.watch:
             from recorder.sources.udacity_follow import watch_udacity
 
@@ -126,6 +139,12 @@ def _drive_of(config: Record) -> SimulatedDrive:
     return config.drive if config.rate is None else replace(config.drive, rate=config.rate)
 
 
+def _gym_recording(config: Record) -> GymRecording:
+    from recorder.sources.record_gymnasium import GymRecording
+
+    return GymRecording(config.environment, config.drive.seed, config.rate, config.wander)
+
+
 def _refuse_contradictions(config: Record) -> None:
     name = config.name
     if not name or name.startswith(".") or any(character in name for character in '/\\\0\n\r:*?"<>|'):
@@ -154,12 +173,27 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
+    if config.environment.gym is not None:
+        _refuse_beside_gym(config)
+        return
+    if (flags := flags_given(config.environment, *GYM_FLAGS)) or (flags := flags_given(config, "wander")):
+        raise UsageError(f"{flags}: only with --gym ID")
     with usage_errors(RecordingError):
         if config.source is not None:
             check_rate(config.rate)
             check_scale(config.topics.steering_scale)
         else:
             check_drive(_drive_of(config))
+
+
+def _refuse_beside_gym(config: Record) -> None:
+    from recorder.sources.record_gymnasium import check_recording
+
+    if flags := flags_given(config, "source", "watch", "listen", "udacity", "all_catalogs"):
+        raise UsageError(f"{flags.replace('--source', '--from')}: not with --gym, which is recorded itself")
+    if replace(config.drive, seed=0) != SimulatedDrive():
+        raise UsageError("--track, --driver and their like are the built-in simulator's: not with --gym")
+    check_recording(_gym_recording(config))
 
 
 def main() -> None:

@@ -77,7 +77,7 @@ class Driver:
         self._world_notices = WorldNotices()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
-        """The command that answers a telemetry.
+        """The command that answers a telemetry: a message's data, or a `Telemetry` whose numbers are good.
 
         `received_s` is the `time.perf_counter()` at which its last byte had arrived; `now_s` is the time of a
         monotonic clock, for smoothing where the simulator does not send its own time, and always for braking.
@@ -87,7 +87,7 @@ class Driver:
         """
         now_s = time.monotonic() if now_s is None else now_s
         try:
-            telemetry = parse_telemetry(data, self._decimal_separator)
+            telemetry = data if isinstance(data, Telemetry) else parse_telemetry(data, self._decimal_separator)
         except TelemetryError as error:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = error.world, error.world_problems, error.speed_mph
@@ -96,7 +96,8 @@ class Driver:
             decision = self._answer_unusable(error, time_s)
         else:
             parsed_s = time.perf_counter()
-            world, problems, speed_mph = telemetry.world, telemetry.world_problems, telemetry.speed_mph
+            world, problems = telemetry.world, telemetry.world_problems
+            speed_mph = telemetry.speed_mph if math.isfinite(telemetry.speed_mph) else None
             self._note(speed_mph, telemetry.observed_separator)
             time_s = self._clock.advance(now_s, world)
             decision = self._answer_by_network(telemetry, parsed_s, time_s)
@@ -177,8 +178,15 @@ class Driver:
             self._filter.override(time_s, steering)
         else:
             steering = self._filter.apply(time_s, wanted)
-            throttle = self._speed.throttle(telemetry.speed_mph, steering)
+            throttle = self._throttle(telemetry, steering)
         return self._decision(steering, throttle, events=events)
+
+    def _throttle(self, telemetry: Telemetry, steering: float) -> float:
+        """By the speed; where that is unknown, the expert's, if the simulator tells of one."""
+        if math.isfinite(telemetry.speed_mph):
+            return self._speed.throttle(telemetry.speed_mph, steering)
+        expert = None if telemetry.world is None else telemetry.world.expert
+        return 0.0 if expert is None else expert[1]
 
     def _answer_unusable(self, problem: TelemetryError, time_s: float) -> Decision:
         """The answer to a telemetry that cannot be used: it rolls on, and brakes after `UNUSABLE_S`."""

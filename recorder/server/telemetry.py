@@ -57,7 +57,7 @@ class Telemetry:
 
     steering: float  # -1 (left) .. 1 (right), the wheels as they are; not clamped
     throttle: float  # 0..1; not clamped
-    speed_mph: float
+    speed_mph: float  # NaN where nobody tells it, which no message may
     jpeg: bytes
     decimal_separator: str = POINT  # of the simulator's machine, for what it writes and reads
     observed_separator: str | None = None  # the same, if this telemetry shows it without doubt

@@ -49,7 +49,7 @@ class SimulatedDrive:
     noise: float = 0.03
     """How unsteady the driver's hand is; 0 is a machine's, 0.03 a calm person's."""
     seed: int = 0
-    """Pushes, noise and a person's whims are drawn from it: same seed, same log."""
+    """Pushes, noise and a person's whims are drawn from it: same seed, same log. Of --gym's first episode."""
 
 
 def record_simulated(

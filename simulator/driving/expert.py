@@ -19,6 +19,7 @@ from simulator.driving.vehicle import (
     slope_mps2,
     wheel_angle_for,
 )
+from simulator.driving.wandering import Wandering
 from simulator.roads.centreline import Centreline, Floats
 
 # The point that is pursued lies this far ahead. Nearer would keep a hairpin more exactly (this cuts it by 0.15
@@ -30,10 +31,6 @@ BEND_MPS2 = 2.5  # lateral acceleration of a brisk driver, a third of the grip: 
 SLOW_DOWN_MPS2 = 2.0  # planned braking
 _CURVATURE_SPAN_M = 5.0  # curvature is averaged over this length, so that one uneven point slows nobody
 _SPEED_GAIN_PER_S = 1.5
-
-# Hands wander slowly and without jerks: an Ornstein-Uhlenbeck process, passed once through a lag.
-_NOISE_TIME_S = 1.0
-_NOISE_LAG_S = 0.2
 
 
 class Expert:
@@ -60,7 +57,7 @@ class Expert:
         self._line = line
         self._look_ahead_s = look_ahead_s
         self._speed_mps: list[float] = plan_speed(line, set_speed_mph * MPS_PER_MPH).tolist()
-        self._noise = _Wandering(noise, seed)
+        self._noise = Wandering(noise, seed)
 
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
@@ -116,27 +113,3 @@ def _predict_rear_axle(car: CarState) -> tuple[float, float, float]:
     x = car.x_m - AXLE_TO_CENTRE_M * math.cos(car.heading_rad) + way * math.cos(middle)
     y = car.y_m - AXLE_TO_CENTRE_M * math.sin(car.heading_rad) + way * math.sin(middle)
     return x, y, car.heading_rad + turn - car.rear_slip_rad
-
-
-class _Wandering:
-    """Smooth noise over time with a given standard deviation."""
-
-    def __init__(self, deviation: float, seed: int) -> None:
-        # The lag takes some of the process's variance away; this much is put in to leave the deviation asked for.
-        self._deviation = deviation * math.sqrt(1.0 + _NOISE_LAG_S / _NOISE_TIME_S)
-        self._random = np.random.default_rng(seed)
-        self._time_s = 0.0
-        self._raw = 0.0
-        self._smooth = 0.0
-
-    def at(self, time_s: float) -> float:
-        if self._deviation == 0.0:
-            return 0.0
-        # A time that starts again is a new drive.
-        passed_s = max(0.0, time_s - self._time_s)
-        self._time_s = time_s
-        keep = math.exp(-passed_s / _NOISE_TIME_S)
-        spread = self._deviation * math.sqrt(1.0 - keep * keep)
-        self._raw = keep * self._raw + spread * self._random.standard_normal()
-        self._smooth += (self._raw - self._smooth) * (1.0 - math.exp(-passed_s / _NOISE_LAG_S))
-        return self._smooth

@@ -1,0 +1,55 @@
+"""A function of a user's own code, by the name that the user gives: only what is named is run."""
+
+from __future__ import annotations
+
+import importlib
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from common.errors import UsageError, UserError, did_you_mean, printable
+
+
+def load_function(flag: str, name: str) -> Callable[..., Any]:
+    """The function `module:function` or `FILE.py:function`; modules are looked for in this folder, too.
+
+    Raises UsageError for another form, UserError where it is not there or its code cannot be imported.
+    """
+    place, _, function = name.rpartition(":")
+    if not place or not function.isidentifier():
+        raise UsageError(f"{flag} {name}: module:function was expected, or FILE.py:function")
+    names = (
+        _names_of_file(flag, name, Path(place)) if place.endswith(".py") else _names_of_module(flag, name, place)
+    )
+    found: Callable[..., Any] | None = names.get(function)
+    if not callable(found):
+        functions = [each for each, value in names.items() if callable(value) and not each.startswith("_")]
+        meant = did_you_mean(function, functions)
+        raise UserError(f"{flag} {name}: no function {function} in {place}{f'; {meant}' if meant else ''}")
+    return found
+
+
+def in_one_line(error: BaseException) -> str:
+    """An error of somebody else's code, for a message: its kind and its first line."""
+    first, *_ = [*str(error).strip().splitlines(), ""]
+    return printable(f"{type(error).__name__}: {first}" if first else type(error).__name__)[:300]
+
+
+def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise UserError(f"{flag} {name}: there is no file {path}")
+    try:
+        return runpy.run_path(str(path))
+    except (Exception, SystemExit) as error:
+        raise UserError(f"{flag} {name}: {path} cannot be run ({in_one_line(error)})") from None
+
+
+def _names_of_module(flag: str, name: str, place: str) -> dict[str, Any]:
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)  # behind all others: it hides nothing
+    try:
+        return vars(importlib.import_module(place))
+    except (Exception, SystemExit) as error:
+        raise UserError(f"{flag} {name}: {place} cannot be imported ({in_one_line(error)})") from None

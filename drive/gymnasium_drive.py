@@ -1,0 +1,88 @@
+"""A network drives a Gymnasium environment, which waits for each of its answers."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Final
+
+from common.interrupts import StopEvent
+from drive.drive_session import DriveSession
+from drive.errors import DriveError
+from recorder.server.telemetry import Telemetry
+from recorder.server.world import World
+from recorder.sources.action_map import CarCommand
+from recorder.sources.gymnasium_car import GymnasiumCar
+
+EPISODES_METADATA: Final = "bc.gymnasium"
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode that was driven."""
+
+    seed: int
+    steps: int
+    reward: float
+    end: str  # "terminated", "truncated", or "stopped" by a person
+
+
+def check_pedals(car: GymnasiumCar) -> None:
+    """Raise DriveError where nobody knows how far to press the pedals: a network steers only."""
+    if car.actions.has_pedals and not (car.tells_speed or car.has_expert):
+        raise DriveError(
+            f"--gym-action {car.actions.text}: the network steers; for the pedals tell its speed, which is kept at"
+            " --speed, by --gym-speed KEY, give their driver by --expert MODULE:FUNCTION, or give"
+            " constants in their place (steering,0.1,0)"
+        )
+
+
+def drive_gymnasium(
+    session: DriveSession, car: GymnasiumCar, seed: int, episodes: int, stopped: StopEvent
+) -> Iterator[Episode]:
+    """Drive episodes, reset with `seed` and those after it; each is yielded when it has ended.
+
+    The network steers. Where the environment tells its speed, the speed controller works the pedals; else the
+    expert does, if there is one.
+    """
+    driven = []
+    for number in range(episodes):
+        if stopped.is_set():
+            break
+        session.connected()
+        moment = car.reset(seed + number)
+        command, steps, reward = CarCommand(0.0), 0, 0.0
+        while not (moment.end or stopped.is_set()):
+            expert = car.expert_command(moment) if car.has_expert else None
+            received_s = time.perf_counter()
+            telemetry = Telemetry(
+                steering=command.steering,
+                throttle=command.throttle,
+                speed_mph=moment.speed_mph,
+                jpeg=moment.jpeg(),
+                world=World(
+                    time_s=steps / car.rate_hz,
+                    expert_steering=None if expert is None else expert.steering,
+                    expert_throttle=None if expert is None else expert.throttle - expert.brake,
+                ),
+            )
+            answer = session.telemetry(telemetry, received_s)
+            assert answer.command is not None  # noqa: S101
+            throttle = answer.command.throttle
+            command = CarCommand(answer.command.steering, max(0.0, throttle), max(0.0, -throttle))
+            answer.on_sent((time.perf_counter() - received_s) * 1e3)
+            moment = car.step(car.actions.action(command))
+            steps, reward = steps + 1, reward + moment.reward
+        driven.append(Episode(seed + number, steps, reward, moment.end or "stopped"))
+        session.disconnected(f"episode {number + 1}, seed {seed + number}: {driven[-1].end}, reward {reward:,.1f}")
+        session.add_metadata(EPISODES_METADATA, {"episodes": json.dumps([asdict(each) for each in driven])})
+        yield driven[-1]
+
+
+def mean_reward(episodes: list[Episode]) -> float:
+    """Of the episodes that came to their end; NaN if none did."""
+    ended = [episode.reward for episode in episodes if episode.end != "stopped"]
+    return sum(ended) / len(ended) if ended else math.nan

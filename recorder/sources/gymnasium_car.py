@@ -1,0 +1,308 @@
+"""Any Gymnasium environment as a car with one camera: where its picture is, and what its action's numbers are.
+
+Gymnasium is an extra (`pip install "behavioural-cloning-toolkit[gym]"`) and imported only here. An environment is
+somebody else's code: it is run because its user has named it, and what it gives is checked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import re
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import UsageError, UserError, counted, printable
+from common.named_function import in_one_line, load_function
+from common.versions import TOOLKIT
+from recorder.errors import RecordingError
+from recorder.sources.action_map import ActionMap, CarCommand
+from recorder.sources.frame_rate import LEAST_HZ, MOST_HZ
+from recorder.sources.gymnasium_flags import GymFlags
+
+if TYPE_CHECKING:
+    import gymnasium
+
+_JPEG: Final = (
+    *(cv2.IMWRITE_JPEG_QUALITY, 95),
+    *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),  # pictures may be small
+)
+
+LEAST_PX: Final = 16  # a side; smaller ones are no camera's
+
+_SPEED: Final = re.compile(r"(?:(-?\d+\.?\d*|\.\d+)\*)?(.+)", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is known after a reset or a step."""
+
+    observation: Any
+    picture: NDArray[np.uint8]  # (height, width, 3) RGB, or grey with one channel or none
+    speed_mph: float  # NaN where it is not told
+    reward: float = 0.0
+    end: str = ""  # "terminated" or "truncated" where the episode has ended
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Of the picture: width, height."""
+        return self.picture.shape[1], self.picture.shape[0]
+
+    def jpeg(self) -> bytes:
+        """The picture as it is recorded, and driven on."""
+        is_grey = self.picture.ndim == 2 or self.picture.shape[2] == 1
+        bgr = cv2.cvtColor(self.picture, cv2.COLOR_GRAY2BGR if is_grey else cv2.COLOR_RGB2BGR)
+        ok, encoded = cv2.imencode(".jpg", bgr, _JPEG)
+        if not ok:  # cannot happen with a picture that was checked; said rather than lost in silence
+            raise RuntimeError("OpenCV could not write a JPEG")
+        return encoded.tobytes()
+
+
+class GymnasiumCar:
+    """A Gymnasium environment that is driven. A context manager, which closes it."""
+
+    def __init__(self, flags: GymFlags) -> None:
+        """Makes the environment.
+
+        Raises UsageError for flags that make no sense in themselves, UserError for an expert that is not there,
+        RecordingError for an environment that is not there or cannot be driven by them.
+        """
+        if flags.episodes < 1:
+            raise UsageError(f"--episodes {flags.episodes}: a number above 0 was expected")
+        self.name = str(flags.gym)
+        self._flags = flags
+        self._speed_factor, self._speed_key = _parse_speed(flags.gym_speed)
+        self.actions = _parse_action(flags.gym_action)
+        self._expert = None if flags.expert is None else load_function("--expert", flags.expert)
+        self.env = _make(self.name, _parse_arguments(flags.gym_args))
+        try:
+            self._picture_key = _find_picture(self.name, self.env.observation_space, flags.gym_picture)
+            self._space = self._check_action()
+            self._check_rate()
+        except BaseException:
+            self.env.close()
+            raise
+        self._steps = 0
+
+    @property
+    def has_expert(self) -> bool:
+        return self._expert is not None
+
+    @property
+    def tells_speed(self) -> bool:
+        return self._speed_key is not None
+
+    @property
+    def max_steps(self) -> int | None:
+        """Of an episode, where that is limited."""
+        return None if self.env.spec is None else self.env.spec.max_episode_steps
+
+    @property
+    def rate_hz(self) -> float:
+        """Steps a second of the environment's own time."""
+        return float(self._flags.gym_rate or self.env.metadata["render_fps"])
+
+    def reset(self, seed: int) -> Moment:
+        self._steps = 0
+        with _their_errors(f"--gym {self.name}", f"its reset with seed {seed}"):
+            observation, info = self.env.reset(seed=seed)
+        return self._moment(observation, info)
+
+    def step(self, action: NDArray[Any]) -> Moment:
+        """One step by an action of the environment's own form, brought into its range."""
+        self._steps += 1
+        sent = np.clip(action.reshape(self._space.shape), self._space.low, self._space.high)
+        with _their_errors(f"--gym {self.name}", f"its step {self._steps}"):
+            observation, reward, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
+        end = "terminated" if terminated else "truncated" if truncated else ""
+        return self._moment(observation, info, float(reward), end)
+
+    def expert_action(self, moment: Moment) -> NDArray[np.float64]:
+        """The expert's action (N,). Raises RecordingError for one that is none."""
+        assert self._expert is not None  # noqa: S101
+        with _their_errors(f"--expert {self._flags.expert}", f"at step {self._steps} it"):
+            given = self._expert(self.env, moment.observation)
+        try:
+            action = np.asarray(given, np.float64)
+        except (TypeError, ValueError):
+            action = np.zeros(0)
+        where = f"--expert {self._flags.expert}: at step {self._steps}"
+        if action.size != len(self.actions):
+            what = f"an array of shape {action.shape}" if action.size else f"{type(given).__name__}"
+            raise RecordingError(f"{where} it gave {what}; an action of {len(self.actions)} numbers was expected")
+        if not np.isfinite(action).all():
+            raise RecordingError(f"{where} it gave {action.ravel().tolist()}: finite numbers were expected")
+        return action.ravel()
+
+    def expert_command(self, moment: Moment) -> CarCommand:
+        return self.actions.command(self.expert_action(moment))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.env.close()
+
+    def _check_action(self) -> Any:
+        from gymnasium.spaces import Box
+
+        space = self.env.action_space
+        if not isinstance(space, Box):
+            hint = "; CarRacing-v3 has a steering wheel with --gym-args '{\"continuous\": true}'"
+            raise RecordingError(
+                f"--gym {self.name}: its actions are {_named(space)}; numbers in a Box were expected, and one of"
+                f" them the steering{hint if 'CarRacing' in self.name else ''}"
+            )
+        size = math.prod(space.shape)
+        if size != len(self.actions):
+            raise RecordingError(
+                f"--gym-action: {self.name}'s action has {counted(size, 'number')}, {_named(space)}: tell what"
+                f" each is, such as steering,throttle,brake; {self.actions.text} is {len(self.actions)}"
+            )
+        return space
+
+    def _check_rate(self) -> None:
+        told = self.env.metadata.get("render_fps")
+        if self._flags.gym_rate is not None:
+            if not LEAST_HZ <= self._flags.gym_rate <= MOST_HZ:
+                raise UsageError(
+                    f"--gym-rate {self._flags.gym_rate:g}: {LEAST_HZ:g} to {MOST_HZ:,.0f} was expected"
+                )
+        elif not isinstance(told, int | float) or not LEAST_HZ <= told <= MOST_HZ:
+            raise RecordingError(
+                f"--gym {self.name}: its render_fps is {told}: give its steps a second by --gym-rate"
+            )
+
+    def _moment(self, observation: Any, info: dict[str, Any], reward: float = 0.0, end: str = "") -> Moment:
+        picture = observation
+        try:
+            for key in self._picture_key:
+                picture = picture[key]
+            size = picture.shape[:2]
+        except (TypeError, KeyError, AttributeError, IndexError):
+            size = ()
+        if len(size) != 2 or min(size) < LEAST_PX or picture.dtype != np.uint8:
+            raise RecordingError(
+                f"--gym {self.name}: step {self._steps} gave no picture, which its spaces promise"
+            )
+        return Moment(observation, picture, self._speed_mph(observation, info), reward, end)
+
+    def _speed_mph(self, observation: Any, info: dict[str, Any]) -> float:
+        if self._speed_key is None:
+            return math.nan
+        for place in (observation, info):
+            if isinstance(place, dict) and self._speed_key in place:
+                value = np.asarray(place[self._speed_key])
+                if value.size == 1 and np.isfinite(value).all():
+                    return self._speed_factor * float(value.item())
+        if not self._steps:
+            return math.nan  # info may tell it from the first step on
+        told = sorted({*(observation if isinstance(observation, dict) else ()), *info})
+        raise RecordingError(
+            f"--gym-speed {self._flags.gym_speed}: no such number in {self.name}'s observation or info (there is:"
+            f" {printable(', '.join(map(str, told))) or 'nothing'})"
+        )
+
+
+def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it greets on standard output, where results are
+    try:
+        import gymnasium
+    except ImportError:
+        raise UserError(f'--gym needs Gymnasium: `pip install "{TOOLKIT}[gym]"` brings it') from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # about other people's code
+            return gymnasium.make(name, **arguments)
+    except Exception as error:  # of Gymnasium's, or of the environment's own code
+        raise RecordingError(f"--gym {printable(name)}: cannot be made ({in_one_line(error)})") from None
+
+
+@contextlib.contextmanager
+def _their_errors(what: str, where: str) -> Iterator[None]:
+    """Makes a line of an error in somebody else's code."""
+    try:
+        yield
+    except Exception as error:
+        raise RecordingError(f"{what}: {where} failed ({in_one_line(error)})") from error
+
+
+def _parse_arguments(text: str) -> dict[str, Any]:
+    try:
+        found = json.loads(text)
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise UsageError(f"--gym-args {text}: a JSON object was expected, such as '{{\"seed\": 7}}'")
+    return found
+
+
+def _parse_action(text: str | None) -> ActionMap:
+    try:
+        return ActionMap("steering" if text is None else text)
+    except ValueError as error:
+        raise UsageError(f"--gym-action {text}: {error}; such as steering,throttle,brake") from None
+
+
+def _parse_speed(text: str | None) -> tuple[float, str | None]:
+    if text is None:
+        return 1.0, None
+    match = _SPEED.fullmatch(text)
+    if match is None:
+        raise UsageError(f"--gym-speed {text!r}: a key was expected, such as speed, or 2.237*speed")
+    return float(match[1] or 1.0), match[2]
+
+
+def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
+    """The keys that lead to the camera's picture."""
+    pictures = [keys for keys, found in _parts(space) if _is_picture(found)]
+    shown = ", ".join(".".join(keys) for keys in pictures)
+    if key is not None:
+        wanted = tuple(key.split("."))
+        if wanted in pictures:
+            return wanted
+        raise RecordingError(
+            f"--gym-picture {key}: no picture in {name}'s observation; pictures are: {shown or 'none'}"
+        )
+    if not pictures:
+        raise RecordingError(
+            f"--gym {name}: no camera picture in its observation, {_named(space)}: (height, width, 3) of uint8 was"
+            " expected"
+        )
+    if len(pictures) > 1:
+        raise RecordingError(f"--gym {name}: which picture? Give --gym-picture, one of {shown}")
+    return pictures[0]
+
+
+def _parts(space: Any, keys: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+    """The spaces in a space of dicts, and the keys that lead to them."""
+    from gymnasium.spaces import Dict
+
+    if not isinstance(space, Dict):
+        return [(keys, space)]
+    return [part for key, inner in space.spaces.items() for part in _parts(inner, (*keys, str(key)))]
+
+
+def _is_picture(space: Any) -> bool:
+    from gymnasium.spaces import Box
+
+    if not isinstance(space, Box) or space.dtype != np.uint8 or len(space.shape) not in (2, 3):
+        return False
+    return min(space.shape[:2]) >= LEAST_PX and (len(space.shape) == 2 or space.shape[2] in (1, 3))
+
+
+def _named(space: Any) -> str:
+    """A space in a few words."""
+    text = " ".join(str(space).split())
+    return printable(text if len(text) <= 100 else f"{text[:100]}...")

@@ -1,0 +1,129 @@
+"""Recording an expert in a Gymnasium environment into a log."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from common import Skipped
+from common.command import usage_errors
+from common.errors import UsageError, counted
+from common.files import refuse_existing
+from common.interrupts import stop_signals
+from common.progress import progress_bar
+from common.versions import version_of
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.log.log_time import BREAK_NS
+from recorder.log.writer import LogWriter
+from recorder.sources.built_in_simulator import CLOCK_START_NS
+from recorder.sources.frame_rate import check_rate
+from recorder.sources.gymnasium_car import GymnasiumCar
+from recorder.sources.gymnasium_flags import GymFlags
+from recorder.sources.import_result import Imported
+from simulator.driving.wandering import Wandering
+
+
+@dataclass(frozen=True)
+class GymRecording:
+    """What is recorded: the environment and its expert, and how.
+
+    What is sent wanders about what the expert wants, by a standard deviation of `wander` (of the steering -1..1),
+    so that he has something to correct; what he wants is recorded (Laskey et al. 2017, DART: Noise Injection for
+    Robust Imitation Learning).
+    """
+
+    environment: GymFlags
+    seed: int = 0  # of the first episode's reset, and of the wandering
+    rate_hz: float | None = None  # rows a second; it must divide the environment's; by default each step is a row
+    wander: float = 0.0
+
+
+def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = False) -> Imported:
+    """Record an expert's episodes to `log`: what the camera showed, and what the expert wanted there.
+
+    Ctrl-C ends the recording. What was recorded is kept, also where the environment or the expert fails.
+
+    Raises UsageError for flags that make no sense, RecordingError for an environment or an expert that cannot be
+    recorded, UserError if `log` exists and `overwrite` is off.
+    """
+    refuse_existing(log, overwrite)
+    check_recording(recording)
+    with stop_signals() as stopped, GymnasiumCar(recording.environment) as car:
+        steps_hz = car.rate_hz
+        every = _steps_a_row(recording.rate_hz, steps_hz)
+        count, most = recording.environment.episodes, car.max_steps
+        time_ns, rows, rewards = CLOCK_START_NS, 0, list[float]()
+        with (
+            LogWriter(log, _metadata(recording, car), overwrite=overwrite, live=True) as writer,
+            progress_bar() as bar,
+        ):
+            task = bar.add_task(f"recording {car.name}", total=count, note="episodes")
+            for number in range(count):
+                seed = recording.seed + number
+                wandering = Wandering(recording.wander, seed)
+                moment, step, reward = car.reset(seed), 0, 0.0
+                while not (moment.end or stopped.is_set()):
+                    seen, action = moment, car.expert_action(moment)
+                    moment = car.step(car.actions.turned(action, wandering.at(step / steps_hz)))
+                    if step % every == 0:  # written only now: what fails at once leaves no log
+                        row_ns = time_ns + round(step * 1e9 / steps_hz)
+                        command = car.actions.command(action)
+                        state = VehicleState(
+                            steering=command.steering,
+                            throttle=command.throttle,
+                            brake=command.brake,
+                            speed_mph=seen.speed_mph,
+                        )
+                        writer.picture("center", row_ns, rows, seen.jpeg(), seen.size)
+                        writer.vehicle(row_ns, rows, state)
+                        rows += 1
+                    step, reward = step + 1, reward + moment.reward
+                    bar.update(task, completed=number + (step / most if most else 0.0))
+                if stopped.is_set():
+                    break
+                end_ns = time_ns + round(step * 1e9 / steps_hz)
+                writer.event(end_ns, f"episode {number + 1}, seed {seed}: {moment.end}, reward {reward:,.1f}")
+                rewards.append(reward)
+                time_ns = end_ns + BREAK_NS
+            if not rows:
+                writer.discard()
+                raise RecordingError(f"{log}: stopped before a row was recorded")
+    mean = f", with a reward of {sum(rewards) / len(rewards):,.1f} on average" if rewards else ""
+    notice = f"{'stopped: ' if stopped.is_set() else ''}{counted(len(rewards), 'episode')} driven to the end{mean}"
+    return Imported(log, rows, rows, Skipped(), [*writer.notices, notice])
+
+
+def check_recording(recording: GymRecording) -> None:
+    """Raise UsageError, naming the flag, for what makes no sense whatever the environment is."""
+    if recording.environment.expert is None:
+        raise UsageError("--gym records an expert: give a function of your own by --expert MODULE:FUNCTION")
+    if not 0.0 <= recording.wander < math.inf:
+        raise UsageError(f"--wander {recording.wander:g}: a standard deviation was expected, 0 or more")
+    if recording.seed < 0:
+        raise UsageError(f"--seed {recording.seed}: a whole number from 0 on was expected")
+    with usage_errors(RecordingError):
+        check_rate(recording.rate_hz)
+
+
+def _steps_a_row(rows_hz: float | None, steps_hz: float) -> int:
+    """Steps of the environment for each row. Raises RecordingError if they are no whole number."""
+    steps = 1 if rows_hz is None else round(steps_hz / rows_hz)
+    if steps < 1 or (rows_hz is not None and abs(steps * rows_hz - steps_hz) > 1e-6 * steps_hz):
+        raise RecordingError(f"--rate {rows_hz:g}: it must divide the environment's {steps_hz:g} steps a second")
+    return steps
+
+
+def _metadata(recording: GymRecording, car: GymnasiumCar) -> dict[str, str]:
+    return {
+        "source": "gymnasium",
+        "simulator": car.name,
+        "driver": str(recording.environment.expert),
+        "clock": f"{car.rate_hz:g} steps a second of the environment's own time",
+        "gym.args": recording.environment.gym_args,
+        "gym.action": car.actions.text,
+        "gym.seed": str(recording.seed),
+        "gym.wander": f"{recording.wander:g}",
+        "gym.version": version_of("gymnasium"),
+    }

@@ -1,0 +1,103 @@
+"""`bc-drive --gym`: a network drives a Gymnasium environment, and its drive is a log like any other."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from drive.cli import main as bc_drive
+from driving import one_line_in, untrained_run
+from recorder.bc_pb2 import PilotCommand
+from recorder.log.reader import Log
+from repository import ROOT
+from toy_environment import STEPS
+from udacity import call
+
+BAR = ["--gym", "toy_environment:toy/Bar-v0", "--gym-action", "steering,throttle", "--viewer", "off"]
+SPEED = ["--gym-speed", "2.237*speed"]
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """With a run that has learnt nothing."""
+    monkeypatch.chdir(tmp_path)
+    untrained_run(tmp_path / "runs" / "first")
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+def commands(log: str) -> list[PilotCommand]:
+    with Log(log) as opened:
+        return [command for _, command in opened.commands()]
+
+
+def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_drive, "first", *BAR, *SPEED, "--episodes", 2, "--seed", 3, "--log", "d.mcap") == 0
+    said = capsys.readouterr().out
+    assert "seed 3: 30 steps, reward" in said
+    assert "seed 4: 30 steps, reward" in said
+    assert "8.9 mph on average" in said  # 4 m/s
+    sent = [command.steering for command in commands("d.mcap")]
+    with Log("d.mcap") as log:
+        driven = log.vehicle()["steering"].to_pylist()
+        episodes = json.loads(log.read_metadata("bc.gymnasium")["episodes"])
+        assert log.metadata["simulator"] == "toy_environment:toy/Bar-v0"
+    assert len(sent) == 2 * STEPS
+    # What was sent is what the environment's car did when the next picture was taken.
+    for start in (0, STEPS):
+        assert driven[start] == 0.0
+        np.testing.assert_allclose(driven[start + 1 : start + STEPS], sent[start : start + STEPS - 1])
+    assert [(one["seed"], one["steps"], one["end"]) for one in episodes] == [
+        (3, STEPS, "truncated"),
+        (4, STEPS, "truncated"),
+    ]
+
+
+def test_the_same_drive_twice_is_the_same() -> None:
+    short = ("--gym-args", '{"max_episode_steps": 5}')
+    for name in ("one", "two"):
+        assert call(bc_drive, "first", *BAR, *SPEED, *short, "--log", f"{name}.mcap") == 0
+    one, two = (commands(f"{name}.mcap") for name in ("one", "two"))
+    assert [command.steering for command in one] == [command.steering for command in two]
+
+
+def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
+    short = ("--gym-args", '{"max_episode_steps": 5}')
+    assert call(bc_drive, "first", *BAR, *short, "--expert", "toy_environment:centre", "--log", "d.mcap") == 0
+    sent = commands("d.mcap")
+    assert {command.throttle for command in sent} == {0.25}
+    assert any(command.steering != command.expert_steering for command in sent)
+
+
+def test_a_network_drives_car_racing(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--gym-action", "steering,throttle,brake", "--gym-args", '{"max_episode_steps": 20}']
+    expert = f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"
+    line = ["first", "--gym", "CarRacing-v3", *arguments, "--expert", expert, "--viewer", "off", "--log", "d.mcap"]
+    assert call(bc_drive, *line) == 0
+    assert "seed 0: 20 steps, reward" in capsys.readouterr().out
+    assert len(commands("d.mcap")) == 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        (BAR, 1, "tell its speed, which is kept at --speed, by --gym-speed KEY"),
+        ([*BAR, *SPEED, "--simulator", "lake"], 2, "--simulator: not with --gym"),
+        ([*BAR, *SPEED, "--takeover"], 2, "--takeover: not with --gym"),
+        ([*BAR, *SPEED, "--seed", "-1"], 2, "--seed -1"),
+        (["--seed", "1"], 2, "--seed: only with --gym ID"),
+        ([*BAR, *SPEED, "--gym-args", '{"observation": "numbers"}'], 1, "no camera picture"),
+    ],
+)
+def test_what_cannot_be_driven_is_said_in_one_line(
+    arguments: list[str], code: int, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(bc_drive, "first", *arguments) == code
+    assert expected in one_line_in(capsys)
+    assert not Path("drives").exists()

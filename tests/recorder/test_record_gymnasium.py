@@ -1,0 +1,172 @@
+"""`bc-record --gym`: an expert in a Gymnasium environment becomes a session like any other."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from driving import one_line_in
+from recorder.cli import main as bc_record
+from recorder.log.reader import Log
+from recorder.log_cli import main as bc_log
+from repository import ROOT
+from toy_environment import RATE_HZ, STEPS, place_in
+from udacity import call
+
+BAR = ["--gym", "toy_environment:toy/Bar-v0", "--gym-action", "steering,throttle"]
+CENTRE = ["--expert", "toy_environment:centre"]
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def states(name: str) -> dict[str, Any]:
+    """The rows of a session, by column."""
+    with Log(f"sessions/{name}.mcap") as log:
+        found: dict[str, Any] = log.vehicle().to_pydict()
+        return found
+
+
+def places(name: str) -> list[float]:
+    """Where the bar is in each recorded picture."""
+    with Log(f"sessions/{name}.mcap") as log:
+        jpegs = [log.picture(row) for row in range(len(log.vehicle()))]
+    decoded = (cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) for jpeg in jpegs)
+    return [place_in(np.asarray(picture, np.uint8)) for picture in decoded]
+
+
+def test_each_step_is_a_row_of_what_was_seen_and_what_the_expert_wanted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert call(bc_record, "bar", *BAR, *CENTRE, "--episodes", 2, "--gym-speed", "2.237*speed") == 0
+    assert "60 rows, 60 pictures" in capsys.readouterr().out
+    vehicle = states("bar")
+    pixel = 2.0 / 55  # of the bar's place
+    np.testing.assert_allclose(vehicle["steering"], [-0.5 * place for place in places("bar")], atol=0.5 * pixel)
+    assert set(vehicle["throttle"]) == {0.25}
+    assert set(vehicle["brake"]) == {0.0}
+    np.testing.assert_allclose(vehicle["speed_mph"], 4.0 * 3600 / 1609.344, rtol=1e-3)
+    steps_s = np.diff(np.array(vehicle["log_time_ns"], np.float64)) / 1e9
+    np.testing.assert_allclose(np.delete(steps_s, STEPS - 1), 1 / RATE_HZ, rtol=1e-4)
+    assert steps_s[STEPS - 1] > 1.0  # episodes are drives of their own
+    with Log("sessions/bar.mcap") as log:
+        assert log.metadata["simulator"] == "toy_environment:toy/Bar-v0"
+        assert log.metadata["driver"] == "toy_environment:centre"
+
+
+def test_what_the_environment_does_not_tell_stays_empty() -> None:
+    arguments = ("--gym-args", '{"observation": "picture"}', "--episodes", 1)
+    assert call(bc_record, "bar", *BAR[:3], "steering,0.5", *CENTRE, *arguments) == 0
+    vehicle = states("bar")
+    assert all(math.isnan(speed) for speed in vehicle["speed_mph"])
+    assert set(vehicle["throttle"]) == set(vehicle["brake"]) == {0.0}
+
+
+def test_the_same_seed_gives_the_same_rows_and_the_next_episode_has_the_next_seed() -> None:
+    for name, seed, episodes in (("two", 4, 2), ("first", 4, 1), ("second", 5, 1)):
+        assert call(bc_record, name, *BAR, *CENTRE, "--seed", seed, "--episodes", episodes) == 0
+    two, first, second = (states(name)["steering"] for name in ("two", "first", "second"))
+    assert two == first + second
+
+
+def test_rows_may_be_fewer_than_steps() -> None:
+    assert call(bc_record, "bar", *BAR, *CENTRE, "--rate", 10) == 0
+    times = np.array(states("bar")["log_time_ns"], np.float64)
+    np.testing.assert_allclose(np.diff(times) / 1e9, [0.1] * (STEPS // 2 - 1), rtol=1e-4)
+
+
+def test_a_wandering_hand_leads_elsewhere_but_what_is_recorded_is_what_the_expert_wanted() -> None:
+    assert call(bc_record, "calm", *BAR, *CENTRE) == 0
+    assert call(bc_record, "wanders", *BAR, *CENTRE, "--wander", 0.8) == 0
+    seen = places("wanders")
+    assert np.abs(np.subtract(seen, places("calm"))).max() > 0.1
+    np.testing.assert_allclose(states("wanders")["steering"], [-0.5 * place for place in seen], atol=1 / 55)
+
+
+def test_left_may_be_positive_and_scales_may_differ() -> None:
+    assert call(bc_record, "bar", *BAR, *CENTRE) == 0
+    assert call(bc_record, "other", *BAR[:2], "--gym-action=-2*steering,0.5*throttle", *CENTRE) == 0
+    bar, other = states("bar"), states("other")
+    np.testing.assert_allclose(other["steering"], np.array(bar["steering"]) / -2.0)
+    assert set(other["throttle"]) == {0.5}
+
+
+def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--gym-action", "steering,throttle,brake", "--gym-args", '{"max_episode_steps": 20}']
+    expert = ROOT / "examples" / "car_racing_expert.py"
+    assert call(bc_record, "race", "--gym", "CarRacing-v3", *arguments, "--expert", f"{expert}:drive") == 0
+    said = capsys.readouterr()
+    assert "20 rows, 20 pictures" in said.out
+    assert said.err.startswith("1 episode driven to the end, with a reward of ")
+    with Log("sessions/race.mcap") as log:
+        picture = cv2.imdecode(np.frombuffer(log.picture(19), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    assert picture.shape == (96, 96, 3)
+    assert max(states("race")["throttle"]) > 0.1
+    assert call(bc_log, "check", "sessions/race.mcap") == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        (["--gym", "Nowhere-v0", *CENTRE], 1, "--gym Nowhere-v0: cannot be made (NameNotFound"),
+        (["--gym", "no_such_module:X-v0", *CENTRE], 1, "No module named 'no_such_module'"),
+        ([*BAR, *CENTRE, "--gym-args", '{"wheels": 3}'], 1, "unexpected keyword argument 'wheels'"),
+        ([*BAR, *CENTRE, "--gym-args", "[1]"], 2, "a JSON object was expected"),
+        ([*BAR, *CENTRE, "--gym-args", '{"observation": "numbers"}'], 1, "no camera picture in its observation"),
+        ([*BAR, *CENTRE, "--gym-args", '{"observation": "two"}'], 1, "--gym-picture, one of front, rear"),
+        ([*BAR, *CENTRE, "--gym-picture", "rear"], 1, "pictures are: pixels.front"),
+        ([*BAR, *CENTRE, "--gym-args", '{"action": "discrete"}'], 1, "its actions are Discrete(3)"),
+        ([*BAR[:2], *CENTRE], 1, "has 2 numbers"),
+        ([*BAR[:3], "throttle,brake", *CENTRE], 2, "one number of the action has to be the steering"),
+        ([*BAR[:3], "steering,gas", *CENTRE], 2, "'gas': a number, or steering, throttle, brake, pedals"),
+        ([*BAR[:3], "0*steering,throttle", *CENTRE], 2, "a factor other than 0"),
+        ([*BAR, *CENTRE, "--gym-args", '{"fps": null}'], 1, "by --gym-rate"),
+        ([*BAR, *CENTRE, "--rate", "15"], 1, "must divide the environment's 20 steps a second"),
+        ([*BAR, *CENTRE, "--gym-speed", "velocity"], 1, "there is: pixels, speed"),
+        ([*BAR, *CENTRE, "--episodes", "0"], 2, "--episodes 0"),
+        ([*BAR, *CENTRE, "--wander", "nan"], 2, "--wander nan"),
+        ([*BAR, *CENTRE, "--track", "mountain"], 2, "not with --gym"),
+        ([*BAR, *CENTRE, "--listen"], 2, "--listen: not with --gym"),
+        (CENTRE, 2, "--expert: only with --gym ID"),
+        (["--wander", "0.1"], 2, "--wander: only with --gym ID"),
+        (BAR, 2, "by --expert MODULE:FUNCTION"),
+        ([*BAR, "--expert", "toy_environment"], 2, "module:function was expected"),
+        ([*BAR, "--expert", "no_such:drive"], 1, "no_such cannot be imported (ModuleNotFoundError"),
+        ([*BAR, "--expert", "missing.py:drive"], 1, "there is no file missing.py"),
+        ([*BAR, "--expert", "toy_environment:center"], 1, "did you mean centre?"),
+        ([*BAR, "--expert", "toy_environment:too_many"], 1, "shape (3,); an action of 2 numbers was expected"),
+        ([*BAR, "--expert", "toy_environment:nothing"], 1, "2 numbers was expected"),
+        ([*BAR, "--expert", "toy_environment:failing"], 1, "failed (ZeroDivisionError: the track has no width)"),
+    ],
+)
+def test_what_cannot_be_recorded_is_said_in_one_line(
+    arguments: list[str], code: int, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(bc_record, "bar", *arguments) == code
+    line = one_line_in(capsys)
+    assert expected in line
+    assert not Path("sessions").exists()
+
+
+def test_what_was_recorded_before_an_expert_gave_nan_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_record, "bar", *BAR, "--expert", "toy_environment:nan_later") == 1
+    assert "at step 7 it gave [nan, 0.0]: finite numbers were expected" in one_line_in(capsys)
+    assert states("bar")["steering"] == [pytest.approx(0.1)] * 7
+
+
+def test_without_gymnasium_it_is_said_what_brings_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    Path("mine.py").write_text("def drive(env, observation): ...\n")
+    assert call(bc_record, "bar", "--gym", "CarRacing-v3", "--expert", "mine.py:drive") == 1
+    assert 'pip install "behavioural-cloning-toolkit[gym]"' in one_line_in(capsys)
