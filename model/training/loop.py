@@ -18,17 +18,18 @@ from torch import Tensor
 
 from common.errors import counted
 from dataset import Loader, Samples
-from dataset.preprocess import CROP_BYTES
+from dataset.picture_spec import PictureSpec
 from dataset.samples.samples_reader import LOADED
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
-from model.network.original import SteeringNetwork
+from model.network.answer_layer import answer_layer
+from model.network.choice import NetworkChoice
 from model.progress_bar import progress_task
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint
 from model.runs.run_arguments import run_argument
-from model.runs.run_folder import load_config, load_network
+from model.runs.run_folder import load_weights
 from model.runs.training_progress import Epoch, Listener, Step
 from model.training.averaged_weights import AveragedWeights
 from model.training.batches import make_batches
@@ -53,6 +54,8 @@ class TrainingLoop:
         samples: Samples,
         writer: RunWriter,
         config: TrainConfig,
+        network: NetworkChoice,
+        picture: PictureSpec,
         machine: Machine,
         group: Group,
         listeners: Sequence[Listener],
@@ -80,6 +83,7 @@ class TrainingLoop:
             ranks=group.ranks,
             budget_bytes=budget_bytes,
             threads=config.threads,
+            seen=picture,
         )
         if not len(loader):
             raise RunError(
@@ -88,26 +92,29 @@ class TrainingLoop:
             )
         with progress_task(bar, "reading pictures", loader.pictures) as advance:  # at once, where a GPU keeps them
             self.batches = make_batches(loader, machine.device, advance=advance)
-        kept_bytes = loader.pictures * CROP_BYTES if machine.device.type == "cpu" else 0
+        kept_bytes = loader.pictures * picture.size_bytes if machine.device.type == "cpu" else 0
         left_bytes = max(0, budget_bytes - kept_bytes)
         # a batch of more than `micro_batch` would only take more memory
-        self.validation = Validation(samples, machine.micro_batch, left_bytes, config.threads, config.keep)
-        self.natural_frames = (
-            NaturalFrames(samples, machine.micro_batch, config.threads) if config.answers == "natural" else None
+        self.validation = Validation(
+            samples, machine.micro_batch, left_bytes, config.threads, config.keep, picture
         )
         self.answers = AnswerScale()  # of the last epoch
         self.skipped = [self.batches.skipped, self.validation.loader.skipped]
         torch.manual_seed(config.seed)
-        self.network = SteeringNetwork(config.dropout).to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network = network.build().to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.answer_layer = answer_layer(self.network, picture) if config.answers == "natural" else None
+        """The layer that natural answers are brought into, if they are asked for and there is one."""
+        self.natural_frames = (
+            NaturalFrames(samples, machine.micro_batch, config.threads, picture) if self.answer_layer else None
+        )
         self.averaged = AveragedWeights(self.network, config.average_steps)
         self.optimizer = make_optimizer(self.network, config.rate)
         self._saved_s = time.monotonic()
         self._busy_warning = BusyProcessorWarning(is_enabled=machine.device.type == "cpu" and group.is_first)
 
     def start_from(self, init: Path) -> None:
-        """Take the weights of another run."""
-        load_config(init)
-        self.network.load_state_dict(load_network(init).state_dict())
+        """Take the weights of another run of the same network."""
+        load_weights(init, self.network, self.validation.loader.seen)
 
     def begin(self) -> None:
         """Save the start of a new training."""
@@ -251,7 +258,7 @@ class TrainingLoop:
         self.writer.add_epoch(epoch, self.validation.worst(position.epoch, predicted, recorded))
         self.history.append(epoch)
         if epoch.is_best:
-            self.writer.keep_best(position.epoch, self.averaged.network, self.answers)
+            self.writer.keep_best(position.epoch, self.averaged.network, self.answers, self.answer_layer)
             self.best_predictions = predicted, recorded
         for listener in self.listeners:
             listener.epoch(epoch)

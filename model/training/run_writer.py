@@ -8,7 +8,7 @@ from pathlib import Path
 from torch import Tensor, nn
 
 from model.adam import Adam
-from model.network.original import LAST_LAYER, SteeringNetwork
+from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, save_checkpoint
 from model.runs.run_files import append_json_line, keep_json_lines
@@ -45,11 +45,15 @@ class RunWriter:
             append_json_line(self.run / WORST_FILE, worst.as_dict())
         append_json_line(self.run / METRICS_FILE, epoch.as_dict())
 
-    def keep_best(self, epoch: int, network: SteeringNetwork, answers: AnswerScale) -> None:
-        """Take a copy of the network's weights, with this scale of its answers, to be saved as those of the best
-        epoch."""
+    def keep_best(
+        self, epoch: int, network: PictureNetwork, answers: AnswerScale, answer_layer: str | None
+    ) -> None:
+        """Take a copy of the network's weights, with this scale of its answers in its last layer, to be saved as
+        those of the best epoch. Where there is no such layer, the scale is that of what is learnt."""
         weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
-        self._unsaved_best = epoch, answers.bring_into(weights, LAST_LAYER), answers
+        if answer_layer is not None:
+            weights = answers.bring_into(weights, answer_layer)
+        self._unsaved_best = epoch, weights, answers
 
     @property
     def has_best(self) -> bool:

@@ -13,6 +13,7 @@ from safetensors.torch import load_file as load_tensors
 
 from common.car import Camera
 from dataset import IndexConfig, Loader, Samples, build_index
+from dataset.picture_spec import ORIGINAL
 from logs import write_log
 from model import RunError, evaluate, load_pilot, train
 from model.runs.answer_scale import LEAST_SCALE, MOST_SCALE, AnswerScale
@@ -111,7 +112,7 @@ def test_only_training_frames_tell_it_in_the_frequency_of_the_road(tmp_path: Pat
     with Samples(index) as samples:
         balanced = np.abs(samples.of_split("train")["label"].to_numpy())
         assert np.bincount((balanced > 0.3).astype(int)).tolist() == [10, 10]
-        frames = NaturalFrames(samples, batch=4, threads=1)
+        frames = NaturalFrames(samples, batch=4, threads=1, seen=ORIGINAL)
         labels = np.concatenate([batch.steering for batch in frames.loader.in_order()])
     assert (np.abs(labels) > 0.3).mean() == pytest.approx(16 / 64, abs=0.06)
 
