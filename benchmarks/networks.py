@@ -105,10 +105,11 @@ class Contender:
             training_step(network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=PICTURES)
 
         self._step = step
-        self._pilots = {each: self._pilot(each) for each in ("auto", "float32")}
+        precisions: tuple[Precision, ...] = ("auto", "float32")
+        self._pilots = {each: self._pilot(each) for each in precisions}
         self._crop = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
         self._step_s: list[float] = []
-        self._predict_s: dict[str, list[float]] = {each: [] for each in self._pilots}
+        self._predict_s: dict[str, list[float]] = {each: [] for each in precisions}
 
     def take_turn(self) -> None:
         self._step_s.append(processor_s(self._step))

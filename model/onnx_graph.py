@@ -36,7 +36,7 @@ _ELEMENTWISE: Final[dict[Any, str]] = {
     "tanh": "Tanh",
 }
 """Layers, functions and methods of one tensor, and ONNX's operators that do the same."""
-_OF_TWO: Final = {
+_OF_TWO: Final[dict[Any, str]] = {
     operator.add: "Add",
     operator.iadd: "Add",
     torch.add: "Add",
@@ -44,7 +44,7 @@ _OF_TWO: Final = {
     torch.mul: "Mul",
 }
 _UNCHANGED: Final = (nn.Dropout, nn.Dropout2d, nn.Identity)
-_FLATTEN: Final = (torch.flatten, "flatten")
+_FLATTEN: Final[tuple[Any, ...]] = (torch.flatten, "flatten")
 _RESHAPE: Final = ("view", "reshape")  # (N, -1) is flattening
 
 

@@ -5,12 +5,23 @@ torchvision is an extra (`pip install "behavioural-cloning-toolkit[torchvision]"
 
 from __future__ import annotations
 
-from torch import Tensor
+import importlib
+from collections.abc import Callable
+from typing import Any, Final
+
+import torch
+from torch import Tensor, nn
 
 from common.versions import TOOLKIT
 from dataset.picture_spec import PictureSpec
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
+
+_OPERATORS: Final = {
+    "torchvision::nms": "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
+    "torchvision::qnms": "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
+}
+"""Operators of its own that the import of torchvision cannot do without."""
 
 
 class ResNet18(PictureNetwork):
@@ -20,14 +31,26 @@ class ResNet18(PictureNetwork):
 
     def __init__(self) -> None:
         super().__init__()
-        try:
-            from torchvision.models import resnet18
-        except (ImportError, RuntimeError) as error:  # a RuntimeError: it was built for another PyTorch
-            raise RunError(
-                f'resnet18 needs torchvision ({error}): `pip install "{TOOLKIT}[torchvision]"` brings it'
-            ) from None
-        self.network = resnet18(num_classes=1)
+        self.network = _torchvision_resnet18()(num_classes=1)
 
     def answers(self, inputs: Tensor) -> Tensor:
         steering: Tensor = self.network(inputs)
         return steering
+
+
+def _torchvision_resnet18() -> Callable[..., nn.Module]:
+    try:
+        try:
+            models: Any = importlib.import_module("torchvision.models")
+        except RuntimeError:
+            # Built for another PyTorch, such as that with CUDA beside one without: its operators cannot be loaded.
+            # ResNet has none of them; with their names known, the rest of torchvision is imported.
+            for name, schema in _OPERATORS.items():
+                torch.library.define(name, schema)
+            models = importlib.import_module("torchvision.models")
+    except (ImportError, RuntimeError) as error:
+        raise RunError(
+            f'resnet18 needs torchvision ({error}): `pip install "{TOOLKIT}[torchvision]"` brings it'
+        ) from None
+    made: Callable[..., nn.Module] = models.resnet18
+    return made

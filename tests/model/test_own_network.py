@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -70,10 +72,10 @@ def written(folder: Path, source: str, name: str = "net.py") -> Path:
     return path
 
 
-def trained(index: Path, folder: Path, source: str = PLAIN, **changed: object) -> tuple[Path, Path]:
+def trained(index: Path, folder: Path, source: str = PLAIN, **changed: Any) -> tuple[Path, Path]:
     """The code's file, and a run of it."""
     path = written(folder, source)
-    settings = replace(ONE, network=f"{path}:Net", **changed)  # type: ignore[arg-type]
+    settings = replace(ONE, network=f"{path}:Net", **changed)
     return path, train(index, folder / "runs" / "mine", settings, figures=False).run
 
 
@@ -118,14 +120,14 @@ def test_nobodys_code_runs_because_a_run_names_it(
     (has_run := Path(f"{path}.has-run")).unlink()
     flag = f"--network {run / 'network.py'}:Stranger"
     refused = rf"mine: its network is net\.py:Stranger, code that is only run if you name it: {flag}"
-    for line in (
-        (main, "--resume", "mine"),
-        (main, "--like", "mine", "--name", "other"),
-        (main, "export", "mine", "--onnx"),
-        (bc_eval, "mine"),
-    ):
-        command, *arguments = line
-        assert call(command, *arguments, "--runs", run.parent) == 1  # type: ignore[operator]
+    lines: list[tuple[Callable[[], None], list[str]]] = [
+        (main, ["--resume", "mine"]),
+        (main, ["--like", "mine", "--name", "other"]),
+        (main, ["export", "mine", "--onnx"]),
+        (bc_eval, ["mine"]),
+    ]
+    for command, arguments in lines:
+        assert call(command, *arguments, "--runs", run.parent) == 1
         (said,) = capsys.readouterr().err.splitlines()
         assert flag in said
         assert "only run if you name it" in said
