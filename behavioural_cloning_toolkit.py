@@ -97,6 +97,7 @@ bc_train = _command("bc-train", "model.cli")
 bc_drive = _command("bc-drive", "drive.cli")
 bc_play = _command("bc-play", "viz.cli")
 bc_sim = _command("bc-sim", "simulator.cli")
+bc_runs = _command("bc-runs", "model.runs_cli")
 bc_eval = _command("bc-eval", "drive.evaluation.eval_cli")
 bc_demo = _command("bc-demo", "drive.demo")
 

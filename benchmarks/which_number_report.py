@@ -28,6 +28,7 @@ from model.metrics import measure
 
 Floats = NDArray[np.float64]
 
+KNOWN: Final = ("lake", "mountain")
 OUTCOMES: Final = ("interventions a lap", "mean offset", "autonomy lost, %")
 DRAWS: Final = 500
 
@@ -50,7 +51,7 @@ def write(folder: Path) -> None:
         pq.write_table(pa.Table.from_pylist(rows), part)
     wide = pivot(rows)
     table = correlations(wide)
-    text = markdown(wide, table)
+    text = "\n".join([*driving_of_recipes(rows), "", *markdown(wide, table)]) + "\n"
     with atomic_file(folder / "which_number.md", overwrite=True) as part:
         part.write_text(text)
     print(text)
@@ -209,13 +210,32 @@ def correlation(a: Floats, b: Floats) -> float:
     return float(np.corrcoef(a, b)[0, 1]) if np.ptp(a) > 0 and np.ptp(b) > 0 else math.nan
 
 
-def markdown(wide: pd.DataFrame, table: pd.DataFrame) -> str:
-    """The tables: how each recipe drives, and how each measure ranks."""
-    lines = [f"{len(wide)} networks of {wide['recipe'].nunique()} recipes.", ""]
-    lines += ["| recipe | networks | interventions a lap | mean offset | RMSE (people) |", "|---|---|---|---|---|"]
-    for recipe, part in wide.groupby("recipe", sort=False):
-        cells = [spread(part[name]) for name in ("interventions a lap", "mean offset", "RMSE (people)")]
-        lines.append(f"| {recipe} | {len(part)} | {' | '.join(cells)} |")
+def driving_of_recipes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A table: how the networks of each recipe drive after their last epoch, on tracks of which they have learnt a
+    part and on others; the mean over seeds, and the least and the most."""
+    long = pd.DataFrame(rows)
+    long = long[(long["kind"] == "driven") & (long["epoch"] == long["epoch"].max())]
+    parts = {"known": long["where"].isin(KNOWN), "unseen": ~long["where"].isin(KNOWN)}
+    headings = [f"{part}: {name}" for part in parts for name in ("interventions a lap", "mean offset")]
+    lines = [f"| recipe | seeds | {' | '.join(headings)} |", "|---" * (2 + len(headings)) + "|"]
+    for recipe, seeds in long.groupby("recipe", sort=False)["seed"].nunique().items():
+        cells = []
+        for is_in in parts.values():
+            part = long[is_in & (long["recipe"] == recipe)]
+            sums = sums_of(part, ["seed"])
+            cells.append(mean_and_range(sums["interventions"] / sums["laps"].clip(lower=0.01)))
+            cells.append(mean_and_range(part[part["measure"] == "mean_offset"].groupby("seed")["value"].mean()))
+        lines.append(f"| {recipe} | {seeds} | {' | '.join(cells)} |")
+    return lines
+
+
+def mean_and_range(values: pd.Series[float]) -> str:
+    return f"{values.mean():.2f} ({values.min():.2f} to {values.max():.2f})"
+
+
+def markdown(wide: pd.DataFrame, table: pd.DataFrame) -> list[str]:
+    """The tables of how each measure ranks the networks."""
+    lines = [f"{len(wide)} networks of {wide['recipe'].nunique()} recipes."]
     order = table[table["outcome"] == OUTCOMES[0]].sort_values("within", ascending=False)["measure"].tolist()
     for label, title in (("all", "over all networks"), ("within", "within a recipe")):
         lines += ["", f"Spearman's rank correlation {title}, with its 95 % interval:", ""]
@@ -226,11 +246,7 @@ def markdown(wide: pd.DataFrame, table: pd.DataFrame) -> str:
                 (row,) = table[(table["measure"] == name) & (table["outcome"] == outcome)].to_dict("records")
                 cells.append(f"{row[label]:.2f} ({row[f'{label} low']:.2f} to {row[f'{label} high']:.2f})")
             lines.append(f"| {name} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-def spread(values: pd.Series[float]) -> str:
-    return f"{values.median():.2f} ({values.min():.2f} to {values.max():.2f})"
+    return lines
 
 
 def draw(wide: pd.DataFrame, table: pd.DataFrame, path: Path) -> None:

@@ -38,18 +38,18 @@ class DrivableStretch:
     end: int
 
 
-def stretches_to_drive(states: States, has_picture: NDArray[np.bool_]) -> list[DrivableStretch]:
+def stretches_to_drive(states: States, is_usable: NDArray[np.bool_]) -> list[DrivableStretch]:
     """The stretches of a log's rows between its borders.
 
-    Borders are gaps in time, time that goes backwards, rows without a picture or with numbers that cannot be, rows
-    slower than `SLOW_MPH` or of a crash, and the second before and after the car hits something. What is shorter
-    than `SHORTEST_S` is left out.
+    Borders are gaps in time, time that goes backwards, rows that are not `is_usable` (N,), such as those without a
+    picture, or have numbers that cannot be, rows slower than `SLOW_MPH` or of a crash, and the second before and
+    after the car hits something. What is shorter than `SHORTEST_S` is left out.
     """
     if not len(states.row):
         return []
     flags = row_flags(states)
     speed = states.speed_mph
-    is_good = has_picture & ~flags["out_of_range"] & ~flags["crash"] & (speed >= SLOW_MPH)  # False if not known
+    is_good = is_usable & ~flags["out_of_range"] & ~flags["crash"] & (speed >= SLOW_MPH)  # False if not known
     time_s = (states.time_ns - states.time_ns[0]) / 1e9
     step_s = np.diff(time_s)
     lost_mps = -np.diff(speed) * MPS_PER_MPH
@@ -86,20 +86,19 @@ class CarBesideLine:
         self.left_m = self.turn_rad = 0.0
         self._recorded = self._own = curvature(steering, self.geometry.wheelbase_m)
 
-    def follow(
-        self, steering: float, recorded: tuple[float, float], speed_mps: tuple[float, float], seconds: float
-    ) -> None:
-        """Hold `steering` while the recorded car drives on: its steering and its speed at both ends of `seconds`.
+    def follow(self, steering: float, recorded: float, speed_mps: tuple[float, float], seconds: float) -> None:
+        """Hold `steering` for `seconds`, while the recorded car drives on with its steering `recorded`, from one
+        speed to another.
 
-        The car is as fast as it must be to stay abreast, and is turned by 45 degrees at most.
+        Both are held alike: whoever steers as it was driven stays on the line, however far rows are apart. The car
+        is as fast as it must be to stay abreast, and is turned by 45 degrees at most.
         """
         steps = max(1, math.ceil(seconds / _STEP_S))
         step_s = seconds / steps
         share = 1.0 - math.exp(-step_s / self.geometry.lag_s) if self.geometry.lag_s > 0 else 1.0
-        own = curvature(steering, self.geometry.wheelbase_m)
+        own, line = (curvature(each, self.geometry.wheelbase_m) for each in (steering, recorded))
         for number in range(steps):
             at = (number + 0.5) / steps
-            line = curvature(recorded[0] + at * (recorded[1] - recorded[0]), self.geometry.wheelbase_m)
             way_m = step_s * (speed_mps[0] + at * (speed_mps[1] - speed_mps[0]))
             self._recorded += share * (line - self._recorded)
             self._own += share * (own - self._own)

@@ -26,8 +26,9 @@ from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork
 from model.onnx_graph import onnx_graph
+from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import run_write_errors
-from model.runs.run_folder import load_network, picture_of_run, run_name, weights_checksum
+from model.runs.run_folder import load_answer_scale, load_network, picture_of_run, run_name, weights_checksum
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -57,7 +58,7 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     run, path = Path(run), Path(path)
     refuse_existing(path, overwrite)
     picture, network = picture_of_run(run), load_network(run)
-    model = _model(run, network, picture)
+    model = _model(run, network, load_answer_scale(run), picture)
     with run_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
         difference = _largest_difference(part, network, picture)
@@ -102,11 +103,11 @@ def description(run: Path, picture: PictureSpec) -> dict[str, str]:
     }
 
 
-def _model(run: Path, network: PictureNetwork, picture: PictureSpec) -> ModelProto:
+def _model(run: Path, network: PictureNetwork, answers: AnswerScale, picture: PictureSpec) -> ModelProto:
     from onnx import checker, helper
 
     try:
-        graph = onnx_graph(network, picture)
+        graph = onnx_graph(network, answers, picture)
     except RunError as error:
         raise RunError(f"{run}: {error}") from None
     model = helper.make_model(

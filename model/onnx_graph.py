@@ -19,6 +19,7 @@ from dataset.picture_spec import PictureSpec
 from model.errors import RunError
 from model.network.own_code import in_one_line
 from model.network.picture_network import PictureNetwork
+from model.runs.answer_scale import AnswerScale
 
 if TYPE_CHECKING:
     from onnx import GraphProto
@@ -48,7 +49,7 @@ _FLATTEN: Final[tuple[Any, ...]] = (torch.flatten, "flatten")
 _RESHAPE: Final = ("view", "reshape")  # (N, -1) is flattening
 
 
-def onnx_graph(network: PictureNetwork, picture: PictureSpec) -> GraphProto:
+def onnx_graph(network: PictureNetwork, answers: AnswerScale, picture: PictureSpec) -> GraphProto:
     """In: "pictures", uint8 (N, height, width, 3); out: "steering", float32 (N,). Raises RunError for a network
     that has no graph."""
     from onnx import TensorProto, helper, numpy_helper
@@ -59,6 +60,14 @@ def onnx_graph(network: PictureNetwork, picture: PictureSpec) -> GraphProto:
     value = graph.add("Div", "halves", value, graph.constant("half_of_levels", np.array(127.5, np.float32)))
     value = graph.add("Sub", "scaled", value, graph.constant("one", np.array(1, np.float32)))
     value = graph.follow(value)
+    if answers != AnswerScale():
+        scale, curve, offset = (
+            graph.constant(name, np.array(getattr(answers, name), np.float32))
+            for name in ("scale", "curve", "offset")
+        )
+        size = graph.add("Abs", "size_of_answer", value)
+        factor = graph.add("Add", "factor", graph.add("Mul", "bent", size, curve), scale)
+        value = graph.add("Add", "natural", graph.add("Mul", "scaled_answer", value, factor), offset)
     if _answers_in_columns(network, picture):
         graph.add("Squeeze", "steering", value, graph.constant("axis", np.array([1], np.int64)))
     else:

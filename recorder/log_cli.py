@@ -22,6 +22,7 @@ from recorder.log.log_info import describe
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.recover import recover, recovered_name
+from recorder.log_list_cli import ListLogs
 from recorder.log_report import print_checked, print_info, print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
 from recorder.log_tag_cli import LogPath, NameRows, warn_stale
@@ -216,7 +217,8 @@ class Split:
 
 
 Command = (
-    Annotated[ShowInfo, tyro.conf.subcommand("info")]
+    Annotated[ListLogs, tyro.conf.subcommand("ls")]
+    | Annotated[ShowInfo, tyro.conf.subcommand("info")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Cameras, tyro.conf.subcommand("cameras")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
@@ -267,6 +269,7 @@ ABOUT = """Look after logs: what is in one, is it sound, make new ones of it, na
 
 Nothing edits a log in place.
 
+    bc-log ls
     bc-log info sessions/lake.mcap
     bc-log tag sessions/lake.mcap exclude --start 12 --end 15
 """

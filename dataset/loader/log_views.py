@@ -11,7 +11,6 @@ from common import Skipped
 from common.car import CAMERAS, Camera
 from common.closeable import Closeable
 from dataset.frames.frames_file import session_name
-from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import UNDECODED
 from dataset.picture_spec import ORIGINAL, PictureSpec
@@ -22,6 +21,7 @@ from recorder import Log, LogError
 from recorder.errors import damaged_pictures
 from recorder.log.car_geometry import CarGeometry, KnownCar, geometry_of
 from recorder.log.row_quality import States
+from recorder.log.tags import EXCLUDE, read_tags
 from recorder.log.topics import camera_topic
 
 AnyCar = KnownCar | Literal["auto"]
@@ -34,7 +34,7 @@ class LogViews(Closeable):
     call `close()`."""
 
     def __init__(self, path: Path | str, car: AnyCar = "auto", picture: PictureSpec = ORIGINAL) -> None:
-        """Raises LogError for a damaged log, RecordingError where nothing tells of which car it is."""
+        """Raises LogError for a damaged log or tags, RecordingError where nothing tells of which car it is."""
         self.path = Path(path)
         self.session = session_name(self.path)
         self.picture = picture
@@ -42,7 +42,9 @@ class LogViews(Closeable):
         self._log = Log(self.path)
         try:
             self.geometry: CarGeometry = geometry_of(self._log, car)
-            self.states: States = driven_states(self._log)[0]
+            # as the wheels stood, also where an expert drove: of what he commanded they came later
+            self.states = States.of(self._log.vehicle())
+            self._tags = read_tags(self.path, self._log.fingerprint)
             self._places = {camera: self._places_of(camera) for camera in CAMERAS}
         except BaseException:
             self.close()
@@ -60,10 +62,14 @@ class LogViews(Closeable):
 
     @property
     def stretches(self) -> list[DrivableStretch]:
-        """The stretches of rows that can be driven."""
-        has_picture = np.zeros(len(self.states.row), np.bool_)
-        has_picture[list(self._places[_CENTER])] = True
-        return stretches_to_drive(self.states, has_picture)
+        """The stretches of rows that can be driven, and are not tagged `exclude`."""
+        row = self.states.row
+        is_usable = np.zeros(len(row), np.bool_)
+        is_usable[list(self._places[_CENTER])] = True
+        for tag in self._tags:
+            if tag.name == EXCLUDE:
+                is_usable[(row >= tag.first_row) & (row <= tag.last_row)] = False
+        return stretches_to_drive(self.states, is_usable)
 
     def seen(self, number: int, left_m: float, turn_rad: float) -> tuple[Image, float] | None:
         """The crop (`picture.shape`, in BGR) that the network sees of row `number` from a car that is `left_m`

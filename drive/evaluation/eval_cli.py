@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from drive.evaluation.simulator_process import BuiltInSimulator
     from model.evaluation.differences import Verdict
     from model.evaluation.evaluate import Evaluation
+    from model.runs.kept_results import Way
 
 
 def _default(metavar: str, value: str) -> Any:
@@ -178,7 +179,9 @@ def _measure(config: Eval) -> int:
     """Measure on recorded frames."""
     from model.worst_moments import worst_frames
 
-    what, (found,) = _evaluations(config, _found_runs(config, config.run))
+    (run,) = _found_runs(config, config.run)
+    what, (found,) = _evaluations(config, [run])
+    _keep(run, "frames", {**what, **found.as_dict()})
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
     if config.json:
         print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
@@ -201,6 +204,17 @@ def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | No
         return {"index": None, "split": None}, evaluate_runs_on_sessions(runs, logs)
     index, split = config.index or _index_of(runs[0]), config.split or "validation"
     return {"index": str(index), "split": split}, evaluate_runs(runs, index, split)
+
+
+def _keep(run: Path, way: Way, result: dict[str, Any]) -> None:
+    """Keep a result in the run, for `bc-runs`; a folder that cannot be written to costs no measurement."""
+    from model.errors import RunWriteError
+    from model.runs.kept_results import keep_result
+
+    try:
+        keep_result(run, way, result)
+    except RunWriteError as error:
+        print_message(f"bc-eval: the result is not kept in the run: {error}", style="yellow")
 
 
 def _print_what(what: dict[str, str | None]) -> None:
@@ -305,6 +319,7 @@ def _drive(config: Eval) -> int:
         (run,) = _found_runs(config, config.run)
         for result in _driven(config, run, drives, config.logs or Path("drives")):
             results.append(result)
+            _keep(run, "simulator", result.as_dict())
             if config.json:
                 print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
@@ -362,6 +377,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
             except RecordingError as error:
                 raise UserError(f"{error}; if it is of one of these, give --car") from None
             drives.append(drive)
+            _keep(run, "recording", drive.as_dict())
             if config.json:
                 print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))
     finally:  # what was measured is shown, whatever stops the rest

@@ -53,7 +53,7 @@ class RecordedDrive:
     log: Path
     departure_m: float
     rows: int  # that were driven
-    rows_left_out: int  # borders: standing, manoeuvring, hits, gaps, rows without a picture
+    rows_left_out: int  # borders: standing, manoeuvring, hits, gaps, rows without a picture or tagged `exclude`
     stretches: int  # between borders
     driven_s: float
     distance_m: float  # along the recorded line
@@ -91,8 +91,8 @@ def drive_recording(
     """Let a network drive a log, finished or not, with a progress bar. The same network and log, the same drive.
     `picture` is what it sees.
 
-    Raises LogError for a damaged log, RecordingError where nothing tells of which car it is, DatasetError for one
-    of which nothing can be driven, RunError for a network that predicts what is no number.
+    Raises LogError for a damaged log or damaged tags, RecordingError where nothing tells of which car it is,
+    DatasetError for one of which nothing can be driven, RunError for a network that predicts what is no number.
     """
     with LogViews(log, car, picture) as views:
         return drive_views(predict, views, departure_m)
@@ -113,8 +113,8 @@ def drive_views(predict: Predict, views: LogViews, departure_m: float = DEPARTUR
     if not drive.driven_s:
         raise DatasetError(
             f"{views.path}: nothing in it can be driven: {SHORTEST_S:g} seconds at {SLOW_MPH:g} mph or more were"
-            " expected, with whole pictures of the centre camera and steering in -1..1; `bc-log info` tells"
-            " what it holds"
+            " expected, with whole pictures of the centre camera, steering in -1..1 and no tag exclude;"
+            " `bc-log info` tells what it holds"
         )
     offsets_m = np.abs([moment.left_m for moment in drive.moments])
     return RecordedDrive(
@@ -173,7 +173,7 @@ class _Drive:
                 break
             seconds = (time_ns[here + 1] - time_ns[here]) / 1e9
             speeds = speed_mps[here], speed_mps[here + 1]
-            car.follow(answer, (steering[here], steering[here + 1]), speeds, seconds)
+            car.follow(answer, steering[here], speeds, seconds)
             self.driven_s += seconds
             self.distance_m += seconds * sum(speeds) / 2
             if abs(car.left_m) > self._departure_m:

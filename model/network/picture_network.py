@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import torch
@@ -18,6 +19,9 @@ class PictureNetwork(nn.Module):
     PICTURE: ClassVar[PictureSpec] = ORIGINAL
     """What it sees, unless the run says otherwise."""
 
+    natural: Callable[[Tensor], Tensor] | None = None
+    """From what was learnt to the network's answer; None while it learns, and where both are the same."""
+
     input_dtype = torch.float32
     """What its layers are given. Scaling is always done in float32."""
 
@@ -26,7 +30,8 @@ class PictureNetwork(nn.Module):
         raise NotImplementedError
 
     def forward(self, pictures: Tensor) -> Tensor:
-        return steering_of(self.answers(scaled(pictures).to(self.input_dtype)), len(pictures))
+        learnt = steering_of(self.answers(scaled(pictures).to(self.input_dtype)), len(pictures))
+        return learnt if self.natural is None else self.natural(learnt.float())
 
 
 def scaled(pictures: Tensor) -> Tensor:

@@ -54,6 +54,13 @@ def read_history(run: Path) -> tuple[History, Skipped]:
     return history, reader.skipped
 
 
+def read_epochs(run: Path) -> tuple[Epoch, ...]:
+    """The epochs of a training by now, those alone; broken lines are left out. Raises RunError as `read_history`
+    does; no epochs where there is no training."""
+    file = _HistoryFile(run / METRICS_FILE, parse_epoch, lambda epoch: epoch.epoch, Skipped())
+    return tuple(file.read() or ())
+
+
 class HistoryReader:
     """Reads a run's files as they grow; `skipped` holds the lines that had to be left out."""
 

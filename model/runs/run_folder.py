@@ -27,7 +27,6 @@ from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from model.errors import RunError
-from model.network.answer_layer import answer_layer
 from model.network.choice import NetworkChoice
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
@@ -37,8 +36,8 @@ from model.runs.network_of_run import NETWORK_FILE, choice_of, picture_of
 from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_files import replaced_file, run_write_errors
 
-FORMAT: Final = 2
-DRIVABLE: Final = (1, 2)  # format 1 has less about its training
+FORMAT: Final = 3
+DRIVABLE: Final = (1, 2, 3)  # 1 has less about its training; 2 may have a scale of its answers in its last layer
 MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
@@ -89,7 +88,7 @@ def save_weights(
 ) -> None:
     """Replace the run's weights in one step: a full disk or a crash leaves the old ones.
 
-    `answers` is the scale that was brought into them.
+    `answers` is the scale of the answers that they give; the weights are as learnt.
     """
     scale = {} if answers in (None, AnswerScale()) else answers.metadata
     save_checksummed(folder / WEIGHTS, weights, {"epoch": str(epoch), **scale})
@@ -189,16 +188,18 @@ def choice_of_run(folder: Path) -> NetworkChoice:
 def load_network(folder: Path) -> PictureNetwork:
     """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape, or if
     it is somebody's own that was not named, or does not work here."""
-    choice, picture = choice_of_run(folder), picture_of_run(folder)
+    choice = choice_of_run(folder)
     network = choice.build()
-    load_weights(folder, network, picture)
+    answers = load_weights(folder, network)
     if choice.code is not None:
-        choice.try_network(network, picture)
+        choice.try_network(network, picture_of_run(folder))
+    network.natural = answers.natural if answers != AnswerScale() else None
     return network.eval()
 
 
-def load_weights(folder: Path, network: PictureNetwork, picture: PictureSpec) -> None:
-    """Bring the run's weights into a network. Raises RunError if they are damaged, or do not fit."""
+def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
+    """Bring the run's weights into a network, as they were learnt; the scale of the run's answers. Raises RunError
+    if they are damaged, or do not fit."""
     path = weights_path(folder)
     weights, stored = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
     if _is_last(folder):
@@ -208,14 +209,11 @@ def load_weights(folder: Path, network: PictureNetwork, picture: PictureSpec) ->
         network.load_state_dict(weights)
     except RuntimeError:
         raise RunError(f"{path}: weights of another network than its config.json tells; train it again") from None
-    if _is_last(folder) and (answers := _answer_scale(stored, path)) != AnswerScale():
-        if (layer := answer_layer(network, picture)) is None:
-            raise RunError(f"{path}: an answer scale for a network without a last linear layer; train it again")
-        network.load_state_dict(answers.bring_into(network.state_dict(), layer))
+    return _answer_scale(stored, path)
 
 
 def load_answer_scale(folder: Path) -> AnswerScale:
-    """The scale that is in the answers of the run's network. Raises RunError if its weights cannot be read."""
+    """The scale of the answers of the run's network. Raises RunError if its weights cannot be read."""
     path = weights_path(folder)
     try:
         with safe_open(path, framework="pt") as file:
@@ -228,7 +226,7 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
     """That of weights or of a checkpoint, by their metadata."""
     if "position" in stored:
         position = position_of(stored, path)
-        return AnswerScale(position.answer_scale, position.answer_offset)
+        return AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)
     try:
         return AnswerScale.from_metadata(stored)
     except ValueError as error:

@@ -23,7 +23,6 @@ from dataset.samples.samples_reader import LOADED
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
-from model.network.answer_layer import answer_layer
 from model.network.choice import NetworkChoice
 from model.progress_bar import progress_task
 from model.runs.answer_scale import AnswerScale
@@ -98,15 +97,15 @@ class TrainingLoop:
         self.validation = Validation(
             samples, machine.micro_batch, left_bytes, config.threads, config.keep, picture
         )
+        self.natural_frames = (
+            NaturalFrames(samples, machine.micro_batch, config.threads, picture)
+            if config.answers == "natural"
+            else None
+        )
         self.answers = AnswerScale()  # of the last epoch
         self.skipped = [self.batches.skipped, self.validation.loader.skipped]
         torch.manual_seed(config.seed)
         self.network = network.build().to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.answer_layer = answer_layer(self.network, picture) if config.answers == "natural" else None
-        """The layer that natural answers are brought into, if they are asked for and there is one."""
-        self.natural_frames = (
-            NaturalFrames(samples, machine.micro_batch, config.threads, picture) if self.answer_layer else None
-        )
         self.averaged = AveragedWeights(self.network, config.average_steps)
         self.optimizer = make_optimizer(self.network, config.rate)
         self._saved_s = time.monotonic()
@@ -114,7 +113,7 @@ class TrainingLoop:
 
     def start_from(self, init: Path) -> None:
         """Take the weights of another run of the same network."""
-        load_weights(init, self.network, self.validation.loader.seen)
+        load_weights(init, self.network)
 
     def begin(self) -> None:
         """Save the start of a new training."""
@@ -135,7 +134,8 @@ class TrainingLoop:
                 f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.batches.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
-        self.answers = AnswerScale(self.position.answer_scale, self.position.answer_offset)
+        of = self.position
+        self.answers = AnswerScale(of.answer_scale, of.answer_offset, of.answer_curve)
         self.cut_history()
         if not self.group.is_first:  # the first one has the sums of all
             self.position = replace(
@@ -242,6 +242,7 @@ class TrainingLoop:
             best_deg=best_deg,
             answer_scale=self.answers.scale,
             answer_offset=self.answers.offset,
+            answer_curve=self.answers.curve,
         )
 
     def _validate(self) -> tuple[float, float]:
@@ -254,11 +255,11 @@ class TrainingLoop:
         if self.natural_frames is not None:
             self.answers = self.natural_frames.fit(self.averaged.network)
         predicted = self.answers.natural(learnt)
-        epoch = self.validation.epoch(position, learnt, recorded, self.answers)
+        epoch = self.validation.epoch(position, learnt, predicted, recorded, self.answers)
         self.writer.add_epoch(epoch, self.validation.worst(position.epoch, predicted, recorded))
         self.history.append(epoch)
         if epoch.is_best:
-            self.writer.keep_best(position.epoch, self.averaged.network, self.answers, self.answer_layer)
+            self.writer.keep_best(position.epoch, self.averaged.network, self.answers)
             self.best_predictions = predicted, recorded
         for listener in self.listeners:
             listener.epoch(epoch)

@@ -45,14 +45,10 @@ class RunWriter:
             append_json_line(self.run / WORST_FILE, worst.as_dict())
         append_json_line(self.run / METRICS_FILE, epoch.as_dict())
 
-    def keep_best(
-        self, epoch: int, network: PictureNetwork, answers: AnswerScale, answer_layer: str | None
-    ) -> None:
-        """Take a copy of the network's weights, with this scale of its answers in its last layer, to be saved as
-        those of the best epoch. Where there is no such layer, the scale is that of what is learnt."""
+    def keep_best(self, epoch: int, network: PictureNetwork, answers: AnswerScale) -> None:
+        """Take a copy of the network's weights, with this scale of its answers, to be saved as those of the best
+        epoch."""
         weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
-        if answer_layer is not None:
-            weights = answers.bring_into(weights, answer_layer)
         self._unsaved_best = epoch, weights, answers
 
     @property

@@ -126,11 +126,6 @@ def train(
         loop = TrainingLoop(samples, writer, config, network, picture, machine, group, listeners, bar)
         notices = validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
-        if config.answers == "natural" and loop.answer_layer is None:
-            remarks.append(
-                f"{run}: answers as it has learnt: what balancing did to them is undone in a last nn.Linear with"
-                f" one output, and {network.name} has none (--answers as-learnt)"
-            )
         if begins:
             if init is not None:
                 loop.start_from(init)

@@ -29,6 +29,7 @@ COMMANDS = (
     "bc-log",
     "bc-index",
     "bc-train",
+    "bc-runs",
     "bc-drive",
     "bc-play",
     "bc-sim",

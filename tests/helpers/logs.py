@@ -30,13 +30,15 @@ def write_log(
     picture: Callable[[Camera, int], bytes] = not_a_picture,
     *,
     cameras: Sequence[Camera] = CAMERAS,
+    start_ns: int = START_NS,
     step_ns: int = STEP_NS,
+    source: str = "test",
     overwrite: bool = False,
 ) -> Path:
     """A log of one frame for each steering, a tenth of a second apart."""
-    with LogWriter(path, {"source": "test"}, overwrite=overwrite) as writer:
+    with LogWriter(path, {"source": source}, overwrite=overwrite) as writer:
         for row, value in enumerate(steering):
-            time_ns = START_NS + row * step_ns
+            time_ns = start_ns + row * step_ns
             for camera in cameras:
                 writer.picture(camera, time_ns, row, picture(camera, row))
             writer.vehicle(time_ns, row, VehicleState(steering=value, throttle=0.5, brake=0.0, speed_mph=9.0))

@@ -20,9 +20,10 @@ from logs import START_NS
 from model.errors import RunError
 from model.evaluation.recorded_drive import drive_recording
 from painted_road import render
-from recorder import LogWriter
-from recorder.bc_pb2 import VehicleState
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.car_geometry import UDACITY
+from recorder.log.tags import Tag, add_tag
 from udacity import call
 
 MPH = 0.44704  # metres a second
@@ -43,8 +44,9 @@ def record(
     picture: Callable[[Camera], bytes] = lambda camera: jpeg(GRAY),
     step_s: Sequence[float] | float = 0.1,
     source: str = "udacity",
+    commands: Sequence[float] = (),
 ) -> Path:
-    """A log of one row for each steering; the pictures are those of every row."""
+    """A log of one row for each steering; the pictures are those of every row. `commands` are an expert's."""
     count = len(steering)
     speeds, steps = (np.broadcast_to(values, count).tolist() for values in (speed_mph, step_s))
     pictures = {camera: picture(camera) for camera in CAMERAS}
@@ -55,6 +57,9 @@ def record(
                 writer.picture(camera, time_ns, row, pictures[camera])
             state = VehicleState(steering=steering[row], throttle=0.5, brake=0.0, speed_mph=speeds[row])
             writer.vehicle(time_ns, row, state)
+            if commands:
+                command = PilotCommand(driver=PilotCommand.EXPERT, steering=commands[row])
+                writer.command(time_ns, row, command)
             time_ns += round(steps[row] * 1e9)
     return path
 
@@ -71,6 +76,38 @@ def test_who_steers_as_it_was_driven_stays_on_the_line(tmp_path: Path) -> None:
     assert drive.known_share == 1
     assert drive.driven_s == pytest.approx(9.9)
     assert drive.distance_m == pytest.approx(9.9 * 20 * MPH)
+
+
+@pytest.mark.parametrize("rate_hz", [2, 9, 60])
+def test_also_where_somebody_pressed_keys_and_rows_are_far_apart(tmp_path: Path, rate_hz: float) -> None:
+    """Whatever the rate, and however the steering jumps: no way home is needed by who never left the line."""
+    steering = np.random.default_rng(0).choice([-1.0, 0.0, 0.0, 0.6], round(8 * rate_hz)).tolist()
+    step_s = (np.random.default_rng(1).uniform(0.7, 1.3, len(steering)) / rate_hz).tolist()
+    log = record(tmp_path / "keys.mcap", steering, 25.0, step_s=step_s, picture=lambda camera: jpeg(GRAY[:4, :8]))
+    answers = iter(steering)
+    drive = drive_recording(lambda crop: next(answers), log, departure_m=0.5)
+    assert (drive.rows, drive.interventions) == (len(steering), 0)
+    assert drive.max_offset_m < 1e-6
+
+
+def test_the_line_is_that_of_the_wheels_also_where_an_expert_commanded_otherwise(tmp_path: Path) -> None:
+    log = record(tmp_path / "expert.mcap", [0.3] * 60, commands=[-0.2] * 60, source="drive")
+    assert drive_recording(always(0.3), log).max_offset_m < 1e-6
+    assert drive_recording(always(-0.2), log).interventions > 0
+
+
+def test_what_is_tagged_exclude_is_not_driven(tmp_path: Path) -> None:
+    path = record(tmp_path / "tagged.mcap", [0.0] * 100)
+    with Log(path) as log:
+        fingerprint = log.fingerprint
+    add_tag(path, fingerprint, Tag(40, 49, "exclude"))
+    add_tag(path, fingerprint, Tag(70, 79, "fog"))
+    drive = drive_recording(always(0.0), path)
+    assert [moment.row for moment in drive.moments] == [*range(40), *range(50, 100)]
+    assert (drive.stretches, drive.rows_left_out) == (2, 10)
+    add_tag(path, fingerprint, Tag(0, 99, "exclude"))
+    with pytest.raises(UserError, match="no tag exclude"):
+        drive_recording(always(0.0), path)
 
 
 @pytest.mark.parametrize("steering", [0.04, -0.04])

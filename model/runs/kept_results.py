@@ -1,0 +1,61 @@
+"""The results of evaluations, kept in the run that they are of: results.jsonl, a line for each.
+
+A line says when it was measured, and by the SHA-256 of which weights: those of a run that was trained on since are
+others. Results may come with a run from somebody else: a line that cannot be one is left out and counted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+
+from common.untrusted import read_bounded
+from model.errors import RunError
+from model.runs.run_files import append_json_line
+from model.runs.run_folder import config_folder, weights_checksum
+
+RESULTS_FILE: Final = "results.jsonl"
+
+_MOST_BYTES: Final = 64 << 20  # a hundred thousand results
+
+Way = Literal["frames", "recording", "simulator"]
+
+
+class KeptResult(msgspec.Struct, frozen=True):
+    """A result as it stands in the file."""
+
+    measured_at: str  # UTC, ISO 8601
+    way: Way
+    weights_sha256: str
+    result: dict[str, Any]  # as `bc-eval --json` has it
+
+
+def keep_result(run: Path, way: Way, result: Mapping[str, Any]) -> None:
+    """Add a result of the run's weights, or of those of its last epoch (NAME/last). Raises RunWriteError where the
+    folder cannot be written to."""
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    kept = KeptResult(now, way, weights_checksum(run), dict(result))
+    append_json_line(config_folder(run) / RESULTS_FILE, msgspec.to_builtins(kept))
+
+
+def kept_results(run: Path) -> tuple[list[KeptResult], int]:
+    """The results in a run's folder, the oldest first, and the number of lines that are none."""
+    path = run / RESULTS_FILE
+    try:
+        content = read_bounded(path, _MOST_BYTES)
+    except FileNotFoundError:
+        return [], 0
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); remove it, and measure again") from None
+    found, lines = [], [line for line in content.splitlines() if line.strip()]
+    for line in lines:
+        try:
+            found.append(msgspec.convert(json.loads(line), KeptResult))
+        except (ValueError, RecursionError):  # msgspec's errors are ValueErrors
+            continue
+    return found, len(lines) - len(found)

@@ -1,0 +1,137 @@
+"""What a run is, how well it learnt and how it drove, in a few numbers, to stand beside other runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from common import UserError
+from model.runs.history import read_epochs
+from model.runs.kept_results import KeptResult, kept_results
+from model.runs.network_of_run import stored_network
+from model.runs.run_folder import CONFIG, WEIGHTS, load_config, weights_checksum
+from model.runs.training_progress import Epoch
+
+
+class _Training(msgspec.Struct):
+    epochs: int
+    recipe: str = "original"
+    seed: int = 0
+
+
+class _Data(msgspec.Struct):
+    logs: dict[str, Any] = {}
+
+
+class _Config(msgspec.Struct):
+    """The part of a run's config.json that a summary needs."""
+
+    training: _Training
+    data: _Data = msgspec.field(default_factory=_Data)
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """A run in short. Errors are of the frames held out after the epoch that was kept, in degrees; NaN where there
+    are none."""
+
+    name: str
+    folder: str
+    written_at: str  # UTC, ISO 8601: its weights, or its config where it has none yet
+    problem: str = ""  # why nothing else is known of it
+    network: str = ""
+    recipe: str = ""
+    seed: int = 0
+    sessions: list[str] = field(default_factory=list)
+    epochs: int = 0  # learnt
+    epochs_asked: int = 0
+    kept_epoch: int = 0
+    rmse_deg: float = math.nan
+    mean_rmse_deg: float = math.nan  # of always predicting the mean
+    balanced_rmse_deg: float = math.nan
+    mean_balanced_rmse_deg: float = math.nan
+    correlation: float = math.nan
+    results: list[KeptResult] = field(default_factory=list)  # the last of each kind that its weights have given
+
+    @property
+    def drives(self) -> list[dict[str, Any]]:
+        """The last drive of each simulator's track at each speed, as `bc-eval --json` has it."""
+        return [kept.result for kept in self.results if kept.way == "simulator"]
+
+    @property
+    def interventions_per_km(self) -> float:
+        """Over all of `drives`; NaN where it has not driven."""
+        driven_m = sum(drive["distance_m"] for drive in self.drives)
+        return 1000 * sum(drive["interventions"] for drive in self.drives) / driven_m if driven_m else math.nan
+
+
+def summarize_runs(runs: Path) -> Iterator[RunSummary]:
+    """Those of all runs in a folder, by name. A run that cannot be read says why."""
+    for config in sorted(runs.glob(f"*/{CONFIG}")):
+        yield summarize_run(config.parent)
+
+
+def summarize_run(run: Path) -> RunSummary:
+    weights = run / WEIGHTS
+    written_s = (weights if weights.exists() else run / CONFIG).stat().st_mtime
+    about = run.name, str(run), datetime.fromtimestamp(written_s, UTC).isoformat(timespec="seconds")
+    try:
+        stored = load_config(run)
+        config = msgspec.convert(stored, _Config)
+        epochs = read_epochs(run)
+        kept = next((epoch for epoch in reversed(epochs) if epoch.is_best), None)
+        return RunSummary(
+            *about,
+            network=stored_network(stored, run).name,
+            recipe=config.training.recipe,
+            seed=config.training.seed,
+            sessions=list(config.data.logs),
+            epochs=epochs[-1].epoch if epochs else 0,
+            epochs_asked=config.training.epochs,
+            **_errors(kept),
+            results=_last_of_each(run) if weights.exists() else [],
+        )
+    except (UserError, msgspec.ValidationError, OSError) as error:
+        return RunSummary(*about, problem=" ".join(str(error).split()))
+
+
+def _errors(kept: Epoch | None) -> dict[str, Any]:
+    if kept is None:
+        return {}
+    measures = kept.measures
+    return {
+        "kept_epoch": kept.epoch,
+        "rmse_deg": measures.network.rmse_deg,
+        "mean_rmse_deg": measures.mean.rmse_deg,
+        "balanced_rmse_deg": measures.balanced_rmse_deg if measures.frames else math.nan,
+        "mean_balanced_rmse_deg": measures.mean_balanced_rmse_deg,
+        "correlation": measures.network.correlation,
+    }
+
+
+def _last_of_each(run: Path) -> list[KeptResult]:
+    """The last result of each track or recording at each speed and length, of the weights that the run has now."""
+    results, _ = kept_results(run)
+    checksum = weights_checksum(run) if results else ""
+    last: dict[tuple[object, ...], KeptResult] = {}
+    for kept in results:
+        found = kept.result
+        if kept.weights_sha256 == checksum and _is_whole(kept):
+            names = ("track", "set_speed_mph", "session", "departure_m", "index", "split")
+            last[kept.way, *(str(found.get(name)) for name in names)] = kept
+    return list(last.values())
+
+
+def _is_whole(kept: KeptResult) -> bool:
+    """Whether a drive has the numbers that are added up."""
+    if kept.way != "simulator":
+        return True
+    numbers = [kept.result.get(name) for name in ("distance_m", "interventions", "set_speed_mph")]
+    is_known = all(isinstance(number, int | float) and 0 <= number < 1e12 for number in numbers)
+    return is_known and isinstance(kept.result.get("track"), str)

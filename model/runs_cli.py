@@ -1,0 +1,128 @@
+"""`bc-runs`: lists trained runs, so that they can be compared."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from rich.markup import escape
+from rich.table import Table
+
+from common import UserError
+from common.command import DONE, run_command, warn
+from common.errors import printable
+from common.output import print_result, print_table
+
+if TYPE_CHECKING:
+    from model.runs.run_summary import RunSummary
+
+SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
+    "newest": lambda run: _descending(run.written_at),
+    "name": lambda run: run.name,
+    "rmse": lambda run: run.rmse_deg / run.mean_rmse_deg,
+    "balanced-rmse": lambda run: run.balanced_rmse_deg / run.mean_balanced_rmse_deg,
+    "correlation": lambda run: -run.correlation,
+    "interventions": lambda run: run.interventions_per_km,
+}
+"""The best comes first. Errors are shares of those of always predicting the mean: runs hold out other frames."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """List trained runs, the newest first: what they learnt from, their errors on the frames that they hold out,
+    and how they drove (what `bc-eval` has measured of them is kept in their folders).
+
+    bc-runs
+    bc-runs --sort interventions
+    """
+
+    runs: Path = Path("runs")
+    """Where runs are kept."""
+    sort: Literal["newest", "name", "rmse", "balanced-rmse", "correlation", "interventions"] = "newest"
+    """By what to order them, the best first; errors as shares of those of always predicting the mean."""
+    json: bool = False
+    """One JSON object a run, with every kept result, and no table."""
+
+
+def list_runs(config: Runs) -> int:
+    from model.runs.run_summary import summarize_runs
+
+    if not config.runs.is_dir():
+        raise UserError(f"{config.runs}: no such folder; train a run with `bc-train`, or give --runs FOLDER")
+    found = list(summarize_runs(config.runs))
+    if not found:
+        raise UserError(f"{config.runs}: no run in it; train one with `bc-train`")
+    runs = sorted((run for run in found if not run.problem), key=lambda run: _order(config.sort, run))
+    if config.json:
+        _print_json(runs)
+    elif runs:
+        print_table(_table(runs))
+    return max([DONE, *(warn(run.problem) for run in found if run.problem)])
+
+
+def _order(by: str, run: RunSummary) -> tuple[bool, Any, str]:
+    """Those without the number come last."""
+    value = SORTED_BY[by](run)
+    is_unknown = isinstance(value, float) and math.isnan(value)
+    return is_unknown, 0.0 if is_unknown else value, run.name
+
+
+def _descending(text: str) -> tuple[int, ...]:
+    return tuple(-ord(character) for character in text)
+
+
+def _print_json(runs: Sequence[RunSummary]) -> None:
+    import msgspec
+
+    from model.runs.run_files import without_nan
+
+    for run in runs:
+        print_result(json.dumps(without_nan(msgspec.to_builtins(dataclasses.asdict(run)))))
+
+
+def _table(runs: Sequence[RunSummary]) -> Table:
+    title = "held-out frames: errors as shares of those of always predicting the mean"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("run", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"):
+        is_text = heading in ("run", "recipe", "interventions")
+        table.add_column(heading, justify="left" if is_text else "right", overflow="fold")
+    for run in runs:
+        table.add_row(
+            escape(printable(run.name)),
+            f"{len(run.sessions):,}",
+            escape(printable(run.recipe)),
+            f"{run.kept_epoch}/{run.epochs}",
+            _number(run.rmse_deg / run.mean_rmse_deg),
+            _number(run.balanced_rmse_deg / run.mean_balanced_rmse_deg),
+            _number(run.correlation),
+            escape(printable(_driven(run.drives))),
+        )
+    return table
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}"
+
+
+def _driven(drives: Sequence[dict[str, Any]]) -> str:
+    """The interventions on each track, by speed: "10 mph: lake 0, mountain 1"."""
+    by_speed = groupby(sorted(drives, key=_speed_mph), key=_speed_mph)
+    tracks = {
+        speed: ", ".join(f"{drive['track']} {drive['interventions']}" for drive in part)
+        for speed, part in by_speed
+    }
+    return "; ".join(f"{speed:g} mph: {driven}" for speed, driven in tracks.items())
+
+
+def _speed_mph(drive: dict[str, Any]) -> float:
+    return float(drive["set_speed_mph"])
+
+
+def main() -> None:
+    run_command("bc-runs", Runs, list_runs)

@@ -1,0 +1,124 @@
+"""`bc-runs` lists runs beside one another, with what `bc-eval` has measured of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drive.evaluation.eval_cli import main as bc_eval
+from driving import untrained_run
+from histories import epoch_line
+from logs import write_log
+from model.runs.kept_results import keep_result
+from model.runs_cli import main as bc_runs
+from toy import STEERING, road
+from udacity import call
+
+
+def a_run(runs: Path, name: str, best_rmse_deg: float = 2.0, **training: Any) -> Path:
+    """A run of two epochs, of which the first one was kept."""
+    run = untrained_run(runs / name, seed=len(name))
+    config = json.loads((run / "config.json").read_text())
+    config["training"] = {"epochs": 3, "recipe": "people", **training}
+    config["data"] = {"logs": {"sunday": {}, "monday": {}}}
+    (run / "config.json").write_text(json.dumps(config))
+    lines = [epoch_line(1), epoch_line(2, is_best=False)]
+    lines[0]["validation"]["rmse_deg"] = best_rmse_deg
+    lines[0]["mean"]["rmse_deg"] = 4.0
+    (run / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return run
+
+
+def drive(track: str, interventions: int, speed_mph: float = 10.0) -> dict[str, Any]:
+    return {"track": track, "set_speed_mph": speed_mph, "interventions": interventions, "distance_m": 500.0}
+
+
+def listed(capsys: pytest.CaptureFixture[str], runs: Path, *flags: str) -> list[dict[str, Any]]:
+    capsys.readouterr()
+    assert call(bc_runs, "--runs", runs, "--json", *flags) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_runs_stand_beside_one_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    keep_result(a_run(tmp_path, "first"), "simulator", drive("lake", 2))
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    header, row = (line.split() for line in capsys.readouterr().out.splitlines()[-2:])
+    assert header == ["run", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"]
+    # RMSE 2 of the mean's 4; epoch_line tells no balanced RMSE of the mean, as earlier versions did
+    assert row[:7] == ["first", "2", "people", "1/2", "0.50", "-", "0.17"]
+    assert " ".join(row[7:]) == "10 mph: lake 2"
+
+
+def test_the_best_one_comes_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, rmse_deg, interventions in (("a", 3.0, 0), ("bb", 1.0, 5), ("ccc", 2.0, None)):
+        run = a_run(tmp_path, name, rmse_deg)
+        if interventions is not None:
+            keep_result(run, "simulator", drive("lake", interventions))
+    assert [run["name"] for run in listed(capsys, tmp_path, "--sort", "name")] == ["a", "bb", "ccc"]
+    assert [run["name"] for run in listed(capsys, tmp_path, "--sort", "rmse")] == ["bb", "ccc", "a"]
+    # the one that has not driven comes last
+    assert [run["name"] for run in listed(capsys, tmp_path, "--sort", "interventions")] == ["a", "bb", "ccc"]
+
+
+def test_the_last_drive_of_each_track_and_speed_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = a_run(tmp_path, "first")
+    for result in (drive("lake", 7), drive("lake", 1), drive("lake", 3, 20.0), drive("mountain", 0)):
+        keep_result(run, "simulator", result)
+    (found,) = listed(capsys, tmp_path)
+    assert [kept["result"]["interventions"] for kept in found["results"]] == [1, 3, 0]
+
+
+def test_results_of_other_weights_are_not_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = a_run(tmp_path, "first")
+    keep_result(run, "simulator", drive("lake", 7))
+    weights = untrained_run(tmp_path / "elsewhere" / "run", seed=9) / "model.safetensors"
+    weights.replace(run / "model.safetensors")  # as training on does
+    (found,) = listed(capsys, tmp_path)
+    assert found["results"] == []
+    assert "lake" in (run / "results.jsonl").read_text()
+
+
+def test_bc_eval_keeps_what_it_measures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = a_run(tmp_path / "runs", "first")
+    log = write_log(tmp_path / "toy.mcap", STEERING[:8], road, cameras=["center"])
+    call(bc_eval, "first", "--runs", tmp_path / "runs", "--session", log, "--json")
+    measured = json.loads(capsys.readouterr().out)
+    (found,) = listed(capsys, tmp_path / "runs")
+    (kept,) = found["results"]
+    assert (kept["way"], kept["result"]["network"]) == ("frames", measured["network"])
+    assert run.joinpath("results.jsonl").read_text().count("\n") == 1
+
+
+def test_a_damaged_run_is_named_behind_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a_run(tmp_path, "sound")
+    (a_run(tmp_path, "broken") / "config.json").write_text("{")
+    assert call(bc_runs, "--runs", tmp_path) == 3
+    output = capsys.readouterr()
+    assert "sound" in output.out
+    assert str(tmp_path / "broken" / "config.json") in output.err
+
+
+@pytest.mark.parametrize(
+    "line", ["garbage", "{}", '{"way": "simulator"}', "[" * 100_000, '{"way": 1, "result": []}']
+)
+def test_lines_that_are_no_results_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str
+) -> None:
+    run = a_run(tmp_path, "first")
+    (run / "results.jsonl").write_text(f"{line}\n")
+    keep_result(run, "simulator", drive("lake", 0))
+    keep_result(run, "simulator", {"track": "lake", "distance_m": "far"})  # of a whole line, but no drive
+    (found,) = listed(capsys, tmp_path)
+    assert [kept["result"]["track"] for kept in found["results"]] == ["lake"]
+
+
+def test_without_runs_it_says_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in (tmp_path, tmp_path / "nowhere"):
+        assert call(bc_runs, "--runs", folder) == 1
+        assert "bc-train" in capsys.readouterr().err
