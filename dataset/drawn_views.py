@@ -45,6 +45,12 @@ def place_of(view: Numbers | int) -> tuple[Values, Values]:
     return shares[0] * MOST_LEFT_M, shares[1] * MOST_TURN_RAD
 
 
+def can_be_warped(width_px: int, height_px: int) -> bool:
+    """Whether crops of pictures of this size show as much to either side as those that `crop_from` expects."""
+    columns, rows = OUTLINE_PX
+    return math.isclose(width_px * rows, height_px * columns, rel_tol=0.02)
+
+
 def crop_from(crop: Image, seed: int) -> Image:
     """The crop (128, 128, 3) as seen from the view whose number is in a seed's lowest 32 bits."""
     left_m, turn_rad = place_of(seed)
@@ -53,5 +59,5 @@ def crop_from(crop: Image, seed: int) -> Image:
 
 @cache
 def _crops() -> Viewpoint:
-    """The built-in simulator's cameras are within a twentieth of these."""
+    """The built-in simulator's cameras stand and look nearly alike."""
     return Viewpoint(UDACITY, *OUTLINE_PX, of_crops=True)
