@@ -22,6 +22,10 @@ VIEWPOINT: Final = "viewpoint"
 MOST_LEFT_M: Final = 0.8  # to either side, about as far as the side cameras
 MOST_TURN_RAD: Final = math.radians(6.0)
 
+LAST_VIEW: Final = 0xFFFF_FFFF
+"""The largest number of a view. In a sample's seed the bits above are what else is done to it, 0 where it is shown
+for the first time."""
+
 _MOST: Final = 0xFFFF  # a view's number: 16 bits for where it is, 16 for how it is turned
 
 Values = NDArray[np.float64]
@@ -30,7 +34,7 @@ Numbers = NDArray[np.int64]
 
 def draw_views(count: int, random: np.random.Generator) -> Numbers:
     """Numbers (N,) of views, each of which stands for a place beside the line and a turn."""
-    return random.integers(0, 1 << 32, count)
+    return random.integers(0, LAST_VIEW, count, endpoint=True)
 
 
 def mirrored_view(view: Numbers) -> Numbers:

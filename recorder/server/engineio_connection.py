@@ -165,7 +165,7 @@ class Connection(Socket):  # type: ignore[misc]
                 stream,
                 headers,
                 max_bytes=self.server.max_http_buffer_size,
-                lock=self._host.make_lock(),
+                make_lock=self._host.make_lock,
                 let_others_run=self._host.let_others_run,
             )
         except HandshakeError as error:

@@ -49,14 +49,14 @@ class WebSocket:
         headers: list[tuple[str, str]],
         *,
         max_bytes: int,
-        lock: contextlib.AbstractContextManager[Any],
+        make_lock: Callable[[], contextlib.AbstractContextManager[Any]],
         let_others_run: Callable[[], object],
     ) -> None:
         """Accept the upgrade that `headers` ask for.
 
-        A message is at most `max_bytes` long, each of its frames counting `FRAME_BYTES` more. `lock` keeps apart
-        what several threads send. `let_others_run` is called between messages: a client that sends without a pause
-        would keep all other green threads from running.
+        A message is at most `max_bytes` long, each of its frames counting `FRAME_BYTES` more. `make_lock` makes a
+        lock of the kind of thread that serves the connection. `let_others_run` is called between messages: a
+        client that sends without a pause would keep all other green threads from running.
         Raises HandshakeError if the headers ask for no websocket, OSError if the client has gone.
         """
         self.received_s = 0.0
@@ -65,7 +65,8 @@ class WebSocket:
         """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty if there was none."""
         self._stream = stream
         self._max_bytes = max_bytes
-        self._lock = lock
+        self._protocol_lock = make_lock()  # never held while the client is waited for: reading must go on
+        self._sending_lock = make_lock()  # taken first: frames are sent in the order in which they are made
         self._let_others_run = let_others_run
         self._protocol = Protocol(Side.SERVER, max_size=max_bytes)
         self._parts: list[bytes] = []
@@ -106,12 +107,13 @@ class WebSocket:
 
     def send(self, message: str | bytes) -> None:
         """Send a message; returns when the system has taken it. Raises OSError if the client has gone."""
-        with self._lock:
+        with self._sending_lock:
             try:
-                if isinstance(message, str):
-                    self._protocol.send_text(message.encode())
-                else:
-                    self._protocol.send_binary(message)
+                with self._protocol_lock:
+                    if isinstance(message, str):
+                        self._protocol.send_text(message.encode())
+                    else:
+                        self._protocol.send_binary(message)
             except InvalidState:
                 raise ConnectionResetError("the websocket is closed") from None
             self._flush()
@@ -136,10 +138,11 @@ class WebSocket:
 
     def _parse(self, data: bytes) -> int:
         """Parse received bytes; the number of frames that they complete."""
-        with self._lock:
+        with self._protocol_lock:
             self._protocol.receive_data(data)
             frames = [event for event in self._protocol.events_received() if isinstance(event, Frame)]
-            with contextlib.suppress(OSError):
+        if any(frame.opcode not in DATA_OPCODES for frame in frames):
+            with contextlib.suppress(OSError), self._sending_lock:
                 self._flush()  # answers to pings, and to a close
         for frame in frames:
             if frame.opcode in DATA_OPCODES:
@@ -177,15 +180,17 @@ class WebSocket:
 
     def _close(self, code: CloseCode) -> None:
         self._closed_s = time.perf_counter()
-        with contextlib.suppress(OSError), self._lock:
-            if self._protocol.state is State.OPEN:
-                self._protocol.send_close(code)
+        with contextlib.suppress(OSError), self._sending_lock:
+            with self._protocol_lock:
+                if self._protocol.state is State.OPEN:
+                    self._protocol.send_close(code)
             self._flush()
             self._stream.shutdown(socket.SHUT_WR)
 
     def _flush(self) -> None:
-        """Send the protocol's pending bytes. Raises OSError if the client has gone."""
-        data = b"".join(self._protocol.data_to_send())
+        """Send the pending bytes; `_sending_lock` is held. Raises OSError if the client has gone."""
+        with self._protocol_lock:
+            data = b"".join(self._protocol.data_to_send())
         if not data:
             return
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import socket
 import struct
@@ -36,7 +37,7 @@ def make_wire(
     stream: socket.socket, headers: dict[str, str], let_others_run: Callable[[], object] = lambda: None
 ) -> WebSocket:
     named = list(headers.items())
-    return WebSocket(stream, named, max_bytes=MOST_BYTES, lock=threading.Lock(), let_others_run=let_others_run)
+    return WebSocket(stream, named, max_bytes=MOST_BYTES, make_lock=threading.Lock, let_others_run=let_others_run)
 
 
 @pytest.fixture
@@ -193,6 +194,24 @@ def test_a_client_that_closes_within_a_message_breaks_nothing(ends: tuple[WebSoc
     assert websocket.wait() is None
     assert not websocket.broken_by
     assert received(far)[0] == CLOSE
+
+
+def test_what_a_client_sends_is_heard_while_it_reads_nothing(ends: tuple[WebSocket, socket.socket]) -> None:
+    """Else nobody would notice that it does not read."""
+    websocket, far = ends
+
+    def send() -> None:
+        with contextlib.suppress(OSError):
+            websocket.send("x" * 10_000_000)
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    assert far.recv(2)  # of more than a system keeps
+    far.sendall(frame(TEXT, b"still here"))
+    assert websocket.wait() == "still here"
+    assert sender.is_alive()
+    websocket.cut()
+    sender.join()
 
 
 def test_a_message_that_was_sent_in_part_is_the_last_one(ends: tuple[WebSocket, socket.socket]) -> None:
