@@ -23,10 +23,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import CAMERAS, Camera
+from common.car import CAMERAS, MPS_PER_MPH, Camera
 from dataset.loader.log_views import LogViews
 from dataset.preprocess import Image, decode, preprocess, seen_rows
-from dataset.recorded_line import MPS_PER_MPH, curvature, stretches_to_drive
+from dataset.recorded_line import curvature, stretches_to_drive
 from dataset.viewpoint import Viewpoint
 from model import load_pilot
 from model.evaluation.recorded_drive import drive_views

@@ -62,6 +62,7 @@ RECIPES: Final = {
     "original + answers": Recipe((*ORIGINAL, *SMALL), (*ORIGINAL, "--answers", "natural")),
     "original + averaged": Recipe((*ORIGINAL, *SMALL), (*ORIGINAL, "--average-steps", "100")),
     "people": Recipe((*PEOPLE, *SMALL), PEOPLE),
+    "people, as learnt": Recipe((*PEOPLE, *SMALL), (*PEOPLE, "--answers", "as-learnt")),
     "people, not balanced": Recipe((*PEOPLE, "--no-balance", "--where", "row % 3 = 0"), PEOPLE),
     "people, half balanced": Recipe(
         (*PEOPLE, "--per-bin", "500", "--max-uses", "1", "--where", "row % 2 = 0"), PEOPLE

@@ -12,11 +12,11 @@ Recipe = Literal["people", "original"]
 DEFAULT: Final[Recipe] = "people"
 
 
-def recipe_given() -> Recipe:
+def recipe_given(default: Recipe = DEFAULT) -> Recipe:
     """The recipe that the command line asks for with --recipe; what is none is left to who parses it wholly."""
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    given.add_argument("--recipe", choices=get_args(Recipe), default=DEFAULT)
+    given.add_argument("--recipe", choices=get_args(Recipe), default=default)
     with contextlib.suppress(argparse.ArgumentError):
         recipe: Recipe = given.parse_known_args()[0].recipe
         return recipe
-    return DEFAULT
+    return default

@@ -22,6 +22,10 @@ VIEWPOINT: Final = "viewpoint"
 MOST_LEFT_M: Final = 0.8  # to either side, about as far as the side cameras
 MOST_TURN_RAD: Final = math.radians(6.0)
 
+LAST_VIEW: Final = 0xFFFF_FFFF
+"""The largest number of a view. In a sample's seed the bits above are what else is done to it, 0 where it is shown
+for the first time."""
+
 _MOST: Final = 0xFFFF  # a view's number: 16 bits for where it is, 16 for how it is turned
 
 Values = NDArray[np.float64]
@@ -30,7 +34,7 @@ Numbers = NDArray[np.int64]
 
 def draw_views(count: int, random: np.random.Generator) -> Numbers:
     """Numbers (N,) of views, each of which stands for a place beside the line and a turn."""
-    return random.integers(0, 1 << 32, count)
+    return random.integers(0, LAST_VIEW, count, endpoint=True)
 
 
 def mirrored_view(view: Numbers) -> Numbers:
@@ -45,6 +49,12 @@ def place_of(view: Numbers | int) -> tuple[Values, Values]:
     return shares[0] * MOST_LEFT_M, shares[1] * MOST_TURN_RAD
 
 
+def can_be_warped(width_px: int, height_px: int) -> bool:
+    """Whether crops of pictures of this size show as much to either side as those that `crop_from` expects."""
+    columns, rows = OUTLINE_PX
+    return math.isclose(width_px * rows, height_px * columns, rel_tol=0.02)
+
+
 def crop_from(crop: Image, seed: int) -> Image:
     """The crop (128, 128, 3) as seen from the view whose number is in a seed's lowest 32 bits."""
     left_m, turn_rad = place_of(seed)
@@ -53,5 +63,5 @@ def crop_from(crop: Image, seed: int) -> Image:
 
 @cache
 def _crops() -> Viewpoint:
-    """The built-in simulator's cameras are within a twentieth of these."""
+    """The built-in simulator's cameras stand and look nearly alike."""
     return Viewpoint(UDACITY, *OUTLINE_PX, of_crops=True)

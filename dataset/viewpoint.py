@@ -62,7 +62,9 @@ class Viewpoint:
         self._from_level = intrinsic @ level.T
         horizon_px = float(shown[1, 1] * geometry.horizon * height_px + shown[1, 2])
         self._horizon_px = min(self.height_px, max(0, math.ceil(horizon_px - 0.5)))  # the first row of the road
-        outline = shown @ np.diag([width_px / OUTLINE_PX[0], height_px / OUTLINE_PX[1], 1.0])
+        scale = height_px / OUTLINE_PX[1]  # about the middle: a wider picture shows more to either side
+        beside_px = (width_px - scale * OUTLINE_PX[0]) / 2
+        outline = shown @ np.array([[scale, 0.0, beside_px], [0.0, scale, 0.0], [0.0, 0.0, 1.0]])
         self._bonnets = {
             name: _bonnet(line, outline, self.width_px, self.height_px) for name, line in geometry.bonnet.items()
         }

@@ -160,8 +160,6 @@ def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]
 def _refuse_contradictions(config: Train) -> None:
     """Raise UsageError for flags that do not go together."""
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
-    if config.like is not None and config.config.recipe != _defaults().config.recipe:
-        raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
         raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
     if Path(config.name).name != config.name or config.name.startswith("."):
@@ -220,7 +218,10 @@ def _build_index(config: Train) -> int:
 
 
 def _defaults() -> Train:
-    """The defaults of the flags: the settings and places of the run that is named with --resume or --like."""
+    """The defaults of the flags: the settings and places of the run that is named with --resume or --like.
+
+    Raises UsageError for the recipe of another run than the one to be repeated: no setting would follow from it.
+    """
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     given.add_argument("--resume")
     given.add_argument("--like")
@@ -233,12 +234,15 @@ def _defaults() -> Train:
             from model.runs.run_inputs import index_of, init_of, sessions_of
 
             run = find_any_run(name, flags.runs)
+            settings = training_of(load_config(run), str(run / CONFIG))
+            if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
+                raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
             init = init_of(run, flags.runs) if flags.resume is None else None
             return Train(
                 init=str(init) if init is not None else None,
                 index=index_of(run) or Train.index,
                 sessions=sessions_of(run) or Train.sessions,
-                config=training_of(load_config(run), str(run / CONFIG)),
+                config=settings,
             )
     return Train(config=TrainConfig.of(recipe_given()))
 

@@ -9,6 +9,7 @@ ONNX and ONNX Runtime are an extra (`pip install "behavioural-cloning-toolkit[on
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,8 +27,9 @@ from dataset.preprocess import DESCRIPTION, SIZE_PX
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.original import SteeringNetwork
+from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import run_write_errors
-from model.runs.run_folder import load_config, load_network, run_name, weights_checksum
+from model.runs.run_folder import load_answer_scale, load_config, load_network, run_name, weights_checksum
 
 if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto
@@ -57,7 +59,7 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     refuse_existing(path, overwrite)
     load_config(run)
     network = load_network(run)
-    model = _model(network, description(run))
+    model = _model(network, load_answer_scale(run), description(run))
     with run_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
         difference = _largest_difference(part, network)
@@ -98,11 +100,11 @@ def description(run: Path) -> dict[str, str]:
     }
 
 
-def _model(network: SteeringNetwork, metadata: dict[str, str]) -> ModelProto:
+def _model(network: SteeringNetwork, answers: AnswerScale, metadata: dict[str, str]) -> ModelProto:
     from onnx import checker, helper
 
     model = helper.make_model(
-        _graph(network),
+        _graph(network, answers),
         producer_name=TOOLKIT,
         producer_version=version_of(),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -113,7 +115,7 @@ def _model(network: SteeringNetwork, metadata: dict[str, str]) -> ModelProto:
     return model
 
 
-def _graph(network: SteeringNetwork) -> GraphProto:
+def _graph(network: SteeringNetwork, answers: AnswerScale) -> GraphProto:
     from onnx import TensorProto, helper, numpy_helper
 
     constants = {
@@ -122,6 +124,8 @@ def _graph(network: SteeringNetwork) -> GraphProto:
         "one": np.array(1, np.float32),
         "axis": np.array([1], np.int64),
     }
+    if answers != AnswerScale():
+        constants |= {name: np.array(value, np.float32) for name, value in asdict(answers).items()}
     nodes = []
 
     def add(operation: str, output: str, *inputs: str, **attributes: Any) -> str:
@@ -144,6 +148,10 @@ def _graph(network: SteeringNetwork) -> GraphProto:
                 value = add("Flatten", name, value)
             case nn.Linear():
                 value = add("Gemm", name, value, f"{name}.weight", f"{name}.bias", transB=1)
+    if answers != AnswerScale():
+        size = add("Abs", "size", value)
+        factor = add("Add", "factor", add("Mul", "bent", size, "curve"), "scale")
+        value = add("Add", "natural", add("Mul", "scaled_answer", value, factor), "offset")
     add("Squeeze", "steering", value, "axis")
     return helper.make_graph(
         nodes,

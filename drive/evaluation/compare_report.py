@@ -24,6 +24,7 @@ def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
     units = f"{comparison.unit_count:,} {comparison.units}{length}"
     title = f"{counted(len(comparison.unit), 'frame')} in {units}; errors in degrees"
     print_table(_table(title, comparison.differences, names), "")
+    print_result(f"their answers are {comparison.answers_apart_deg:.2f} degrees apart (RMS)")
     _print_verdict(overall(comparison.differences), comparison.differences, comparison.tolerance, comparison.units)
     errors = comparison.a.measures
     if errors.network.rmse_deg >= errors.mean.rmse_deg:

@@ -14,7 +14,6 @@ from rich.table import Table
 from common.errors import counted, printable
 from common.files import short_path
 from common.output import print_result, print_table
-from dataset import MAX_STEERING_DEG
 from model.evaluation.evaluate import Evaluation
 from model.evaluation.recorded_drive import RecordedDrive
 from model.metrics import Measures
@@ -115,8 +114,7 @@ def _measures_table(evaluation: Evaluation) -> Table:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"
         table.add_row(heading, *(_number(each.rmse_deg) for each in (others.network, others.zero, others.mean)))
     if is_scaled:
-        scale, offset_deg = evaluation.answers.scale, MAX_STEERING_DEG * evaluation.answers.offset
-        table.caption = f"answers: {scale:.2f} times what was learnt, {offset_deg:+.2f}"
+        table.caption = f"answers: {evaluation.answers}"
     return table
 
 

@@ -19,11 +19,12 @@ import numpy as np
 
 from common import Skipped
 from common.autonomy import autonomy_percent
+from common.car import MPS_PER_MPH
 from common.progress import progress_bar
 from dataset.errors import DatasetError
 from dataset.loader.log_views import AnyCar, LogViews
 from dataset.preprocess import Image
-from dataset.recorded_line import MPS_PER_MPH, SHORTEST_S, SLOW_MPH, CarBesideLine, DrivableStretch
+from dataset.recorded_line import SHORTEST_S, SLOW_MPH, CarBesideLine, DrivableStretch
 from model.errors import RunError
 
 DEPARTURE_M: Final = 1.0

@@ -61,9 +61,15 @@ class Comparison:
         return int(self.unit.max()) + 1
 
     @cached_property
+    def answers_apart_deg(self) -> float:
+        """Root of the mean square of B's answers minus A's, in degrees: 0 for the same network."""
+        a, b = (each.frames["predicted"].to_numpy() for each in (self.a, self.b))
+        return MAX_STEERING_DEG * float(np.sqrt(np.square(b - a).mean()))
+
+    @cached_property
     def differences(self) -> tuple[Difference, ...]:
-        a, b = (_sums(each.frames, self.unit) for each in (self.a, self.b))
-        return compare_sums(a, b, MEASURES, _measures, self.tolerance)
+        a, b = (sums_of_blocks(each.frames, self.unit) for each in (self.a, self.b))
+        return compare_sums(a, b, MEASURES, measures_of_sums, self.tolerance)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -76,6 +82,7 @@ class Comparison:
             self.units: self.unit_count,
             "confidence": CONFIDENCE,
             "tolerance": self.tolerance,
+            "answers_apart_deg": self.answers_apart_deg,
             "measures": {each.measure.name: each.as_dict() for each in self.differences},
             "verdict": overall(self.differences),
         }
@@ -89,8 +96,8 @@ def blocks_of(session: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray
     return block_numbers(time_ns, np.concatenate([[0], np.cumsum(is_apart)]), BLOCK_S)
 
 
-def _sums(frames: pa.Table, unit: NDArray[np.int64]) -> Floats:
-    """The sums of each block that the measures are functions of: (blocks, K), as `_measures` takes them apart."""
+def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64]) -> Floats:
+    """The sums of each block, (blocks, K), of which `measures_of_sums` makes measures."""
     predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
     off_deg = MAX_STEERING_DEG * (predicted - recorded)
     is_turning = np.abs(recorded) > TURNING
@@ -115,7 +122,7 @@ def _sums(frames: pa.Table, unit: NDArray[np.int64]) -> Floats:
     return sums
 
 
-def _measures(sums: Floats) -> Floats:
+def measures_of_sums(sums: Floats) -> Floats:
     """`MEASURES` of such sums, (..., K) to (..., 4); NaN where there are no such frames.
 
     A network that answers the same to everything has the correlation 0 here: it is worse than any that follows the

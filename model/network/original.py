@@ -6,6 +6,7 @@ place of strides, a larger input, and dropout.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import torch
@@ -13,12 +14,12 @@ from torch import Tensor, nn
 
 PARAMETERS: Final = 5_022_327
 
-LAST_LAYER: Final = "head.11"
-"""The layer whose only output is the steering."""
-
 
 class SteeringNetwork(nn.Module):
     """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped."""
+
+    natural: Callable[[Tensor], Tensor] | None = None
+    """From what was learnt to the network's answer; None while it learns, and where both are the same."""
 
     def __init__(self, dropout: float = 0.5) -> None:
         super().__init__()
@@ -57,8 +58,12 @@ class SteeringNetwork(nn.Module):
                 nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
 
     def forward(self, pictures: Tensor) -> Tensor:
-        steering: Tensor = self.head(self.features(scaled(pictures))).squeeze(1)
-        return steering
+        return self.steering(self.features(scaled(pictures)))
+
+    def steering(self, features: Tensor) -> Tensor:
+        """The answer (N,) by what `features` gives, (N, 64, 8, 8)."""
+        learnt: Tensor = self.head(features).squeeze(1)
+        return learnt if self.natural is None else self.natural(learnt.float())
 
 
 def scaled(pictures: Tensor) -> Tensor:

@@ -24,8 +24,7 @@ def predict_with_attention(network: SteeringNetwork, pictures: Tensor) -> tuple[
     """The network's steering (N,) for pictures (N, 3, 128, 128), the same as of calling it, and where it looks:
     (N, 128, 128) float32, 0 nowhere .. 1 most of that picture. One pass through the network gives both."""
     found, maps = visual_backprop(network.features, scaled(pictures))
-    steering: Tensor = network.head(found).squeeze(1)
-    return steering, maps
+    return network.steering(found), maps
 
 
 @torch.inference_mode()

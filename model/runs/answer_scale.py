@@ -1,54 +1,70 @@
 """The answer scale: from the steering that a network learnt of balanced samples to that of natural driving.
 
 Where every steering bin counts alike, the prior of hard steering is far above that of the road, and the network
-answers accordingly: too much. Its kept weights are those that answer naturally; the scale and offset that were
-brought into their last layer stand beside them, so that what was learnt can be told as well.
+answers accordingly: a little to the side as if it were a bend. What it is sure of, a hairpin, it answers rightly.
+So small answers have to shrink and large ones to stay, which a scale alone cannot do: natural steering is
+
+    scale * learnt + curve * learnt * |learnt| + offset
+
+The weights of a run stay as they were learnt; the three numbers stand in their file, and in what drives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import MAX_STEERING_DEG
+
 if TYPE_CHECKING:  # a run's history is read and shown without PyTorch
     from torch import Tensor
 
+Floats = NDArray[np.float64]
+Steering = TypeVar("Steering", Floats, "Tensor")
+
 LEAST_SCALE, MOST_SCALE = 0.1, 2.0
-"""What a fit may give: beyond it, the network knows nothing of the road, and no scale helps."""
+"""What a fit may give. Less, and a network would be deaf to what is a little to the side; more, and it knows
+nothing of the road."""
+
+MOST_CURVE: Final = 4.0
+"""From 0, so that more of what was learnt is never less of an answer."""
 
 MOST_OFFSET: Final = 0.2
 
-_PREFIX: Final = "answer_"
+_PREFIX: Final = "natural_"
 
 
 @dataclass(frozen=True)
 class AnswerScale:
-    """Natural steering is `scale` times what was learnt, plus `offset`; -1..1, not clamped."""
+    """Natural steering, -1..1, not clamped, by what was learnt."""
 
     scale: float = 1.0
     offset: float = 0.0
+    curve: float = 0.0
 
     @classmethod
-    def fit(cls, learnt: NDArray[np.float64], steering: NDArray[np.float64]) -> AnswerScale:
+    def fit(cls, learnt: Floats, steering: Floats) -> AnswerScale:
         """The least squares of `steering` (N,) by the network's answers `learnt` (N,), within bounds.
 
         As learnt, where the network answers the same to everything, or where there is nothing to fit.
         """
         if not len(learnt) or np.ptp(learnt) == 0:
             return cls()
-        spread = learnt - learnt.mean()
-        scale = float(np.clip(spread @ steering / (spread @ spread), LEAST_SCALE, MOST_SCALE))
-        offset = float(np.clip(steering.mean() - scale * learnt.mean(), -MOST_OFFSET, MOST_OFFSET))
-        return cls(scale, offset)
+        line, bend, wanted = (values - values.mean() for values in (learnt, learnt * np.abs(learnt), steering))
+        found = [*_inside(line, bend, wanted), *_at_edges(line, bend, wanted)]
+        scale, curve = min(found, key=lambda each: float(np.sum((wanted - each[0] * line - each[1] * bend) ** 2)))
+        offset = np.mean(steering - cls(scale, 0.0, curve).natural(learnt))
+        return cls(scale, float(np.clip(offset, -MOST_OFFSET, MOST_OFFSET)), curve)
 
     def __post_init__(self) -> None:
         """Raises ValueError for what no fit gives."""
-        if not (LEAST_SCALE <= self.scale <= MOST_SCALE and abs(self.offset) <= MOST_OFFSET):
-            raise ValueError(f"an answer scale of {self.scale:g} with an offset of {self.offset:g}")
+        is_known = LEAST_SCALE <= self.scale <= MOST_SCALE and 0 <= self.curve <= MOST_CURVE
+        if not (is_known and abs(self.offset) <= MOST_OFFSET):
+            raise ValueError(f"an answer scale of {self.scale:g}, {self.curve:g} and {self.offset:g}")
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> AnswerScale:
@@ -60,17 +76,36 @@ class AnswerScale:
         """For a file of weights."""
         return {_PREFIX + name: repr(value) for name, value in asdict(self).items()}
 
-    def natural(self, learnt: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self.scale * learnt + self.offset
+    def __str__(self) -> str:
+        """In degrees: "0.10 x + 0.04 x|x| of what was learnt, -0.20"."""
+        curve = f" + {self.curve / MAX_STEERING_DEG:.3f} x|x|" if self.curve else ""
+        return f"{self.scale:.2f} x{curve} of the x degrees learnt, {MAX_STEERING_DEG * self.offset:+.2f}"
 
-    def learnt(self, natural: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (natural - self.offset) / self.scale
+    def natural(self, learnt: Steering) -> Steering:
+        return learnt * (self.scale + self.curve * abs(learnt)) + self.offset
 
-    def bring_into(self, weights: Mapping[str, Tensor], last_layer: str) -> dict[str, Tensor]:
-        """These weights with a last layer that gives natural steering."""
-        weight, bias = f"{last_layer}.weight", f"{last_layer}.bias"
-        return {
-            **weights,
-            weight: weights[weight] * self.scale,
-            bias: weights[bias] * self.scale + self.offset,
-        }
+    def learnt(self, natural: Floats) -> Floats:
+        """What `natural` was made of."""
+        steering = natural - self.offset
+        # the root of curve * x**2 + scale * x = |steering| that is not negative, so written that curve may be 0
+        size = 2 * np.abs(steering) / (self.scale + np.sqrt(self.scale**2 + 4 * self.curve * np.abs(steering)))
+        return np.sign(steering) * size
+
+
+def _inside(line: Floats, bend: Floats, wanted: Floats) -> list[tuple[float, float]]:
+    """The scale and curve of least squares, if they are within bounds."""
+    (scale, curve), *_ = np.linalg.lstsq(np.stack([line, bend], 1), wanted)
+    is_inside = LEAST_SCALE <= scale <= MOST_SCALE and 0 <= curve <= MOST_CURVE
+    return [(float(scale), float(curve))] if is_inside else []
+
+
+def _at_edges(line: Floats, bend: Floats, wanted: Floats) -> list[tuple[float, float]]:
+    """The best scale at either bound of the curve, and the best curve at either bound of the scale."""
+    scales, curves = (LEAST_SCALE, MOST_SCALE), (0.0, MOST_CURVE)
+    of_curves = [(_slope(line, wanted - curve * bend, *scales), curve) for curve in curves]
+    return of_curves + [(scale, _slope(bend, wanted - scale * line, *curves)) for scale in scales]
+
+
+def _slope(of: Floats, wanted: Floats, least: float, most: float) -> float:
+    square = float(of @ of)
+    return float(np.clip(of @ wanted / square, least, most)) if square > 0 else least

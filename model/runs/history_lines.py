@@ -37,7 +37,7 @@ def parse_epoch(line: bytes) -> Epoch:
         values["is_best"] is True,
         _number(values["seconds"]),
         _number(values["samples_per_s"]),
-        AnswerScale() if answers is None else AnswerScale(_number(answers["scale"]), _number(answers["offset"])),
+        AnswerScale() if answers is None else _answers(answers),
         None if learnt is None else _errors(learnt),
     )
 
@@ -65,6 +65,11 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
             raise ValueError("no crop that a network sees")
         decode(jpeg)  # a ValueError for what is none
     return WorstPictures(epoch, frames, jpegs)
+
+
+def _answers(values: Any) -> AnswerScale:
+    curve = values.get("curve", 0.0)  # earlier versions have none
+    return AnswerScale(_number(values["scale"]), _number(values["offset"]), _number(curve))
 
 
 def _errors(values: Any) -> Errors:

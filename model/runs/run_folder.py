@@ -26,15 +26,15 @@ from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.preprocess import DESCRIPTION
 from model.errors import RunError
-from model.network.original import LAST_LAYER, SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path, position_of
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_files import replaced_file, run_write_errors
 
-FORMAT: Final = 2
-DRIVABLE: Final = (1, 2)  # format 1 has less about its training
+FORMAT: Final = 3
+DRIVABLE: Final = (1, 2, 3)  # 1 has less about its training; 2 may have a scale of its answers in its last layer
 MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
@@ -78,7 +78,7 @@ def save_weights(
 ) -> None:
     """Replace the run's weights in one step: a full disk or a crash leaves the old ones.
 
-    `answers` is the scale that was brought into them.
+    `answers` is the scale of the answers that they give; the weights are as learnt.
     """
     scale = {} if answers in (None, AnswerScale()) else answers.metadata
     save_checksummed(folder / WEIGHTS, weights, {"epoch": str(epoch), **scale})
@@ -178,13 +178,13 @@ def load_network(folder: Path) -> SteeringNetwork:
         network.load_state_dict(weights)
     except RuntimeError:
         raise RunError(f"{path}: weights of another network than this toolkit's") from None
-    if _is_last(folder):
-        network.load_state_dict(_answer_scale(stored, path).bring_into(network.state_dict(), LAST_LAYER))
+    answers = _answer_scale(stored, path)
+    network.natural = answers.natural if answers != AnswerScale() else None
     return network.eval()
 
 
 def load_answer_scale(folder: Path) -> AnswerScale:
-    """The scale that is in the answers of the run's network. Raises RunError if its weights cannot be read."""
+    """The scale of the answers of the run's network. Raises RunError if its weights cannot be read."""
     path = weights_path(folder)
     try:
         with safe_open(path, framework="pt") as file:
@@ -197,7 +197,7 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
     """That of weights or of a checkpoint, by their metadata."""
     if "position" in stored:
         position = position_of(stored, path)
-        return AnswerScale(position.answer_scale, position.answer_offset)
+        return AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)
     try:
         return AnswerScale.from_metadata(stored)
     except ValueError as error:

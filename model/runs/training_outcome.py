@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dataset import MAX_STEERING_DEG
 from model.config import Keep
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch
@@ -39,9 +38,8 @@ def _beside_the_mean(best: Epoch) -> str:
 def _of_natural_answers(best: Epoch) -> list[str]:
     if best.learnt is None or best.answers == AnswerScale():
         return []
-    scale, offset_deg = best.answers.scale, MAX_STEERING_DEG * best.answers.offset
     return [
-        f"natural answers: {scale:.2f} times what was learnt, {offset_deg:+.2f} degrees:"
+        f"natural answers: {best.answers}:"
         f" RMSE {best.measures.network.rmse_deg:.2f} instead of {best.learnt.rmse_deg:.2f} degrees"
     ]
 

@@ -128,7 +128,8 @@ class TrainingLoop:
                 f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.batches.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
-        self.answers = AnswerScale(self.position.answer_scale, self.position.answer_offset)
+        of = self.position
+        self.answers = AnswerScale(of.answer_scale, of.answer_offset, of.answer_curve)
         self.cut_history()
         if not self.group.is_first:  # the first one has the sums of all
             self.position = replace(
@@ -235,6 +236,7 @@ class TrainingLoop:
             best_deg=best_deg,
             answer_scale=self.answers.scale,
             answer_offset=self.answers.offset,
+            answer_curve=self.answers.curve,
         )
 
     def _validate(self) -> tuple[float, float]:
@@ -247,7 +249,7 @@ class TrainingLoop:
         if self.natural_frames is not None:
             self.answers = self.natural_frames.fit(self.averaged.network)
         predicted = self.answers.natural(learnt)
-        epoch = self.validation.epoch(position, learnt, recorded, self.answers)
+        epoch = self.validation.epoch(position, learnt, predicted, recorded, self.answers)
         self.writer.add_epoch(epoch, self.validation.worst(position.epoch, predicted, recorded))
         self.history.append(epoch)
         if epoch.is_best:

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from dataset import Loader, Samples
+from dataset.drawn_views import LAST_VIEW, VIEWPOINT
 from dataset.samples.samples_format import Balance
 from model.evaluation.predict import predict
 from model.network.original import SteeringNetwork
@@ -42,13 +43,17 @@ class NaturalFrames:
 def _at_natural_frequency(samples: Samples) -> pa.Table:
     """At most `MOST_FRAMES` originals of the centre camera (of all, where there are none of it).
 
-    Balancing has left each bin a random part of its frames: one that was left stands for `before / after` of them.
+    Balancing has left each bin a random part of its frames and their views from beside the line: one that was left
+    stands for `before / after` of them.
     """
-    originals = samples.of_split("train")
-    originals = originals.filter(pc.invert(originals["copy"]))
+    training = samples.of_split("train")
+    is_original = ~np.asarray(training["copy"])
+    is_view = np.asarray(pc.starts_with(training["alteration"], VIEWPOINT))
+    is_first = is_original | (is_view & (training["seed"].to_numpy() <= LAST_VIEW))  # it repeats no other sample
     before = Balance.from_dict(samples.metadata["balance"]).before
+    after = np.bincount(training["bin"].to_numpy()[is_first], minlength=len(before))
+    originals = training.filter(pa.array(is_original))
     bins = originals["bin"].to_numpy()
-    after = np.bincount(bins, minlength=len(before))
     stands_for = before[bins] / after[bins]
     is_center = np.asarray(pc.equal(originals["camera"], "center"))
     stands_for = np.where(is_center, stands_for, 0.0) if is_center.any() else stands_for

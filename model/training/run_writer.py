@@ -8,7 +8,7 @@ from pathlib import Path
 from torch import Tensor, nn
 
 from model.adam import Adam
-from model.network.original import LAST_LAYER, SteeringNetwork
+from model.network.original import SteeringNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, save_checkpoint
 from model.runs.run_files import append_json_line, keep_json_lines
@@ -49,7 +49,7 @@ class RunWriter:
         """Take a copy of the network's weights, with this scale of its answers, to be saved as those of the best
         epoch."""
         weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
-        self._unsaved_best = epoch, answers.bring_into(weights, LAST_LAYER), answers
+        self._unsaved_best = epoch, weights, answers
 
     @property
     def has_best(self) -> bool:

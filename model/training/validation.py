@@ -40,10 +40,11 @@ class Validation:
         """Predicted and recorded steering, each (N,), of the frames that decode."""
         return predict(network, self.loader, advance)
 
-    def epoch(self, position: Position, learnt: Floats, recorded: Floats, answers: AnswerScale) -> Epoch:
+    def epoch(
+        self, position: Position, learnt: Floats, predicted: Floats, recorded: Floats, answers: AnswerScale
+    ) -> Epoch:
         """The measures of an epoch that has been learnt up to its end, `position`: those of the steering that the
-        network has `learnt`, as it is and in the scale of natural answers."""
-        predicted = answers.natural(learnt)
+        network has `learnt`, and of what it answers in the scale of `answers`, `predicted`."""
         measures = measure(predicted, recorded)
         return Epoch(
             position.epoch,

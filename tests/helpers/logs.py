@@ -32,10 +32,11 @@ def write_log(
     cameras: Sequence[Camera] = CAMERAS,
     start_ns: int = START_NS,
     step_ns: int = STEP_NS,
+    source: str = "test",
     overwrite: bool = False,
 ) -> Path:
     """A log of one frame for each steering, a tenth of a second apart."""
-    with LogWriter(path, {"source": "test"}, overwrite=overwrite) as writer:
+    with LogWriter(path, {"source": source}, overwrite=overwrite) as writer:
         for row, value in enumerate(steering):
             time_ns = start_ns + row * step_ns
             for camera in cameras:

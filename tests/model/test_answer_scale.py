@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from common.car import Camera
 from dataset import IndexConfig, Loader, Samples, build_index
 from logs import write_log
 from model import RunError, evaluate, load_pilot, train
-from model.runs.answer_scale import LEAST_SCALE, MOST_SCALE, AnswerScale
+from model.onnx_export import export_onnx
+from model.runs.answer_scale import LEAST_SCALE, MOST_CURVE, MOST_SCALE, AnswerScale
 from model.runs.checksums import save_checksummed
 from model.runs.history import read_history
 from model.runs.run_folder import load_answer_scale
@@ -45,38 +47,97 @@ def as_learnt(index: Path) -> Path:
 def test_the_fit_is_that_of_least_squares() -> None:
     random = np.random.default_rng(0)
     learnt = random.normal(0, 0.4, 500)
-    steering = 0.45 * learnt + 0.03 + random.normal(0, 0.1, 500)
+    steering = 0.25 * learnt + 0.8 * learnt * np.abs(learnt) + 0.03 + random.normal(0, 0.1, 500)
     found = AnswerScale.fit(learnt, steering)
-    assert (found.scale, found.offset) == pytest.approx(tuple(np.polyfit(learnt, steering, 1)), abs=1e-12)
-    assert found.learnt(found.natural(learnt)) == pytest.approx(learnt, abs=1e-12)
+    columns = np.stack([learnt, np.ones(500), learnt * np.abs(learnt)], 1)
+    expected = np.linalg.solve(columns.T @ columns, columns.T @ steering)  # the normal equations
+    assert (found.scale, found.offset, found.curve) == pytest.approx(tuple(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize("answers", [AnswerScale(), AnswerScale(0.5, 0.1), AnswerScale(0.1, -0.1, 1.5)])
+def test_what_was_learnt_can_be_told_from_the_answer(answers: AnswerScale) -> None:
+    learnt = np.linspace(-1.5, 1.5, 31)
+    assert answers.learnt(answers.natural(learnt)) == pytest.approx(learnt, abs=1e-12)
 
 
 @pytest.mark.parametrize("learnt", [np.zeros(0), np.full(5, 0.3)])
 def test_nothing_to_fit_by_leaves_what_was_learnt(learnt: NDArray[np.float64]) -> None:
-    assert AnswerScale.fit(learnt, np.linspace(-1, 1, len(learnt))) == AnswerScale(1, 0)
+    assert AnswerScale.fit(learnt, np.linspace(-1, 1, len(learnt))) == AnswerScale()
 
 
-@pytest.mark.parametrize(("slope", "scale"), [(-3, LEAST_SCALE), (0, LEAST_SCALE), (9, MOST_SCALE)])
-def test_a_network_that_knows_nothing_is_not_turned_round(slope: float, scale: float) -> None:
-    learnt = np.linspace(-0.1, 0.1, 11)
-    assert AnswerScale.fit(learnt, slope * learnt).scale == scale
+@pytest.mark.parametrize(
+    ("scale", "curve", "found"),
+    [
+        (-3, 0, (LEAST_SCALE, 0)),
+        (0, 0, (LEAST_SCALE, 0)),
+        (9, 0, (MOST_SCALE, MOST_CURVE)),
+        (0.5, -1, (None, 0)),
+        (-0.2, 1.0, (LEAST_SCALE, None)),
+        (0.5, 9, (None, MOST_CURVE)),
+    ],
+)
+def test_within_bounds_nothing_fits_better(
+    scale: float, curve: float, found: tuple[float | None, float | None]
+) -> None:
+    """A network that knows nothing is not turned round, and more of what was learnt is never less of an answer."""
+    learnt = np.linspace(-0.7, 0.7, 141)
+    steering = scale * learnt + curve * learnt * np.abs(learnt)
+    fit = AnswerScale.fit(learnt, steering)
+    for value, expected in zip((fit.scale, fit.curve), found, strict=True):
+        assert expected is None or value == expected
+    tried = [
+        float(np.square(steering - AnswerScale(a, 0, b).natural(learnt)).sum())
+        for a in np.linspace(LEAST_SCALE, MOST_SCALE, 39)
+        for b in np.linspace(0, MOST_CURVE, 41)
+    ]
+    assert np.square(steering - fit.natural(learnt)).sum() <= min(tried) + 1e-12
 
 
 def test_the_run_answers_so_whatever_asks_it(natural: Path, as_learnt: Path, index: Path, tmp_path: Path) -> None:
-    """Best and last weights, in evaluation and pilot: the same training without the scale, times the scale."""
+    """Best and last weights, in evaluation, pilot and ONNX: those of the same training without the scale, and then
+    the scale."""
+    pytest.importorskip("onnx")
     for part in ("", "last"):
         answers = load_answer_scale(natural / part)
         assert answers != AnswerScale()
         learnt = evaluate(as_learnt / part, index)
         found = evaluate(natural / part, index)
-        expected = answers.scale * learnt.frames["predicted"].to_numpy() + answers.offset
+        expected = by_hand(answers, learnt.frames["predicted"].to_numpy())
         assert found.frames["predicted"].to_numpy() == pytest.approx(expected, abs=1e-5)
         assert found.as_learnt.rmse_deg == pytest.approx(learnt.measures.network.rmse_deg, abs=1e-3)
+        assert export_onnx(natural / part, tmp_path / f"{part}.onnx") < 1e-5
     with Samples(index) as samples:
         [batch, *_] = Loader(samples, samples.driving_view("validation"), batch=1).in_order()
     pilots = [load_pilot(run, "float32").predict(batch.pictures[0]) for run in (natural, as_learnt)]
-    answers = load_answer_scale(natural)
-    assert pilots[0] == pytest.approx(answers.scale * pilots[1] + answers.offset, abs=1e-5)
+    expected = by_hand(load_answer_scale(natural), np.array(pilots[1]))
+    assert pilots[0] == pytest.approx(float(expected), abs=1e-5)
+
+
+def by_hand(answers: AnswerScale, learnt: NDArray[np.float64]) -> NDArray[np.float64]:
+    bent = answers.curve * np.sign(learnt) * learnt**2
+    return np.asarray(answers.scale * learnt + bent + answers.offset)
+
+
+def test_the_weights_are_those_that_were_learnt(natural: Path, as_learnt: Path) -> None:
+    found, learnt = (load_file(run / "model.safetensors") for run in (natural, as_learnt))
+    assert found.keys() == learnt.keys()
+    assert all((found[name] == learnt[name]).all() for name in found)
+
+
+def test_a_run_whose_scale_is_in_its_last_layer_drives_as_it_did(
+    as_learnt: Path, index: Path, tmp_path: Path
+) -> None:
+    """As the version before this one wrote runs, format 2: its weights need nothing more."""
+    shutil.copytree(as_learnt, tmp_path / "run")
+    path = tmp_path / "run" / "model.safetensors"
+    weights = load_tensors(path)
+    weights["head.11.weight"], weights["head.11.bias"] = (
+        0.5 * weights["head.11.weight"],
+        0.5 * weights["head.11.bias"] + 0.1,
+    )
+    save_checksummed(path, weights, {"epoch": "1", "answer_scale": "0.5", "answer_offset": "0.1"})
+    found, learnt = (evaluate(run, index).frames["predicted"].to_numpy() for run in (tmp_path / "run", as_learnt))
+    assert found == pytest.approx(0.5 * learnt + 0.1, abs=1e-5)
 
 
 def test_what_is_learnt_does_not_depend_on_it(natural: Path, as_learnt: Path) -> None:
@@ -116,11 +177,27 @@ def test_only_training_frames_tell_it_in_the_frequency_of_the_road(tmp_path: Pat
     assert (np.abs(labels) > 0.3).mean() == pytest.approx(16 / 64, abs=0.06)
 
 
+def test_views_from_beside_the_line_do_not_count_as_road(tmp_path: Path) -> None:
+    """Their labels lead back to it, so that there are many of hard steering."""
+    steering = [0.1, -0.1, 0.1, -0.1, 0.1, -0.1, 1.0, -1.0] * 40
+    pictures = [road("center", row) for row in range(len(STEERING))]
+    log = write_log(
+        *(tmp_path / "toy.mcap", steering, lambda camera, row: pictures[row % len(pictures)]),
+        cameras=["center"],
+        source="udacity",
+    )
+    config = IndexConfig(validation_share=0, viewpoints=3, per_bin=80)
+    with Samples(build_index([log], tmp_path / "index", config).path) as samples:
+        frames = NaturalFrames(samples, batch=64, threads=1)
+        labels = np.concatenate([batch.steering for batch in frames.loader.in_order()])
+    assert (np.abs(labels) > 0.3).mean() == pytest.approx(1 / 4, abs=0.06)
+
+
 def test_a_scale_that_no_training_gives_is_refused(natural: Path, tmp_path: Path) -> None:
     path = natural / "model.safetensors"
     run = tmp_path / "run"
     run.mkdir()
-    for metadata in ({"answer_scale": "nan"}, {"answer_scale": "1e9"}, {"answer_offset": "x"}):
+    for metadata in ({"natural_scale": "nan"}, {"natural_curve": "-1"}, {"natural_offset": "x"}):
         save_checksummed(run / path.name, load_tensors(path), {"epoch": "1", **metadata})
         with pytest.raises(RunError, match="train the run again"):
             load_answer_scale(run)

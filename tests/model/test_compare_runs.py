@@ -19,7 +19,7 @@ from common.car import Camera
 from dataset import IndexConfig, build_index
 from drive.evaluation.eval_cli import main
 from logs import write_log
-from model import train
+from model import TrainConfig, train
 from model.evaluation.differences import overall
 from model.evaluation.evaluate import evaluate_runs_on_sessions
 from model.evaluation.run_comparison import Comparison
@@ -30,6 +30,7 @@ from udacity import call
 LEARNT = [round(0.8 * math.sin(row / 3), 3) for row in range(60)]
 STEERING = [round(0.7 * math.sin(row / 2 + 1), 3) for row in range(60)]
 STEP_NS = 1_000_000_000  # 12 blocks of 5 s
+PEOPLE = replace(TINY, recipe="people", average_steps=TrainConfig.average_steps, answers="natural")
 CROP_PX = 320 / 128  # of the camera's picture, a pixel of the network's
 
 Json = dict[str, Any]
@@ -58,8 +59,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("compared")
     write_log(folder / "sessions" / "new.mcap", STEERING, posts(STEERING), cameras=["center"], step_ns=STEP_NS)
     for name, shift_px, config, init in (
-        ("good", 0.0, replace(TINY, epochs=7, rate=4e-4), None),
-        ("shifted", -5 * CROP_PX, replace(TINY, epochs=3), folder / "runs" / "good"),
+        ("good", 0.0, replace(PEOPLE, epochs=7, rate=4e-4), None),
+        ("shifted", -5 * CROP_PX, replace(PEOPLE, epochs=3), folder / "runs" / "good"),
     ):
         log = write_log(folder / f"{name}.mcap", LEARNT, posts(LEARNT, shift_px), cameras=["center"])
         settings = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)
@@ -111,6 +112,7 @@ def test_a_run_is_no_worse_than_itself(here: Path, capsys: pytest.CaptureFixture
     for measure in found["measures"].values():
         assert measure["a"] == measure["b"]
         assert (measure["low"], measure["high"]) == (0, 0)
+    assert found["answers_apart_deg"] == 0
 
 
 @pytest.mark.parametrize(
@@ -127,7 +129,10 @@ def test_a_planted_regression_fails_and_the_way_back_is_better(
     name = plant(here)
     code, found, _ = compared(capsys, "good", name, "--session", "new")
     assert (code, found["verdict"]) == (1, "worse")
-    assert found["measures"]["rmse_deg"]["verdict"] == "worse"
+    error = found["measures"]["rmse_deg"]
+    assert error["verdict"] == "worse"
+    assert error["a"] < 3 < 25 * np.std(STEERING) / 3  # a third of that of always the mean: something to lose
+    assert abs(error["difference"]) < found["answers_apart_deg"]  # as far as any answers can be from the recorded
     code, found, _ = compared(capsys, name, "good", "--session", "new")
     assert (code, found["verdict"]) == (0, "better")
 

@@ -66,7 +66,7 @@ def garbage_config(run: Path) -> None:
 
 
 def newer_format(run: Path) -> None:
-    edit(run / "config.json", format=3)
+    edit(run / "config.json", format=9)
 
 
 def other_preprocessing(run: Path) -> None:
@@ -83,7 +83,7 @@ def other_preprocessing(run: Path) -> None:
         (one_other_shape, r"model\.safetensors: weights of another network"),
         (no_config, r"config\.json: cannot be read"),
         (garbage_config, r"config\.json: cannot be read"),
-        (newer_format, r"config\.json: of format 3"),
+        (newer_format, r"config\.json: of format 9"),
         (other_preprocessing, r"config\.json: trained with another preprocessing"),
     ],
 )

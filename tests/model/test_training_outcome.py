@@ -98,5 +98,7 @@ def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[
     ]
     assert numbers == pytest.approx(expected, abs=0.006)
     answers = best["answers"]["scale"], 25 * best["answers"]["offset"]
-    told = [float(number) for number in re.findall(r"[+-]?\d+\.\d\d", of_scale)]
+    scale, curve, *told = [float(number) for number in re.findall(r"[+-]?\d+\.\d+", of_scale)]
+    assert curve == pytest.approx(best["answers"]["curve"] / 25, abs=0.0006)
+    told = [scale, *told]
     assert told == pytest.approx([*answers, expected[0], best["learnt"]["rmse_deg"]], abs=0.006)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from logs import START_NS, write_log
 from recorder.log.label_plan import plan_labels
 from recorder.log.row_quality import States
-from recorder.log.steering_habits import SteeringHabits, steering_habits
+from recorder.log.steering_habits import SteeringHabits, SteeringLag, steering_habits
 from recorder.log_cli import main
 from udacity import call
 
@@ -61,6 +61,12 @@ def test_a_hand_at_the_wheel_is_smooth() -> None:
     assert (found.kind, found.keys) == ("smooth", False)
     assert found.ceiling[1] is not None
     assert found.ceiling[1] > 0.99
+
+
+def test_a_hand_is_in_time_only_if_pictures_have_told() -> None:
+    habits = steering_habits(rows_of(hand(100)))
+    assert plan_labels(habits, None).why == "smooth"
+    assert plan_labels(habits, SteeringLag(-0.1, 0.9, 400)).why == "smooth and in time"
 
 
 def test_the_ceiling_is_the_correlation_with_the_neighbours_of_the_same_drive() -> None:
