@@ -25,14 +25,9 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS, MPS_PER_MPH, Camera
 from dataset.loader.log_views import LogViews
-<<<<<<< HEAD
 from dataset.picture_spec import ORIGINAL
 from dataset.preprocess import Image, decode, preprocess
-from dataset.recorded_line import MPS_PER_MPH, curvature, stretches_to_drive
-=======
-from dataset.preprocess import Image, decode, preprocess, seen_rows
 from dataset.recorded_line import curvature, stretches_to_drive
->>>>>>> main
 from dataset.viewpoint import Viewpoint
 from model import load_pilot
 from model.evaluation.recorded_drive import drive_views

@@ -108,7 +108,7 @@ class NetworkChoice:
             ) from None
         network.train(was_training)
         if device.type != "meta" and not answers.isfinite().all():
-            raise RunError(f"{self._label} answers what is no number, before it has learnt anything")
+            raise RunError(f"{self._label} answers what is no number")
 
     @property
     def _label(self) -> str:
