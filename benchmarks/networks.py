@@ -195,7 +195,7 @@ def driven(run: Path, track: str, mph: float) -> dict[str, Any]:
     if not kept.exists():
         logs = ("--logs", str(run / "drives"), "--force")
         said = command("bc_eval", str(run), "--simulator", track, "--speed", f"{mph:g}", *logs, "--json")
-        with atomic_file(kept) as part:
+        with atomic_file(kept, overwrite=True) as part:
             part.write_text(said)
     found: dict[str, Any] = json.loads(kept.read_text())
     return found

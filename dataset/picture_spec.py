@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, cast, get_args
 
 Channels = Literal["BGR", "RGB", "YUV"]
 
@@ -56,7 +56,7 @@ class PictureSpec:
             _number(stored, "height_px", _PX),
             _number(stored, "crop_top", _ROWS_CUT),
             _number(stored, "crop_bottom", _ROWS_CUT),
-            channels,
+            cast(Channels, channels),
         )
         if spec.description != stored:
             raise ValueError("more than is known here")

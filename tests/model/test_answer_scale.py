@@ -190,7 +190,7 @@ def test_views_from_beside_the_line_do_not_count_as_road(tmp_path: Path) -> None
     )
     config = IndexConfig(validation_share=0, viewpoints=3, per_bin=80)
     with Samples(build_index([log], tmp_path / "index", config).path) as samples:
-        frames = NaturalFrames(samples, batch=64, threads=1)
+        frames = NaturalFrames(samples, batch=64, threads=1, seen=ORIGINAL)
         labels = np.concatenate([batch.steering for batch in frames.loader.in_order()])
     assert (np.abs(labels) > 0.3).mean() == pytest.approx(NEARLY_A_QUARTER, abs=0.03)
 
