@@ -24,9 +24,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import CAMERAS, Camera
+from common.car import CAMERAS, MPS_PER_MPH, Camera
 from dataset.preprocess import Image, decode
-from dataset.recorded_line import MPS_PER_MPH
 from dataset.viewpoint import Viewpoint
 from recorder import Log
 from recorder.log.car_geometry import CarGeometry, geometry_of

@@ -2,8 +2,8 @@
 
 python benchmarks/car_racing.py runs/racer
 
-The run was recorded, trained and is driven as docs/gymnasium.md says. The network steers; the expert works the pedals of
-both, and steers his own.
+The run was recorded, trained and is driven as docs/gymnasium.md says. The network steers; the expert works the
+pedals of both, and steers his own.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import MPS_PER_MPH
 from dataset import IndexConfig, Loader, Samples, build_index
-from dataset.recorded_line import MPS_PER_MPH
 
 FAR_ROWS: Final = 57  # of the crop's 128: hills and trees, and the road far ahead
 AROUND_M: Final = tuple(range(-12, 13, 3))

@@ -1,4 +1,4 @@
-"""The car that is recorded and driven: its cameras, and how far its front wheels turn."""
+"""The car that is recorded and driven: its cameras, how far its front wheels turn, the unit of its speed."""
 
 from __future__ import annotations
 
@@ -9,3 +9,5 @@ Camera = Literal["center", "left", "right"]
 CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
 
 MAX_STEERING_DEG: Final = 25.0  # steering 1.0, as in the simulator (its CarController's maximum steer angle)
+
+MPS_PER_MPH: Final = 0.44704  # by the definition of the mile

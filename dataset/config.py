@@ -83,6 +83,12 @@ class IndexConfig:
             ("--viewpoints", self.viewpoints, 0 <= self.viewpoints <= 100, "0 to 100"),
             ("--cameras", "", len(self.cameras) > 0, "at least one"),
             (
+                "--cameras",
+                " ".join(self.cameras),
+                not self.viewpoints or "center" in self.cameras,
+                "center among them: --viewpoints are warped from its pictures",
+            ),
+            (
                 "--per-bin",
                 self.per_bin,
                 not isinstance(self.per_bin, int) or self.per_bin >= 1,

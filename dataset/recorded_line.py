@@ -13,11 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import MAX_STEERING_DEG
+from common.car import MAX_STEERING_DEG, MPS_PER_MPH
 from recorder.log.car_geometry import CarGeometry
 from recorder.log.row_quality import GAP_S, States, row_flags
 
-MPS_PER_MPH: Final = 0.44704
 SLOW_MPH: Final = 5.0
 """Slower than this, people set off, or manoeuvre at walls with the wheels turned to their stop."""
 HIT_MPS2: Final = 10.0

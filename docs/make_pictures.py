@@ -23,6 +23,7 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image
 
+from common.car import MPS_PER_MPH
 from dataset.figure_style import DPI, figure_style
 from drive.demo import Demo, demo
 from model.runs.history import read_history
@@ -38,7 +39,6 @@ TRACK: Final = "mountain"
 SLOW_MPH, FAST_MPH = 10, 20
 _COLORS: Final = 256
 _LARGE_BYTES: Final = 450_000
-_MPS: Final = 0.44704  # metres per second in a mile per hour
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def hardest_turn(log: Path) -> tuple[float, float]:
     with Log(log) as opened:
         pairs = list(opened.vehicle_states())
     time_s = np.array([message.log_time_ns for message, _ in pairs], np.float64) * 1e-9
-    speed_mps = _MPS * np.array([state.speed_mph for _, state in pairs], np.float64)
+    speed_mps = MPS_PER_MPH * np.array([state.speed_mph for _, state in pairs], np.float64)
     place_m = np.concatenate([[0.0], np.cumsum(speed_mps[1:] * np.diff(time_s))])
     at = int(np.argmax(np.abs([state.steering for _, state in pairs])))
     return float(time_s[at]), float(place_m[at])

@@ -59,6 +59,12 @@ def recordings() -> Path:
     return folder
 
 
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings draw no figures, as where matplotlib is not installed: it is half of a small one's time."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+
+
 @pytest.fixture(params=["eventlet", "threading"])
 def mode(request: pytest.FixtureRequest) -> Any:
     """Each way in which a telemetry server can serve: a `ServerMode`."""

@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from common.car import CAMERAS
 from common.progress import track
 from dataset.config import IndexConfig
+from dataset.drawn_views import can_be_warped
 from dataset.errors import DatasetError, index_write_errors
 from dataset.frames.frames_file import (
     FRAMES_FORMAT,
@@ -114,7 +115,7 @@ def build_index(
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
         if config.viewpoints:
-            _refuse_unknown_cameras(list(by_name.values()))
+            _refuse_to_warp(list(by_name.values()))
         finish_interrupted_build(index)
         state, damaged = read_state(index), dict[str, str]()
         while True:
@@ -145,14 +146,21 @@ def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> No
         Condition(config.where).check(FRAMES_SCHEMA.empty_table())
 
 
-def _refuse_unknown_cameras(logs: Sequence[Path]) -> None:
-    """Raise DatasetError for a log of which nothing tells where its cameras stand: no view can be warped."""
+def _refuse_to_warp(logs: Sequence[Path]) -> None:
+    """Raise DatasetError for a log whose pictures cannot be warped: nothing tells where its cameras stand, or what
+    their crops show."""
     for path in logs:
         with contextlib.suppress(LogError), Log(path) as log:  # what cannot be read is told where it is read
             try:
                 geometry_of(log)
             except RecordingError as error:
                 raise DatasetError(f"--viewpoints: {error}") from None
+            for width, height in _sizes_px(log):
+                if not can_be_warped(width, height):
+                    raise DatasetError(
+                        f"--viewpoints: {path}: pictures of {width:,} x {height:,} px; views are warped only from"
+                        " pictures twice as wide as high"
+                    )
 
 
 def _build(

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import MAX_STEERING_DEG
+from common.car import MAX_STEERING_DEG, MPS_PER_MPH
 from dataset.drawn_views import Numbers, Values, place_of
-from dataset.recorded_line import MPS_PER_MPH, SLOW_MPH
+from dataset.recorded_line import SLOW_MPH
 from recorder.log.car_geometry import UDACITY
 
 BACK_S: Final = 2.0
@@ -28,6 +28,7 @@ def label_back(steering: Values, speed_mph: Values, view: Numbers) -> Values:
     The car is to be back on the line, and in its direction, in `BACK_S`. Of all ways to get there, the one that
     steers least begins with a curvature of (6 offset / way + 4 turn) / way towards the line (the control of least
     effort that brings a double integrator to a final state: Bryson and Ho, Applied Optimal Control, section 5.3).
+    The wheelbase is Udacity's; the built-in car's is a seventh shorter, so that it comes back a little sooner.
     """
     left_m, turn_rad = place_of(view)
     way_m = speed_mph * MPS_PER_MPH * BACK_S

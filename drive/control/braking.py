@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from simulator.driving.vehicle import BRAKE_MPS2, MPS_PER_MPH, TOP_SPEED_MPS, resistance_mps2
+from common.car import MPS_PER_MPH
+from simulator.driving.vehicle import BRAKE_MPS2, TOP_SPEED_MPS, resistance_mps2
 
 WALKING_MPH: Final = 1.0
 """At this speed or below, a car is not braked any more: a negative throttle would soon reverse it."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from common.car import MPS_PER_MPH
 from drive.control.braking import WALKING_MPH
 from simulator.driving.expert import BEND_MPS2
-from simulator.driving.vehicle import MAX_WHEEL_RAD, MPS_PER_MPH, WHEELBASE_M
+from simulator.driving.vehicle import MAX_WHEEL_RAD, WHEELBASE_M
 
 KP: Final = 0.1  # throttle for each mph too slow
 KI: Final = 0.002  # throttle for each mph too slow, summed over telemetries

@@ -101,15 +101,30 @@ def geometry_of(log: Log, car: KnownCar | Literal["auto"] = "auto") -> CarGeomet
 
 
 def _told_by(log: Log) -> KnownCar:
-    session = log.metadata
+    sessions = [log.metadata]
+    if _is_merged(log.metadata):  # it has the metadata of each of its logs
+        of_another = f"{topics.SESSION_METADATA} of "
+        found = [session for name, session in log.all_metadata() if name.startswith(of_another)]
+        sessions = [session for session in found if not _is_merged(session)]
+    cars = {_car_of(session, bool(log.counts.get(topics.POSE))) for session in sessions}
+    car = cars.pop() if len(cars) == 1 else None
+    if car is None:
+        raise RecordingError(
+            f"{log.path}: nothing in it tells where its cameras stand; that is known of Udacity's simulator and of"
+            " the built-in one"
+        )
+    return car
+
+
+def _is_merged(session: Mapping[str, str]) -> bool:
+    return session.get("source") == "merged"
+
+
+def _car_of(session: Mapping[str, str], has_poses: bool) -> KnownCar | None:
+    """By the metadata of a session."""
     if session.get("simulator") == "built-in":
         return "built-in"
     source = session.get("source")
-    if source == "udacity":
-        return "udacity"
     if source in ("drive", "telemetry"):  # the real simulator tells nobody where its car is
-        return "built-in" if log.counts.get(topics.POSE) else "udacity"
-    raise RecordingError(
-        f"{log.path}: nothing in it tells where its cameras stand; that is known of Udacity's simulator and of the"
-        " built-in one"
-    )
+        return "built-in" if has_poses else "udacity"
+    return "udacity" if source == "udacity" else None

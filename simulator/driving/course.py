@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.autonomy import autonomy_percent
-from simulator.driving.vehicle import AXLE_TO_CENTRE_M, MPS_PER_MPH, STEP_S, WHEELBASE_M, CarState, step
+from common.car import MPS_PER_MPH
+from simulator.driving.vehicle import AXLE_TO_CENTRE_M, STEP_S, WHEELBASE_M, CarState, step
 from simulator.pose import Pose
 from simulator.roads.centreline import Centreline
 

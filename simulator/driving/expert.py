@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
+from common.car import MPS_PER_MPH
 from simulator.driving.course import Course
 from simulator.driving.vehicle import (
     AXLE_TO_CENTRE_M,
     BRAKE_MPS2,
     MAX_WHEEL_RAD,
-    MPS_PER_MPH,
     STEERING_LAG_S,
     THROTTLE_MPS2,
     CarState,

@@ -10,16 +10,13 @@ intermittent decisions about prediction errors", Biological Cybernetics 112.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from simulator.driving.person import Person
+from simulator.driving.person import Act, Person
 
 # Sensitivity and gravity of its axis KeyboardHorizontal: ProjectSettings/InputManager.asset of Udacity's simulator
 # (github.com/udacity/self-driving-car-sim). "0 4 13 22 25 25 16 9 0" degrees at 9 rows a second is what it gives.
 AXIS_PER_S = 3.0  # of full lock, while a key is held; and back, when none is
-
-DEAD_BAND = 0.12  # of full lock: the median of what has to be wanted before a key is pressed
-_DEAD_BAND_SPREAD = 0.4  # of its logarithm: people are not always as patient
 
 # A press is to do the work that the wanted steering would have done in this time, longer for more. Its length is
 # off by so much (standard deviation of the logarithm), and no finger is faster than the shortest tap.
@@ -30,12 +27,8 @@ _SHORTEST_TAP_S = 0.07
 
 
 @dataclass(frozen=True)
-class KeyPress:
-    """A key that is held from ``down_s`` to ``up_s``, and the steering that comes of it."""
-
-    side: float  # -1 the left key, 1 the right one
-    down_s: float
-    up_s: float
+class KeyPress(Act):
+    """A key that is held: the left one with a target of -1, the right one with 1."""
 
     def steering(self, time_s: float) -> float:
         """Unity's axis: it ramps to full lock while the key is held, and back when it is let go."""
@@ -43,15 +36,9 @@ class KeyPress:
         back = max(0.0, time_s - self.up_s)
         return self.side * max(0.0, min(1.0, AXIS_PER_S * held) - AXIS_PER_S * back)
 
-    def is_held(self, time_s: float) -> bool:
-        return self.down_s < time_s < self.up_s
-
     def is_over(self, time_s: float) -> bool:
         """Let go, and the wheels are straight again."""
         return time_s >= self.up_s and self.steering(time_s) == 0.0
-
-
-_NO_PRESS = KeyPress(1.0, -math.inf, -math.inf)
 
 
 class KeyboardDriver(Person):
@@ -60,30 +47,11 @@ class KeyboardDriver(Person):
     look_ahead_s = (
         0.9  # the expert has 0.6; with that, and with 1.2, it leaves the road more often at 15 and 20 mph
     )
-    _press = _NO_PRESS
+    dead_band = 0.12
 
-    def _rest(self) -> None:
-        self._press = _NO_PRESS
-
-    def _steering(self, now_s: float) -> float:
-        return self._press.steering(now_s)
-
-    def _look(self, now_s: float, wanted: float) -> None:
-        if self._press.is_over(now_s):
-            self._look_again(now_s)
-            self._decide(now_s, wanted)
-        elif self._press.is_held(now_s):
-            self._look_again(now_s)
-            up_s = self._let_go_s(self._press.up_s, now_s, wanted * self._press.side)
-            self._press = replace(self._press, up_s=up_s)
-
-    def _decide(self, now_s: float, wanted: float) -> None:
-        """Press a key, or wait and see."""
-        if abs(wanted) <= self._about(DEAD_BAND, _DEAD_BAND_SPREAD):
-            return
-        down_s = now_s + self._reaction_s()
+    def _begin(self, down_s: float, wanted: float) -> KeyPress:
         held_s = self._about(max(_SHORTEST_TAP_S, _press_length_s(abs(wanted))), _LENGTH_SPREAD)
-        self._press = KeyPress(math.copysign(1.0, wanted), down_s, down_s + held_s)
+        return KeyPress(math.copysign(1.0, wanted), down_s, down_s + held_s)
 
 
 def _press_length_s(wanted: float) -> float:

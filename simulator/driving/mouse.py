@@ -7,19 +7,17 @@ the button is up. How far and how long it is dragged is fitted to a recording of
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
-from simulator.driving.person import Person
+from simulator.driving.person import Act, Person
 
 FULL_LOCK_PX: Final = 170
 """A sixth of a window of 1024: the recording's values are multiples of 25 / 170 degrees."""
 
-_DEAD_BAND = 0.15  # of full lock: the median of what has to be wanted before the button is pressed
-_DEAD_BAND_SPREAD = 0.4  # of its logarithm, as the other spreads
 # Between two drags the car goes straight, so that one has to steer more than is wanted, and as long as it takes.
 _GAIN = 2.0
-_GAIN_SPREAD = 0.15
+_GAIN_SPREAD = 0.15  # of its logarithm, as the other spreads
 _HELD_S = 0.9
 _HELD_SPREAD = 0.25
 _HAND_S = 0.35  # the time constant of the hand's approach to where it wants to be
@@ -27,12 +25,8 @@ _NEW_GRIP_S = 0.1  # to take the mouse back
 
 
 @dataclass(frozen=True)
-class Drag:
-    """A mouse that is moved with its button held, from ``down_s`` to ``up_s``."""
-
-    target: float  # the steering that it is moved towards, -1..1 and beyond: the table is wider than full lock
-    down_s: float
-    up_s: float
+class Drag(Act):
+    """A mouse that is moved with its button held; its target may lie beyond full lock: so does the table."""
 
     def steering(self, time_s: float) -> float:
         """In whole pixels, ever more slowly towards the target, at most to full lock; without the button 0."""
@@ -41,15 +35,9 @@ class Drag:
         moved = self.target * (1.0 - math.exp((self.down_s - time_s) / _HAND_S))
         return max(-1.0, min(1.0, round(moved * FULL_LOCK_PX) / FULL_LOCK_PX))
 
-    def is_held(self, time_s: float) -> bool:
-        return self.down_s < time_s < self.up_s
-
     def is_over(self, time_s: float) -> bool:
         """Let go, and the mouse is taken back."""
         return time_s >= self.up_s + _NEW_GRIP_S
-
-
-_NO_DRAG = Drag(0.0, -math.inf, -math.inf)
 
 
 class MouseDriver(Person):
@@ -58,27 +46,8 @@ class MouseDriver(Person):
     look_ahead_s = (
         1.2  # it steers in larger pieces than keys do: with 0.9 it weaves, and leaves the road at 15 mph
     )
-    _drag = _NO_DRAG
+    dead_band = 0.15
 
-    def _rest(self) -> None:
-        self._drag = _NO_DRAG
-
-    def _steering(self, now_s: float) -> float:
-        return self._drag.steering(now_s)
-
-    def _look(self, now_s: float, wanted: float) -> None:
-        if self._drag.is_over(now_s):
-            self._look_again(now_s)
-            self._decide(now_s, wanted)
-        elif self._drag.is_held(now_s):
-            self._look_again(now_s)
-            side = math.copysign(1.0, self._drag.target)
-            self._drag = replace(self._drag, up_s=self._let_go_s(self._drag.up_s, now_s, wanted * side))
-
-    def _decide(self, now_s: float, wanted: float) -> None:
-        """Press the button and drag, or wait and see."""
-        if abs(wanted) <= self._about(_DEAD_BAND, _DEAD_BAND_SPREAD):
-            return
-        down_s = now_s + self._reaction_s()
+    def _begin(self, down_s: float, wanted: float) -> Drag:
         target = self._about(_GAIN * wanted, _GAIN_SPREAD)
-        self._drag = Drag(target, down_s, down_s + self._about(_HELD_S, _HELD_SPREAD))
+        return Drag(target, down_s, down_s + self._about(_HELD_S, _HELD_SPREAD))

@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from common.car import MAX_STEERING_DEG
+from common.car import MAX_STEERING_DEG, MPS_PER_MPH
 
 STEP_S = 0.02  # the simulator applies commands at 50 Hz (Unity's fixed time step)
-MPS_PER_MPH = 0.44704
 GRAVITY_MPS2 = 9.81
 
 WHEELBASE_M = 2.6  # a mid-size car

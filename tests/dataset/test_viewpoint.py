@@ -102,6 +102,17 @@ def test_the_bonnet_stays_where_it_is_and_is_drawn_nowhere_else() -> None:
         assert view.is_known[is_bonnet].all()
 
 
+@pytest.mark.parametrize(("width_px", "height_px"), [(320, 240), (800, 320), (160, 80)])
+def test_the_bonnet_is_as_wide_as_high_in_pictures_of_another_shape(width_px: int, height_px: int) -> None:
+    """Lengths are shares of the height, also to either side of the middle."""
+    geometry = replace(UDACITY, bonnet=dict.fromkeys(CAMERAS, ((140, 160), (140, 120), (180, 120), (180, 160))))
+    pictures: dict[Camera, Image] = {"center": np.full((height_px, width_px, 3), 60, np.uint8)}
+    row, middle, half = height_px * 3 // 4, width_px // 2, height_px // 8
+    pictures["center"][row:, middle - half : middle + half] = 255
+    view = Viewpoint(geometry, width_px, height_px).view(pictures, 0.3, 0.05)
+    assert (view.picture == pictures["center"]).all()
+
+
 def test_in_the_built_in_simulator_it_is_nearer_to_what_its_cameras_render_there() -> None:
     """Its lake begins on a level stretch; 20 rows below the horizon, as far as the bonnet."""
     simulation = Simulation("lake")

@@ -25,14 +25,14 @@ MPS = 0.44704  # metres a second in a mile an hour
 SPEED_MPH = 20.0
 
 
-def jpeg(camera: Camera) -> bytes:
-    ok, encoded = cv2.imencode(".png", render(UDACITY, beside_m=UDACITY.left_m[camera]))
+def png(camera: Camera, width_px: int) -> bytes:
+    ok, encoded = cv2.imencode(".png", render(UDACITY, beside_m=UDACITY.left_m[camera], width_px=width_px))
     assert ok
     return encoded.tobytes()
 
 
-def record(path: Path, source: str = "udacity", speed_mph: float = SPEED_MPH) -> Path:
-    pictures = {camera: jpeg(camera) for camera in CAMERAS}
+def record(path: Path, source: str = "udacity", speed_mph: float = SPEED_MPH, width_px: int = 320) -> Path:
+    pictures = {camera: png(camera, width_px) for camera in CAMERAS}
     with LogWriter(path, {"source": source}) as writer:
         for row in range(ROWS):
             time_ns = START_NS + row * 100_000_000
@@ -124,6 +124,16 @@ def test_where_the_speed_is_not_known_or_the_camera_no_label_comes_out_of_nothin
     build_index([tub], tmp_path / "tub", IndexConfig())
     with pytest.raises(ValueError, match="--viewpoints -1"):
         IndexConfig(viewpoints=-1)
+
+
+def test_what_cannot_be_warped_is_refused_before_anything_is_built(tmp_path: Path) -> None:
+    """A crop does not tell how much of the world it shows to either side."""
+    upright = record(tmp_path / "upright.mcap", width_px=200)
+    with pytest.raises(DatasetError, match=r"--viewpoints.*upright\.mcap.*200 x 160 px.*twice as wide as high"):
+        build_index([upright], tmp_path / "index", IndexConfig(viewpoints=1))
+    assert not (tmp_path / "index" / "samples.parquet").exists()
+    with pytest.raises(ValueError, match=r"--cameras left right.*center.*--viewpoints"):
+        IndexConfig(viewpoints=1, cameras=("left", "right"))
 
 
 def test_other_alterations_come_on_top_and_the_same_seed_gives_the_same_picture(log: Path) -> None:

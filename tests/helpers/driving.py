@@ -61,9 +61,12 @@ SERVER: Final = ForkServer(environment())
 _LOADING_PYTORCH = [command(name) for name in ("bc-train", "bc-drive", "bc-eval", "bc-demo")]
 
 
-def started(line: Sequence[str], cwd: Path | None = None) -> Forked | subprocess.Popen[str]:
-    """A program with pipes for its output; one that loads PyTorch is forked, where that is like a start."""
-    if any(line[:3] == known for known in _LOADING_PYTORCH) and SERVER.can_start(environment()):
+def started(
+    line: Sequence[str], cwd: Path | None = None, *, loads_pytorch: bool = False
+) -> Forked | subprocess.Popen[str]:
+    """A program with pipes for its output. One that loads PyTorch is forked, where that is like a start: our
+    commands that do, and any `python -c` of which `loads_pytorch` says so."""
+    if (loads_pytorch or any(line[:3] == known for known in _LOADING_PYTORCH)) and SERVER.can_start(environment()):
         return SERVER.start(line[2], line[3:], cwd, environment())
     pipe = subprocess.PIPE
     return subprocess.Popen(line, cwd=cwd, env=environment(), stdout=pipe, stderr=pipe, text=True)
@@ -138,8 +141,8 @@ def untrained_run(folder: Path, seed: int = 0) -> Path:
 class Process:
     """A command that runs on; its stderr is read as it comes. It is killed with the context, if it still runs."""
 
-    def __init__(self, line: Sequence[str], cwd: Path | None = None) -> None:
-        self.popen = started(line, cwd)
+    def __init__(self, line: Sequence[str], cwd: Path | None = None, *, loads_pytorch: bool = False) -> None:
+        self.popen = started(line, cwd, loads_pytorch=loads_pytorch)
         self.stderr: list[str] = []
         self.stdout = ""
         self._said = threading.Condition()

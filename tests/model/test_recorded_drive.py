@@ -23,6 +23,7 @@ from painted_road import render
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.car_geometry import UDACITY
+from recorder.log.edit import merge
 from recorder.log.tags import Tag, add_tag
 from udacity import call
 
@@ -189,6 +190,18 @@ def test_what_cannot_be_driven_is_refused_with_what_was_expected(tmp_path: Path)
     assert drive_recording(always(0.0), tmp_path / "other.mcap", car="udacity").rows == 30
     with pytest.raises(RunError, match="no number"):
         drive_recording(always(math.nan), record(tmp_path / "whole.mcap", [0.0] * 30))
+
+
+def test_a_merged_log_is_of_the_car_that_all_its_logs_are_of(tmp_path: Path) -> None:
+    one, two = (record(tmp_path / f"{name}.mcap", [0.0] * 30) for name in ("one", "two"))
+    tub = record(tmp_path / "tub.mcap", [0.0] * 30, source="donkeycar")
+    merge([one, two], tmp_path / "both.mcap")
+    merge([tmp_path / "both.mcap", one], tmp_path / "again.mcap")
+    assert drive_recording(always(0.0), tmp_path / "both.mcap").rows == 60
+    assert drive_recording(always(0.0), tmp_path / "again.mcap").rows == 90
+    merge([one, tub], tmp_path / "mixed.mcap")
+    with pytest.raises(UserError, match="tells where its cameras stand"):
+        drive_recording(always(0.0), tmp_path / "mixed.mcap")
 
 
 def test_pictures_that_do_not_decode_are_named_and_the_car_is_put_back_behind_them(tmp_path: Path) -> None:

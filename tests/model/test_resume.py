@@ -8,7 +8,6 @@ import os
 import shlex
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -23,19 +22,27 @@ from safetensors.numpy import load_file, save_file
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Samples, build_index
 from disk import files_of_at_most
-from driving import Process, command, environment
+from driving import Process, command
 from logs import write_log
 from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main
 from model.runs.training_progress import Step
 from recorder.log.edit import rewrite
-from repository import HELPERS, ROOT
+from repository import HELPERS
 from toy import STEERING, TINY, road, toy_index
 from udacity import call
 from waiting import wait_until
 
-# 13 batches an epoch: dropout, the mean of the weights and the scale of the answers must go on as well
-CONFIG = replace(TINY, epochs=2, batch=2, dropout=0.5, average_steps=5, answers="natural")
+# 5 batches an epoch: dropout, the mean of the weights and the scale of the answers must go on as well
+CONFIG = replace(TINY, epochs=2, batch=6, dropout=0.5, average_steps=5, answers="natural")
+STEP_BATCHES = "model.training.loop.STEP_BATCHES", 3  # an epoch is told of in its middle, too
+
+
+@pytest.fixture(scope="module", autouse=True)
+def steps_are_told_often() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(*STEP_BATCHES)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +105,7 @@ def train_until_killed(
 ) -> None:
     """Without a step to be killed `at`, it is killed when the first checkpoint is about to be saved."""
     patch = pytest.MonkeyPatch()  # of this process alone
+    patch.setattr(*STEP_BATCHES)
     patch.setattr("model.training.loop.CHECKPOINT_S", checkpoint_s)
     if at is None:
         patch.setattr("model.training.run_writer.save_checkpoint", kill)
@@ -105,55 +113,38 @@ def train_until_killed(
     train(index, run, CONFIG, killed, init=init, resume=Path(run).exists(), figures=False)
 
 
-# Every training is a process of its own, forked from one that has loaded PyTorch.
-EXECUTIONER = """
-import json, os, sys
+TRAINING = f"""
+import json, sys
+sys.path[:0] = {[str(HELPERS), str(Path(__file__).parent)]}
 from test_resume import train_until_killed
-
-for line in sys.stdin:
-    if not (process := os.fork()):
-        train_until_killed(*json.loads(line))
-        os._exit(0)
-    print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
+train_until_killed(*json.loads(sys.argv[1]))
 """
-Kill = Callable[..., None]
 
 
-@pytest.fixture(scope="module")
-def killed() -> Iterator[Kill]:
-    """Trains from the beginning, or goes on, and is killed."""
-    found = environment() | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, HELPERS, Path(__file__).parent)))}
-    line = [sys.executable, "-c", EXECUTIONER]
-    with subprocess.Popen(line, env=found, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        jobs, ends = process.stdin, process.stdout
-
-        def train_killed(
-            index: Path,
-            run: Path,
-            *,
-            init: Path | None = None,
-            at: tuple[int, int] | None = None,
-            checkpoint_s: float = math.inf,
-        ) -> None:
-            job = (str(index), str(run), None if init is None else str(init), at, checkpoint_s)
-            jobs.write(json.dumps(job) + "\n")
-            jobs.flush()
-            assert int(ends.readline()) == -signal.SIGKILL
-
-        yield train_killed
+def train_killed(
+    index: Path,
+    run: Path,
+    *,
+    init: Path | None = None,
+    at: tuple[int, int] | None = None,
+    checkpoint_s: float = math.inf,
+) -> None:
+    """Train from the beginning, or go on, in a process of its own, and be killed."""
+    job = (str(index), str(run), None if init is None else str(init), at, checkpoint_s)
+    line = [sys.executable, "-c", TRAINING, json.dumps(job)]
+    with Process(line, loads_pytorch=True) as training:
+        assert training.join() == -signal.SIGKILL, training.stderr
 
 
 @pytest.mark.long  # killed once: test_a_fine_tuned_run_that_is_killed_...
 def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
-    index: Path, whole: Path, tmp_path: Path, killed: Kill
+    index: Path, whole: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    killed(index, run, at=(1, 10))  # from the beginning
-    killed(index, run, at=(1, 13), checkpoint_s=0)  # in the middle of an epoch
-    assert [step[:3] for step in steps(run)] == [(1, 10, 20), (1, 13, 26)]
-    killed(index, run, at=(2, 10))  # what came after that is lost
+    train_killed(index, run, at=(1, 3))  # from the beginning
+    train_killed(index, run, at=(1, 5), checkpoint_s=0)  # in the middle of an epoch
+    assert [step[:3] for step in steps(run)] == [(1, 3, 18), (1, 5, 26)]
+    train_killed(index, run, at=(2, 3))  # what came after that is lost
     train(index, run, resume=True, figures=False)
     assert_same(run, whole)
 
@@ -161,19 +152,20 @@ def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
 def test_ctrl_c_costs_nothing_and_says_how_to_go_on(index: Path, whole: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
-        train(index, run, CONFIG, [At(1, 10, lambda: signal.raise_signal(signal.SIGINT))], figures=False)
+        train(index, run, CONFIG, [At(1, 3, lambda: signal.raise_signal(signal.SIGINT))], figures=False)
     with safe_open(run / "last" / "checkpoint.safetensors", framework="np") as file:
         position = json.loads(file.metadata()["position"])
-    assert (position["epoch"], position["batch"], position["samples"]) == (1, 10, 20)
+    assert (position["epoch"], position["batch"], position["samples"]) == (1, 3, 18)
     with pytest.raises(RunError, match=rf"`bc-train --resume {run}`"):
         find_run("run", tmp_path)
-    stop = At(2, 10, lambda: signal.raise_signal(signal.SIGTERM))
+    stop = At(2, 3, lambda: signal.raise_signal(signal.SIGTERM))
     with pytest.raises(KeyboardInterrupt):
         train(index, run, None, [stop], resume=True, figures=False)
     train(index, run, resume=True, figures=False)
     assert_same(run, whole)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_the_command_is_stopped_by_ctrl_c_and_goes_on(index: Path, tmp_path: Path) -> None:
     """By the very command that is printed: the run knows where its index is."""
     runs = tmp_path / "all of my runs"
@@ -206,20 +198,21 @@ def stopped(whole: Path, tmp_path: Path) -> Path:
 
 
 def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
-    index: Path, whole: Path, tmp_path: Path, killed: Kill
+    index: Path, whole: Path, tmp_path: Path
 ) -> None:
     config = replace(CONFIG, epochs=1)
     train(index, tmp_path / "straight", config, init=whole, figures=False)
-    killed(index, tmp_path / "killed", init=whole, at=(1, 10))
+    train_killed(index, tmp_path / "killed", init=whole, at=(1, 3))
     train(index, tmp_path / "killed", config, resume=True, figures=False)
     assert_same(tmp_path / "killed", tmp_path / "straight")
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_training_killed_before_its_first_checkpoint_begins_again_from_its_seed(
-    index: Path, whole: Path, tmp_path: Path, killed: Kill, capsys: pytest.CaptureFixture[str]
+    index: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
-    killed(index, run)
+    train_killed(index, run)
     assert not list(run.rglob("*.safetensors"))
     assert call(main, "--resume", "run", "--runs", tmp_path) == 0
     assert "begun again from its seed: it was stopped before anything was saved" in capsys.readouterr().out
@@ -227,13 +220,13 @@ def test_a_training_killed_before_its_first_checkpoint_begins_again_from_its_see
 
 
 def test_one_that_started_from_a_runs_last_weights_begins_again_from_these(
-    index: Path, whole: Path, tmp_path: Path, killed: Kill
+    index: Path, whole: Path, tmp_path: Path
 ) -> None:
     """Wherever that run is kept."""
     base = Path(shutil.copytree(whole, tmp_path / "elsewhere" / "base"))
     config = replace(CONFIG, epochs=1)
     train(index, tmp_path / "straight", config, init=base / "last", figures=False)
-    killed(index, tmp_path / "killed", init=base / "last")
+    train_killed(index, tmp_path / "killed", init=base / "last")
     assert not list((tmp_path / "killed").rglob("*.safetensors"))
     train(index, tmp_path / "killed", config, resume=True, figures=False)
     assert_same(tmp_path / "killed", tmp_path / "straight")
@@ -288,7 +281,7 @@ def test_two_processes_do_not_train_one_run(index: Path, stopped: Path) -> None:
             train(index, stopped, resume=True, figures=False)
         told.append(str(caught.value))
 
-    train(index, stopped, replace(CONFIG, epochs=3), [At(3, 10, second)], resume=True, figures=False)
+    train(index, stopped, replace(CONFIG, epochs=3), [At(3, 3, second)], resume=True, figures=False)
     assert "is being trained by another process" in told[0]
     assert (stopped / "metrics.jsonl").read_bytes().startswith(before)
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from common.car import MPS_PER_MPH
 from simulator.driving.course import Course
 from simulator.driving.expert import BEND_MPS2, Expert, plan_speed
 from simulator.driving.recovery_driving import PUSH_S, DriveStep, drive_for_recording
-from simulator.driving.vehicle import MPS_PER_MPH
 from simulator.roads.centreline import Centreline
 
 

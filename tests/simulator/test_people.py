@@ -111,6 +111,7 @@ def test_keys_ramp_at_three_full_locks_a_second_and_pass_through_the_middle() ->
     assert moved.max() <= 3.0 * STEP_S + 1e-9
     assert np.abs(steering).max() == 1.0  # full lock, in a hairpin
     assert not (steering[1:] * steering[:-1] < 0).any()
+    assert not np.signbit(steering[steering == 0.0]).any()
     resting = moved == 0.0
     assert set(np.abs(steering[1:][resting])) == {0.0, 1.0}  # nothing in between is held
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.car import MPS_PER_MPH
 from simulator.driving.vehicle import (
     AXLE_TO_CENTRE_M,
     BRAKE_MPS2,
@@ -16,7 +17,6 @@ from simulator.driving.vehicle import (
     GRAVITY_MPS2,
     GRIP,
     MAX_WHEEL_RAD,
-    MPS_PER_MPH,
     ROLLING_MPS2,
     STEERING_RATE_RADPS,
     STEP_S,
