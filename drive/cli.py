@@ -207,6 +207,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     run = find_run(config.run, config.runs)
     with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
         check_pedals(car)
+        _load_named(config, run)
         pilot = load_pilot(run, config.precision)
         pilot.warm_up()
         told = {"simulator": car.name, "gym.args": config.environment.gym_args, "gym.action": car.actions.text}
