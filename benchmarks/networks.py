@@ -1,7 +1,8 @@
 """The networks of the toolkit side by side: parameters, size, training speed, ms a picture, and how they drive.
 
 python benchmarks/networks.py FOLDER [--networks original small] [--sessions lake.mcap mountain.mcap] [--epochs 10]
-    [--seeds 0] [--drive lake mountain random:1 random:2 random:3] [--speed 10] [--what speed train drive] [--rounds 5]
+    [--seeds 0] [--drive lake mountain random:1 random:2 random:3] [--speed 10] [--what speed train drive]
+    [--rounds 5]
 
 FOLDER is kept: what it has already is not made again, so that it may be stopped at any moment. Without --sessions
 the built-in expert records half a lap of each track there. Times are processor time of one thread, the least of
