@@ -2,6 +2,7 @@
 
 python benchmarks/networks.py FOLDER [--networks original small] [--sessions lake.mcap mountain.mcap] [--epochs 10]
     [--seeds 0] [--drive lake mountain random:1 random:2 random:3] [--speed 10] [--what speed train drive]
+    [--rounds 5]
 
 FOLDER is kept: what it has already is not made again, so that it may be stopped at any moment. Without --sessions
 the built-in expert records half a lap of each track there. Times are processor time of one thread, the least of
@@ -38,7 +39,6 @@ from model.training.step import make_optimizer, training_step
 
 WHAT: Final = ("speed", "train", "drive")
 PICTURES: Final = 64  # in a step
-ROUNDS: Final = 5
 PREDICTIONS: Final = 20  # in a round
 RECORDED: Final = ("lake", "mountain")
 
@@ -52,12 +52,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--drive", nargs="+", default=["lake", "mountain", "random:1", "random:2", "random:3"])
     parser.add_argument("--speed", type=float, default=10.0)
+    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--what", nargs="+", default=list(WHAT), choices=WHAT)
     arguments = parser.parse_args()
     folder: Path = arguments.folder
     folder.mkdir(parents=True, exist_ok=True)
     if "speed" in arguments.what:
-        print_speed(speeds(folder / "speed.json", arguments.networks))
+        print_speed(speeds(folder / "speed.json", arguments.networks, arguments.rounds))
     if "train" in arguments.what:
         index = index_of(folder, arguments.sessions)
         for seed in arguments.seeds:
@@ -70,12 +71,12 @@ def main() -> None:
 # Speed
 
 
-def speeds(path: Path, networks: list[str]) -> dict[str, dict[str, Any]]:
+def speeds(path: Path, networks: list[str], rounds: int) -> dict[str, dict[str, Any]]:
     """Of each network its size and speed, measured now or before."""
     found: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
     torch.set_num_threads(1)
     contenders = {name: Contender(name) for name in networks if name not in found}
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for contender in contenders.values():
             contender.take_turn()
     found |= {name: contender.result() for name, contender in contenders.items()}
