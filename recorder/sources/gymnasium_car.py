@@ -43,7 +43,7 @@ _SPEED: Final = re.compile(r"(?:(-?\d+\.?\d*|\.\d+)\*)?(.+)", re.ASCII)
 
 
 @dataclass(frozen=True)
-class Moment:
+class GymnasiumMoment:
     """What is known after a reset or a step."""
 
     observation: Any
@@ -111,13 +111,13 @@ class GymnasiumCar:
         """Steps a second of the environment's own time."""
         return float(self._flags.gym_rate or self.env.metadata["render_fps"])
 
-    def reset(self, seed: int) -> Moment:
+    def reset(self, seed: int) -> GymnasiumMoment:
         self._steps = 0
         with _their_errors(f"--gym {self.name}", f"its reset with seed {seed}"):
             observation, info = self.env.reset(seed=seed)
         return self._moment(observation, info)
 
-    def step(self, action: NDArray[Any]) -> Moment:
+    def step(self, action: NDArray[Any]) -> GymnasiumMoment:
         """One step by an action of the environment's own form, brought into its range."""
         self._steps += 1
         sent = np.clip(action.reshape(self._space.shape), self._space.low, self._space.high)
@@ -126,7 +126,7 @@ class GymnasiumCar:
         end = "terminated" if terminated else "truncated" if truncated else ""
         return self._moment(observation, info, float(reward), end)
 
-    def expert_action(self, moment: Moment) -> NDArray[np.float64]:
+    def expert_action(self, moment: GymnasiumMoment) -> NDArray[np.float64]:
         """The expert's action (N,). Raises RecordingError for one that is none."""
         assert self._expert is not None  # noqa: S101
         with _their_errors(f"--expert {self._flags.expert}", f"at step {self._steps} it"):
@@ -143,7 +143,7 @@ class GymnasiumCar:
             raise RecordingError(f"{where} it gave {action.ravel().tolist()}: finite numbers were expected")
         return action.ravel()
 
-    def expert_command(self, moment: Moment) -> CarCommand:
+    def expert_command(self, moment: GymnasiumMoment) -> CarCommand:
         return self.actions.command(self.expert_action(moment))
 
     def __enter__(self) -> Self:
@@ -184,7 +184,9 @@ class GymnasiumCar:
                 f"--gym {self.name}: its render_fps is {told}: give its steps a second by --gym-rate"
             )
 
-    def _moment(self, observation: Any, info: dict[str, Any], reward: float = 0.0, end: str = "") -> Moment:
+    def _moment(
+        self, observation: Any, info: dict[str, Any], reward: float = 0.0, end: str = ""
+    ) -> GymnasiumMoment:
         picture = observation
         try:
             for key in self._picture_key:
@@ -196,7 +198,7 @@ class GymnasiumCar:
             raise RecordingError(
                 f"--gym {self.name}: step {self._steps} gave no picture, which its spaces promise"
             )
-        return Moment(observation, picture, self._speed_mph(observation, info), reward, end)
+        return GymnasiumMoment(observation, picture, self._speed_mph(observation, info), reward, end)
 
     def _speed_mph(self, observation: Any, info: dict[str, Any]) -> float:
         if self._speed_key is None:
