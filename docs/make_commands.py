@@ -89,7 +89,7 @@ def _help(command: str) -> str:
     environment = {
         **os.environ,
         "PYTHONPATH": str(ROOT),
-        "COLUMNS": "2000",
+        "COLUMNS": "129",  # from 130 on, boxes stand beside each other
         "NO_COLOR": "1",
         "OMP_NUM_THREADS": "1",
     }
