@@ -1,5 +1,9 @@
 """Which number tells how a network drives: the measures of each network of which_number.py, and how they rank.
 
+python benchmarks/which_number_report.py benchmarks/which_number.parquet FOLDER
+
+makes the tables and the figure of docs/which-number.md again, in FOLDER, from the measures that are kept here.
+
 Each measure is turned so that more of it is worse. Spearman's rank correlation with how badly the network drives
 is then 1 for a measure that orders networks as driving does, and 0 for one that says nothing. Its confidence
 interval is from a bootstrap over trainings: networks of the same training are alike. "Within a recipe" asks what
@@ -11,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -31,6 +36,7 @@ Floats = NDArray[np.float64]
 KNOWN: Final = ("lake", "mountain")
 OUTCOMES: Final = ("interventions a lap", "mean offset", "autonomy lost, %")
 DRAWS: Final = 500
+DATA: Final = "which_number.parquet"
 
 
 def write(folder: Path) -> None:
@@ -47,8 +53,13 @@ def write(folder: Path) -> None:
     if not networks:
         raise SystemExit(f"{folder}: no network in it is measured yet")
     rows = [row for network in networks for row in rows_of(folder, network)]
-    with atomic_file(folder / "which_number.parquet", overwrite=True) as part:
+    with atomic_file(folder / DATA, overwrite=True) as part:
         pq.write_table(pa.Table.from_pylist(rows), part)
+    tell(rows, folder)
+
+
+def tell(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Write FOLDER/which_number.md and .png of these measures; print the tables."""
     wide = pivot(rows)
     table = correlations(wide)
     text = "\n".join([*driving_of_recipes(rows), "", *markdown(wide, table)]) + "\n"
@@ -276,3 +287,7 @@ def draw(wide: pd.DataFrame, table: pd.DataFrame, path: Path) -> None:
         points.set_ylim(bottom=-0.1)
         points.legend(fontsize="x-small")
         figure.savefig(path, dpi=200)
+
+
+if __name__ == "__main__":
+    tell(pq.read_table(sys.argv[1]).to_pylist(), Path(sys.argv[2]))
