@@ -15,6 +15,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -23,12 +24,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from dataset.picture_spec import PictureSpec
 from dataset.preprocess import Image, decode, preprocess
 from model.evaluation.differences import compare_sums, overall
 from model.evaluation.evaluate import Evaluation, evaluate_sessions
 from model.evaluation.predict import BATCH, predict_crops
 from model.evaluation.run_comparison import MEASURES, Comparison, measures_of_sums, sums_of_blocks
-from model.network.original import SteeringNetwork
+from model.network.picture_network import PictureNetwork
 from model.runs.run_folder import load_network, save_weights
 from recorder import Log
 from recorder.log.topics import camera_topic
@@ -47,12 +49,12 @@ def main() -> None:
     good = evaluate_sessions(arguments.run, arguments.logs)
     with tempfile.TemporaryDirectory() as folder:
         planted = plant(arguments.run, Path(folder), arguments.rounded)
-        steering, _ = predict_crops(list(planted.values()), crops(good), len(good.frames))
+        steering, _ = predict_crops(list(planted.values()), partial(crops, good), len(good.frames))
     found = dict(zip(planted, steering, strict=True))
     for name, (right, down) in {"down": (0, 1), "up": (0, -1), "right": (1, 0), "left": (-1, 0)}.items():
         by_px = arguments.shift * right, arguments.shift * down
         (found[f"crop {arguments.shift} px {name}"],) = predict_crops(
-            [arguments.run], crops(good, *by_px), len(good.frames)
+            [arguments.run], partial(crops, good, by_px=by_px), len(good.frames)
         )[0]
     mean_deg = good.measures.mean.rmse_deg
     print(f"{len(good.frames):,} frames; RMSE of always the mean {mean_deg:.2f}\n")
@@ -68,12 +70,12 @@ def main() -> None:
 
 
 def plant(run: Path, folder: Path, rounded: list[float]) -> Mapping[str, Path]:
-    def swap(network: SteeringNetwork) -> None:
+    def swap(network: PictureNetwork) -> None:
         weight = network.state_dict()["features.0.weight"]
         weight.copy_(weight.flip(1))
 
-    def to_multiples(step: float) -> Callable[[SteeringNetwork], None]:
-        def round_all(network: SteeringNetwork) -> None:
+    def to_multiples(step: float) -> Callable[[PictureNetwork], None]:
+        def round_all(network: PictureNetwork) -> None:
             for tensor in network.state_dict().values():
                 tensor.copy_((tensor / step).round() * step)
 
@@ -90,8 +92,11 @@ def plant(run: Path, folder: Path, rounded: list[float]) -> Mapping[str, Path]:
     return found
 
 
-def crops(of: Evaluation, right: int = 0, down: int = 0) -> Iterator[tuple[NDArray[np.int64], Image]]:
+def crops(
+    of: Evaluation, seen: PictureSpec, by_px: tuple[int, int] = (0, 0)
+) -> Iterator[tuple[NDArray[np.int64], Image]]:
     """The crops of the frames, cut out so many pixels of the camera's picture farther to the right and down."""
+    right, down = by_px
     move = np.array([[1, 0, -right], [0, 1, -down]], np.float64)
     pictures = [
         cv2.warpAffine(picture, move, picture.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
@@ -100,7 +105,7 @@ def crops(of: Evaluation, right: int = 0, down: int = 0) -> Iterator[tuple[NDArr
         for picture in pictures_of(of)
     ]
     for at in range(0, len(pictures), BATCH):
-        part = np.stack([preprocess(picture.astype(np.uint8)) for picture in pictures[at : at + BATCH]])
+        part = np.stack([preprocess(picture.astype(np.uint8), seen) for picture in pictures[at : at + BATCH]])
         yield np.arange(at, at + len(part)), part
 
 

@@ -23,7 +23,7 @@ import torch
 
 from common import UserError
 from dataset import IndexConfig, build_index
-from dataset.preprocess import CROP_BYTES
+from dataset.picture_spec import ORIGINAL
 from model.config import TrainConfig
 from model.runs.training_progress import Epoch, Step
 from model.training.trainer import train
@@ -60,7 +60,7 @@ def _noise(random: np.random.Generator) -> bytes:
 def print_memory(folder: Path) -> None:
     # The centre camera's pictures only, so that both indexes have a full batch to validate on.
     plain = IndexConfig(balance=False, flip=False, cameras=("center",))
-    budget = SMALL_BUDGET_MB * 2**20 // CROP_BYTES
+    budget = SMALL_BUDGET_MB * 2**20 // ORIGINAL.size_bytes
     small = ("--picture-memory-mb", str(SMALL_BUDGET_MB))
     print("| | most memory |\n|---|---|")
     for what, pictures, config, flags in (

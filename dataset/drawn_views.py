@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.viewpoint import Viewpoint
 from recorder.log.car_geometry import OUTLINE_PX, UDACITY
@@ -55,13 +56,13 @@ def can_be_warped(width_px: int, height_px: int) -> bool:
     return math.isclose(width_px * rows, height_px * columns, rel_tol=0.02)
 
 
-def crop_from(crop: Image, seed: int) -> Image:
-    """The crop (128, 128, 3) as seen from the view whose number is in a seed's lowest 32 bits."""
+def crop_from(crop: Image, seed: int, seen: PictureSpec = ORIGINAL) -> Image:
+    """The crop (`seen.shape`) as seen from the view whose number is in a seed's lowest 32 bits."""
     left_m, turn_rad = place_of(seed)
-    return _crops().picture(crop, float(left_m), float(turn_rad))
+    return _crops(seen).picture(crop, float(left_m), float(turn_rad))
 
 
 @cache
-def _crops() -> Viewpoint:
+def _crops(seen: PictureSpec) -> Viewpoint:
     """The built-in simulator's cameras stand and look nearly alike."""
-    return Viewpoint(UDACITY, *OUTLINE_PX, of_crops=True)
+    return Viewpoint(UDACITY, *OUTLINE_PX, of_crops=seen)

@@ -16,7 +16,8 @@ from common.stored_settings import settings_from
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.preprocess import BOTTOM_SHARE, TOP_SHARE, Image, decode
+from dataset.picture_spec import ORIGINAL
+from dataset.preprocess import Image, decode
 from dataset.samples.samples_format import Balance
 from dataset.samples.samples_reader import Samples
 
@@ -110,7 +111,8 @@ def steering_distribution(samples: Samples, config: IndexConfig) -> Distribution
 
 def crop_rows(height: int) -> tuple[int, int]:
     """The first row of a picture that the network sees, and the first below that it does not see."""
-    return round(height * TOP_SHARE), height - round(height * BOTTOM_SHARE)
+    rows = ORIGINAL.seen_rows(height)
+    return rows.start, rows.stop
 
 
 def two_draws(crop: Image, names: str, seed: int) -> tuple[int, int]:

@@ -37,7 +37,8 @@ from dataset.figure_style import (
     new_figure,
     require_matplotlib,
 )
-from dataset.preprocess import SIZE_PX, Image, preprocess
+from dataset.picture_spec import ORIGINAL
+from dataset.preprocess import Image, preprocess
 from dataset.samples.samples_reader import Samples
 from dataset.steering_figure import draw_steering, steered_sessions
 
@@ -108,10 +109,10 @@ def draw_preprocessing(moments: list[Moment]) -> Figure:
             camera.axhline(edge, color=YELLOW, linewidth=1.2)
         _show(crop, moment.picture[top:bottom], (0, width, bottom, top))
         crop.set_ylim(height, 0)
-        _show(seen, preprocess(moment.picture), (0, SIZE_PX, SIZE_PX, 0))
+        _show(seen, preprocess(moment.picture), (0, ORIGINAL.width_px, ORIGINAL.height_px, 0))
         camera.set_yticks([0, height])  # the edges are beside it, at the crop
         crop.set_yticks([top, bottom])
-        seen.set_yticks([0, SIZE_PX])
+        seen.set_yticks([0, ORIGINAL.height_px])
         camera.set_ylabel(f"{moment.kind}\nsteering {_signed(moment.steering)}\nrow (px)")
     for panel, title in zip(grid[0], ("camera picture", "crop", "network’s input"), strict=True):
         panel.set_title(title)
@@ -139,7 +140,7 @@ def draw_augmentation(moment: Moment, config: IndexConfig, seed: int) -> Figure:
         axes[0].set_title(titles[name])
         for panel, flipped, draw in zip(axes, flips, two_draws(crop, name, seed), strict=False):
             seen = np.ascontiguousarray(crop[:, ::-1]) if flipped else crop
-            _show(panel, alter(seen, name, draw), (0, SIZE_PX, SIZE_PX, 0))
+            _show(panel, alter(seen, name, draw), (0, ORIGINAL.width_px, ORIGINAL.height_px, 0))
             panel.set_xticks([])
             panel.set_yticks([])
     for panel, flipped in zip(grid[:, 0], flips, strict=True):

@@ -10,26 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import counted
+from dataset.picture_spec import MOST_PX, ORIGINAL, PictureSpec
 from recorder.pictures.picture_size import MOST_PIXELS, pixels
 
 Image = NDArray[np.uint8]
 
-SIZE_PX: Final = 128
-CROP_SHAPE: Final = (SIZE_PX, SIZE_PX, 3)
-CROP_BYTES: Final = SIZE_PX * SIZE_PX * 3
-# Of a picture 160 rows high, 50 are cut off the top (sky, trees) and 20 off the bottom (the bonnet).
-TOP_SHARE: Final = 50 / 160
-BOTTOM_SHARE: Final = 20 / 160
-
-DESCRIPTION: Final = {
-    "channels": "BGR",
-    "crop_top": "50/160",
-    "crop_bottom": "20/160",
-    "height_px": str(SIZE_PX),
-    "width_px": str(SIZE_PX),
-    "resize": "bilinear",
-}
-"""The preprocessing in words, stored with every run and every drive."""
+_FROM_BGR: Final = {"RGB": cv2.COLOR_BGR2RGB, "YUV": cv2.COLOR_BGR2YUV}
+_TO_BGR: Final = {"RGB": cv2.COLOR_RGB2BGR, "YUV": cv2.COLOR_YUV2BGR}
 
 
 def decode(encoded: bytes, size: int | None = None) -> Image:
@@ -51,20 +38,35 @@ def decode(encoded: bytes, size: int | None = None) -> Image:
     return picture.astype(np.uint8, copy=False)
 
 
-def is_crop(encoded: bytes) -> bool:
-    """True for the header of a JPEG or PNG of as many pixels as the network sees; nothing is unpacked."""
-    return pixels(encoded) == SIZE_PX**2
+def may_be_crop(encoded: bytes) -> bool:
+    """True for the header of a JPEG or PNG of no more pixels than a network may see; nothing is unpacked."""
+    return 0 < (pixels(encoded) or 0) <= MOST_PX**2
 
 
-def seen_rows(height: int) -> slice:
-    """The rows of a picture so high that the network sees."""
-    return slice(round(height * TOP_SHARE), height - round(height * BOTTOM_SHARE))
+def preprocess(picture: Image, seen: PictureSpec = ORIGINAL) -> Image:
+    """A camera picture (height, width, 3) BGR uint8 as the network's input, (`seen.shape`) uint8."""
+    return in_channels(crop_of(picture, seen), seen)
 
 
-def preprocess(picture: Image) -> Image:
-    """A camera picture (height, width, 3) BGR uint8 as the network's input, (128, 128, 3) BGR uint8.
+def crop_of(picture: Image, seen: PictureSpec = ORIGINAL) -> Image:
+    """What a network sees of a camera picture (height, width, 3), still in BGR.
 
     The crop is a share of the height, so that pictures of another size show the same part of the world.
     """
-    resized = cv2.resize(picture[seen_rows(picture.shape[0])], (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_LINEAR)
+    rows = picture[seen.seen_rows(picture.shape[0])]
+    resized = cv2.resize(rows, (seen.width_px, seen.height_px), interpolation=cv2.INTER_LINEAR)
     return resized.astype(np.uint8, copy=False)
+
+
+def in_channels(crop: Image, seen: PictureSpec) -> Image:
+    """A crop in BGR in the network's order of colours; itself, where that is BGR."""
+    if seen.channels == "BGR":
+        return crop
+    return cv2.cvtColor(crop, _FROM_BGR[seen.channels]).astype(np.uint8, copy=False)
+
+
+def as_bgr(crop: Image, seen: PictureSpec) -> Image:
+    """A network's input as BGR, to be looked at; itself, where it is BGR."""
+    if seen.channels == "BGR":
+        return crop
+    return cv2.cvtColor(crop, _TO_BGR[seen.channels]).astype(np.uint8, copy=False)

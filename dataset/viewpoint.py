@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import Camera
-from dataset.preprocess import SIZE_PX, Image, seen_rows
+from dataset.picture_spec import PictureSpec
+from dataset.preprocess import Image
 from recorder.log.car_geometry import OUTLINE_PX, CarGeometry, Outline
 
 Mask = NDArray[np.bool_]
@@ -40,17 +41,19 @@ class WarpedView:
 class Viewpoint:
     """Warps pictures of one size, taken by the cameras of one car, or crops of them."""
 
-    def __init__(self, geometry: CarGeometry, width_px: int, height_px: int, *, of_crops: bool = False) -> None:
-        """`of_crops`: what is warped are the crops (128, 128) of such pictures."""
+    def __init__(
+        self, geometry: CarGeometry, width_px: int, height_px: int, *, of_crops: PictureSpec | None = None
+    ) -> None:
+        """`of_crops`: what is warped are these crops of such pictures."""
         self.geometry = geometry
         # from a picture's pixels to those of what is warped; a pixel's middle is half a pixel beside its corner
         shown = np.eye(3)
         self.width_px, self.height_px = width_px, height_px
-        if of_crops:
-            rows = seen_rows(height_px)
-            across, down = SIZE_PX / width_px, SIZE_PX / (rows.stop - rows.start)
+        if of_crops is not None:
+            rows = of_crops.seen_rows(height_px)
+            across, down = of_crops.width_px / width_px, of_crops.height_px / (rows.stop - rows.start)
             shown = np.array([[across, 0.0, 0.0], [0.0, down, -down * rows.start], [0.0, 0.0, 1.0]])
-            self.width_px = self.height_px = SIZE_PX
+            self.width_px, self.height_px = of_crops.width_px, of_crops.height_px
         focal_px = geometry.focal * height_px
         intrinsic = np.array([[focal_px, 0.0, width_px / 2], [0.0, focal_px, height_px / 2], [0.0, 0.0, 1.0]])
         intrinsic = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]]) @ shown @ intrinsic

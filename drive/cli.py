@@ -39,6 +39,8 @@ class Drive:
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """The run that drives, by name or folder; the newest one by default."""
+    network: str | None = None
+    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
     log: Path | None = None
     """Where the drive is logged; by default drives/DATE.mcap."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
@@ -109,7 +111,9 @@ def drive(config: Drive) -> int:
         with usage_errors(DriveError):
             check_laps(config.laps)
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
-    pilot = load_pilot(find_run(config.run, config.runs), config.precision)
+    run = find_run(config.run, config.runs)
+    _load_named(config, run)
+    pilot = load_pilot(run, config.precision)
     pilot.warm_up()
     prepare_process()
     with StatusLine() as status, stop_signals(max_signals=2) as stopped:
@@ -142,6 +146,15 @@ def drive(config: Drive) -> int:
             if server.session.is_empty:
                 raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
     return _print_drives(server)
+
+
+def _load_named(config: Drive, run: Path) -> None:
+    """Run the code of --network, if the run needs it."""
+    from model.runs.network_of_run import load_named
+    from model.runs.run_folder import load_config
+
+    if config.network is not None:
+        load_named([config.network], [load_config(run)])
 
 
 def _refuse_contradictions(config: Drive) -> None:
@@ -207,6 +220,8 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     from drive.evaluation.external_simulator import ExternalSimulator
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
     from model import TrainConfig, find_run
+    from model.runs.network_of_run import network_settings
+    from model.runs.run_folder import load_config
 
     rounds: list[AggregationRound] = []
     codes = [DONE]
@@ -215,12 +230,13 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     with usage_errors(DriveError, ValueError):
         check_rounds(config.aggregate)
         check_laps(config.laps)
-        training = TrainConfig(epochs=config.epochs)
     simulator: BuiltInSimulator | ExternalSimulator = ExternalSimulator(config.laps, config.host, config.port)
     if config.simulator is not None:
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
     folders = AggregationFolders(config.sessions, Path("drives"), config.runs)
     run = find_run(config.run, config.runs)
+    _load_named(config, run)
+    training = TrainConfig(epochs=config.epochs, **network_settings(load_config(run), run))
     aggregation = Aggregation(run, simulator, settings, config.aggregate, folders, training)
     try:
         for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):

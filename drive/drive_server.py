@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, Self
 from common import UserError
 from common.errors import counted
 from common.interrupts import StopEvent, force_quit_announced
-from dataset.preprocess import DESCRIPTION
+from dataset.picture_spec import metadata_of
 from drive.config import DriveConfig
 from drive.drive_session import DriveSession
 from model import Pilot
@@ -262,5 +262,5 @@ def drive_metadata(pilot: Pilot, config: DriveConfig) -> dict[str, str]:
             name: f"{value:g}" if isinstance(value, float) else str(value)
             for name, value in asdict(config).items()
         },
-        **{f"preprocessing.{name}": value for name, value in DESCRIPTION.items()},
+        **metadata_of(pilot.picture),
     }

@@ -17,12 +17,13 @@ import tyro
 
 from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
-from common.errors import UsageError, counted
+from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result
 from common.recipe import recipe_given
 from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
+from model.network.names import is_own
 
 if TYPE_CHECKING:
     from model.runs.training_progress import Listener
@@ -62,12 +63,15 @@ def train(config: Train) -> int:
 
     from model.device import choose_machine
     from model.errors import RunWriteError
-    from model.network.original import PARAMETERS
+    from model.network.choice import choose_network, chosen_picture
+    from model.network.own_code import load_code
     from model.runs.history import read_history
+    from model.runs.network_of_run import choice_of
     from model.runs.run_arguments import run_argument
-    from model.runs.run_folder import WEIGHTS, find_run, load_config
+    from model.runs.run_folder import WEIGHTS, find_run, load_config, picture_of_run
     from model.runs.training_outcome import verdict
     from model.training.distributed import FirstRankError, local_rank_of_process, rank_of_process
+    from model.training.other_network import refuse_other_network
     from model.training.trainer import train as train_network
 
     is_first = rank_of_process() == 0
@@ -75,16 +79,25 @@ def train(config: Train) -> int:
     # all that can fail at once, before the minutes that an index may take
     run = _run_of(config)
     init = find_run(config.init, config.runs) if config.init is not None else None
-    if init is not None:
-        load_config(init)
     machine = choose_machine(settings, local_rank_of_process())
+    if config.resume is None:
+        network = choose_network(settings)
+        picture = chosen_picture(settings, network)
+        if init is not None:
+            refuse_other_network(init, network, picture)
+    else:
+        if is_own(settings.network):
+            load_code(settings.network)
+        network, picture = choice_of(load_config(run), run), picture_of_run(run)
+    parameters = network.try_out(picture, machine.device)
     listeners = _listeners(config, run) if is_first else []
     index, code = _index_of(config, is_first=is_first)
     if is_first:
         where = "GPU" if machine.device.type == "cuda" else "processor"
         epochs = counted(settings.epochs, "epoch")
         print_result(
-            f"{run}: {PARAMETERS:,} parameters, {epochs}, {machine.arithmetic} on the {where}"
+            f"{run}: {_named(network.name)}{parameters:,} parameters, {epochs}, {machine.arithmetic} on the"
+            f" {where}"
             f"{_going_on(run) if config.resume is not None else ''}"
         )
     try:
@@ -114,6 +127,11 @@ def train(config: Train) -> int:
         print_result(line)
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
     return code
+
+
+def _named(network: str) -> str:
+    """A network's name for the line that is printed first; the original's needs none."""
+    return "" if network == "original" else f"{printable(network)}, "
 
 
 def _going_on(run: Path) -> str:
@@ -226,15 +244,20 @@ def _defaults() -> Train:
     given.add_argument("--resume")
     given.add_argument("--like")
     given.add_argument("--runs", type=Path, default=Train.runs)
+    given.add_argument("--network")
     with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
         flags, _ = given.parse_known_args()
         if name := flags.resume if flags.resume is not None else flags.like:
+            from model.runs.network_of_run import choice_of, is_own_network
             from model.runs.provenance import training_of
             from model.runs.run_folder import CONFIG, find_any_run, load_config
             from model.runs.run_inputs import index_of, init_of, sessions_of
 
             run = find_any_run(name, flags.runs)
-            settings = training_of(load_config(run), str(run / CONFIG))
+            stored = load_config(run)
+            if is_own_network(stored) and flags.network is None:
+                choice_of(stored, run)  # says what to give: code is never run because a run names it
+            settings = training_of(stored, str(run / CONFIG))
             if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
                 raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
             init = init_of(run, flags.runs) if flags.resume is None else None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 from common.recipe import Recipe
+from model.network.names import check_network_name
 
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
@@ -41,6 +42,16 @@ class TrainConfig:
     recipe: Recipe = "people"
     """Defaults: people: what learns best from people (--average-steps, --answers, --keep); original: as the
     original project did."""
+    network: str = "original"
+    """original, pilotnet, small, resnet18, or one of your own: FILE.py:CLASS or package.module:CLASS."""
+    network_args: tuple[str, ...] = ()
+    """What a network of your own is made with: NAME=VALUE."""
+    picture_px: tuple[int, int] | None = None
+    """Width and height of what the network sees; by default, what it says itself: 128 128 for the original."""
+    crop_rows: tuple[int, int] | None = None
+    """Rows cut off the top and the bottom of a picture of 160 rows, of others the same share; by default 50 20."""
+    channels: Literal["BGR", "RGB", "YUV"] | None = None
+    """Order of the colours that the network sees; by default, what it says itself: BGR for the original."""
     epochs: int = 10
     """Passes over the balanced training samples."""
     batch: int = 256
@@ -84,6 +95,9 @@ class TrainConfig:
             if not least <= value <= most:
                 flag = name.replace("_", "-")
                 raise ValueError(f"--{flag} {value}: a whole number from {least:,} to {most:,} was expected")
+        check_network_name(self.network)
+        if bad := [each for each in self.network_args if not each.partition("=")[0].isidentifier()]:
+            raise ValueError(f"--network-args {bad[0]}: NAME=VALUE was expected")
         if self.keep == "last" and self.patience:
             raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
         if not 0 < self.rate < math.inf:

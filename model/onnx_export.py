@@ -1,38 +1,37 @@
 """A run's network as one ONNX file, for programs that have neither this toolkit nor PyTorch.
 
-The graph is written node by node. `torch.onnx.export` needs onnxscript as well, writes operator set 18 at least,
-and puts paths of the machine into the file. Here there is one network to write, and no file gets its name before
-ONNX Runtime has been compared with PyTorch.
+The graph is written node by node (onnx_graph.py). `torch.onnx.export` needs onnxscript as well, writes operator
+set 18 at least, and puts paths of the machine into the file. No file gets its name before ONNX Runtime has been
+compared with PyTorch.
 
 ONNX and ONNX Runtime are an extra (`pip install "behavioural-cloning-toolkit[onnx]"`) and are imported only here.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from common import atomic_file
 from common.errors import printable
 from common.files import refuse_existing
 from common.versions import TOOLKIT, version_of
 from dataset import MAX_STEERING_DEG
-from dataset.preprocess import DESCRIPTION, SIZE_PX
+from dataset.picture_spec import PictureSpec, metadata_of
 from model.errors import RunError
 from model.evaluation.predict import as_input
-from model.network.original import SteeringNetwork
+from model.network.picture_network import PictureNetwork
+from model.onnx_graph import onnx_graph
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import run_write_errors
-from model.runs.run_folder import load_answer_scale, load_config, load_network, run_name, weights_checksum
+from model.runs.run_folder import load_answer_scale, load_network, picture_of_run, run_name, weights_checksum
 
 if TYPE_CHECKING:
-    from onnx import GraphProto, ModelProto
+    from onnx import ModelProto
 
 OPSET, IR_VERSION = 13, 7  # of ONNX 1.8 (2020), which whatever reads ONNX today can read
 MOST_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
@@ -42,11 +41,12 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     """Write the network of a run folder to `path`; the largest difference of its steering between ONNX Runtime and
     PyTorch on a few pictures.
 
-    In: "pictures", uint8 (N, 128, 128, 3), BGR, as `Pilot.crop` gives them. Out: "steering", float32 (N,), not
-    clamped, -1 (left) .. 1 (right). The file's metadata tell how to use it. Same run: the same bytes.
+    In: "pictures", uint8 (N, height, width, 3), in the network's order of colours. Out: "steering", float32 (N,),
+    not clamped, -1 (left) .. 1 (right). The file's metadata tell how to use it. Same run: the same bytes.
 
-    Raises RunError if the run is incomplete, damaged or of another version, if its steering differs, if ONNX or
-    ONNX Runtime is not installed, or if the disk is full; UserError if `path` exists already.
+    Raises RunError if the run is incomplete, damaged or of another version, if its network cannot be written or
+    its steering differs, if ONNX or ONNX Runtime is not installed, or if the disk is full; UserError if `path`
+    exists already.
     """
     try:
         import onnx  # noqa: F401
@@ -57,12 +57,11 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
         ) from None
     run, path = Path(run), Path(path)
     refuse_existing(path, overwrite)
-    load_config(run)
-    network = load_network(run)
-    model = _model(network, load_answer_scale(run), description(run))
+    picture, network = picture_of_run(run), load_network(run)
+    model = _model(run, network, load_answer_scale(run), picture)
     with run_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
-        difference = _largest_difference(part, network)
+        difference = _largest_difference(part, network, picture)
         if not difference < MOST_DIFFERENCE:  # not a number, too
             raise RunError(
                 f"{path}: not written: ONNX Runtime steers {difference:.1g} off PyTorch, less than"
@@ -71,16 +70,19 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     return difference
 
 
-def description(run: Path) -> dict[str, str]:
+def description(run: Path, picture: PictureSpec) -> dict[str, str]:
     """The metadata of the file: its input, its output, and the run it is of."""
-    top, bottom = DESCRIPTION["crop_top"], DESCRIPTION["crop_bottom"]
+    top, bottom = picture.description["crop_top"], picture.description["crop_bottom"]
+    size = f"{picture.width_px}x{picture.height_px}"
+    colours = "" if picture.channels == "BGR" else f" Then from BGR to {picture.channels} (cv2.cvtColor)."
+    convert = "" if picture.channels == "BGR" else f"crop = cv2.cvtColor(crop, cv2.COLOR_BGR2{picture.channels})\n"
     return {
         "preprocessing": (
             f"A camera picture as BGR, uint8, (height, width, 3). Cut round(height * {top}) rows off its top and"
-            f" round(height * {bottom}) off its bottom. Resize to {SIZE_PX}x{SIZE_PX}, bilinear (OpenCV's"
-            " INTER_LINEAR). Nothing else: the network scales by itself."
+            f" round(height * {bottom}) off its bottom. Resize to {size}, bilinear (OpenCV's"
+            f" INTER_LINEAR).{colours} Nothing else: the network scales by itself."
         ),
-        **{f"preprocessing.{name}": value for name, value in DESCRIPTION.items()},
+        **metadata_of(picture),
         "steering": f"-1 (left) .. 1 (right), not clamped; 1 is {MAX_STEERING_DEG:g} degrees",
         "steering.degrees_per_unit": f"{MAX_STEERING_DEG:g}",
         "example": (
@@ -90,7 +92,8 @@ def description(run: Path) -> dict[str, str]:
             "picture = cv2.imread(sys.argv[2])\n"
             "height = len(picture)\n"
             f"cropped = picture[round(height * {top}) : height - round(height * {bottom})]\n"
-            f"crop = cv2.resize(cropped, ({SIZE_PX}, {SIZE_PX}), interpolation=cv2.INTER_LINEAR)\n"
+            f"crop = cv2.resize(cropped, ({picture.width_px}, {picture.height_px}),"
+            f" interpolation=cv2.INTER_LINEAR)\n{convert}"
             '(steering,) = network.run(["steering"], {"pictures": crop[None]})[0]\n'
             "print(steering)\n"
         ),
@@ -100,77 +103,34 @@ def description(run: Path) -> dict[str, str]:
     }
 
 
-def _model(network: SteeringNetwork, answers: AnswerScale, metadata: dict[str, str]) -> ModelProto:
+def _model(run: Path, network: PictureNetwork, answers: AnswerScale, picture: PictureSpec) -> ModelProto:
     from onnx import checker, helper
 
+    try:
+        graph = onnx_graph(network, answers, picture)
+    except RunError as error:
+        raise RunError(f"{run}: {error}") from None
     model = helper.make_model(
-        _graph(network, answers),
+        graph,
         producer_name=TOOLKIT,
         producer_version=version_of(),
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    helper.set_model_props(model, metadata)
+    helper.set_model_props(model, description(run, picture))
     checker.check_model(model, full_check=True)
     return model
 
 
-def _graph(network: SteeringNetwork, answers: AnswerScale) -> GraphProto:
-    from onnx import TensorProto, helper, numpy_helper
-
-    constants = {
-        **{name: tensor.numpy() for name, tensor in network.state_dict().items()},
-        "half_of_levels": np.array(127.5, np.float32),
-        "one": np.array(1, np.float32),
-        "axis": np.array([1], np.int64),
-    }
-    if answers != AnswerScale():
-        constants |= {name: np.array(value, np.float32) for name, value in asdict(answers).items()}
-    nodes = []
-
-    def add(operation: str, output: str, *inputs: str, **attributes: Any) -> str:
-        nodes.append(helper.make_node(operation, inputs, [output], output, **attributes))
-        return output
-
-    value = add("Transpose", "planes", "pictures", perm=[0, 3, 1, 2])
-    value = add("Cast", "levels", value, to=TensorProto.FLOAT)
-    value = add("Div", "halves", value, "half_of_levels")
-    value = add("Sub", "scaled", value, "one")
-    for name, layer in network.named_modules():
-        match layer:
-            case nn.Conv2d():
-                value = add("Conv", name, value, f"{name}.weight", f"{name}.bias")
-            case nn.MaxPool2d():
-                value = add("MaxPool", name, value, kernel_shape=[2, 2], strides=[2, 2])
-            case nn.ReLU():
-                value = add("Relu", name, value)
-            case nn.Flatten():
-                value = add("Flatten", name, value)
-            case nn.Linear():
-                value = add("Gemm", name, value, f"{name}.weight", f"{name}.bias", transB=1)
-    if answers != AnswerScale():
-        size = add("Abs", "size", value)
-        factor = add("Add", "factor", add("Mul", "bent", size, "curve"), "scale")
-        value = add("Add", "natural", add("Mul", "scaled_answer", value, factor), "offset")
-    add("Squeeze", "steering", value, "axis")
-    return helper.make_graph(
-        nodes,
-        "steering",
-        [helper.make_tensor_value_info("pictures", TensorProto.UINT8, ["N", SIZE_PX, SIZE_PX, 3])],
-        [helper.make_tensor_value_info("steering", TensorProto.FLOAT, ["N"])],
-        [numpy_helper.from_array(array, name) for name, array in constants.items()],
-    )
-
-
 @torch.inference_mode()
-def _largest_difference(path: Path, network: SteeringNetwork) -> float:
+def _largest_difference(path: Path, network: PictureNetwork, picture: PictureSpec) -> float:
     """Between the file in ONNX Runtime and the network in PyTorch, in a batch of one picture and one of seven."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # a pool of threads complains on stderr where it may not choose its cores
     session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
-    pictures = _pictures()
+    pictures = _pictures(picture)
     batches = [pictures[:1], pictures[1:]]
     exported = np.concatenate([session.run(["steering"], {"pictures": batch})[0] for batch in batches])
     expected = np.concatenate([network(as_input(batch)).numpy() for batch in batches])
@@ -178,14 +138,15 @@ def _largest_difference(path: Path, network: SteeringNetwork) -> float:
         return float(np.abs(exported - expected).max())
 
 
-def _pictures() -> NDArray[np.uint8]:
-    """Noise, black, white, and roads that bend from left to right: (8, 128, 128, 3), always the same."""
+def _pictures(picture: PictureSpec) -> NDArray[np.uint8]:
+    """Noise, black, white, and roads that bend from left to right: (8, height, width, 3), always the same."""
     random = np.random.default_rng(0)
-    rows, columns = np.mgrid[0:1:128j, 0:1:128j]
-    pictures = np.zeros((8, SIZE_PX, SIZE_PX, 3))
+    height, width, _ = picture.shape
+    rows, columns = np.mgrid[0 : 1 : height * 1j, 0 : 1 : width * 1j]
+    pictures = np.zeros((8, height, width, 3))
     pictures[0] = random.integers(0, 256, pictures[0].shape)
     pictures[2] = 255
-    for picture, bend in zip(pictures[3:], np.linspace(-0.5, 0.5, 5), strict=True):
+    for road, bend in zip(pictures[3:], np.linspace(-0.5, 0.5, 5), strict=True):
         is_road = np.abs(columns - 0.5 - bend * (1 - rows) ** 2) < 0.05 + 0.4 * rows
-        picture[:] = np.where(is_road[..., None], (90, 90, 90), (70, 140, 60)) + random.normal(0, 8, picture.shape)
+        road[:] = np.where(is_road[..., None], (90, 90, 90), (70, 140, 60)) + random.normal(0, 8, road.shape)
     return pictures.clip(0, 255).astype(np.uint8)

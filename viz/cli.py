@@ -124,6 +124,8 @@ def _play_predicted(config: Play) -> int:
     """Show a log with predictions of networks, or write them; return the exit code."""
     from model import find_run
     from model.evaluation.predict_log import predict_log
+    from model.runs.network_of_run import load_named
+    from model.runs.run_folder import load_config
     from viz.playback.predicted_recording import prepare_predictions
     from viz.targets import FinishedContent
 
@@ -139,6 +141,7 @@ def _play_predicted(config: Play) -> int:
             refuse_existing(path, config.force)  # before minutes of work, not after them
     _check_logs(config.logs)
     runs = [find_run(name, config.runs) for name in config.run]
+    load_named(config.network, [load_config(run) for run in runs] if config.network else [])
     if is_only_written:
         found = predict_log(config.log, runs)
         return max(_report_predictions(config, found), _warn_unfinished(found.notice))

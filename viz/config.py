@@ -52,6 +52,8 @@ class Play:
     """Put a steering wheel, speed, pedals, clock and who drives below the video's pictures."""
     run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
     """Show what the network of this run would have steered, by name or folder; give it again for another run."""
+    network: tuple[str, ...] = ()
+    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
     attention: bool = False
     """Show where these networks look, over what they see (VisualBackProp)."""
     write: Path | None = None
@@ -86,14 +88,16 @@ def check_video_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together with --video."""
     if len(config.logs) != 1:
         raise UsageError("--video is made of one log: give one")
-    unfit = flags_given(config, "save", "follow", "web", "connect", "run", "attention", "write", "by", "at")
+    unfit = flags_given(
+        config, "save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at"
+    )
     if unfit:
         raise UsageError(f"--video writes a file and opens nothing: give it without {unfit}")
 
 
 def check_viewer_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together where logs or a run are shown, or written by --save."""
-    if not config.run and (flags := flags_given(config, "attention", "write")):
+    if not config.run and (flags := flags_given(config, "network", "attention", "write")):
         raise UsageError(f"{flags}: only of networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")

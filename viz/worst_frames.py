@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dataset import MAX_STEERING_DEG
-from dataset.preprocess import SIZE_PX
+from dataset.preprocess import decode
 from model.runs.worst_pictures import WORST_COUNT, WorstPictures
 from model.worst_moments import WorstFrame
 from viz.playback.blueprint import BLUE, ORANGE
@@ -37,9 +37,10 @@ def send_worst(recording: rr.RecordingStream, worst: WorstPictures, times: Seque
     for number, (frame, jpeg) in enumerate(zip(worst.frames, worst.jpegs, strict=True), 1):
         entity = f"{WORST}/{number}"
         recording.log(entity, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        height, width = decode(jpeg).shape[:2]
         for name, color, radius in _ARCS:
             steering = np.array([getattr(frame, f"{name}_deg") / MAX_STEERING_DEG])
-            arc = arcs(steering, (SIZE_PX, SIZE_PX))
+            arc = arcs(steering, (width, height))
             recording.log(f"{entity}/{name}", rr.LineStrips2D(arc, colors=[color], radii=[-radius]))
     for number in range(len(worst.frames) + 1, WORST_COUNT + 1):  # of the epoch before
         recording.log(f"{WORST}/{number}", rr.Clear(recursive=True))

@@ -13,7 +13,6 @@ from common.errors import printable
 from common.output import print_message
 from dataset.index.build import Indexed
 from dataset.index.sessions import unfinished_recordings
-from dataset.preprocess import SIZE_PX
 from dataset.samples.samples_format import Balance, SessionLabels
 from recorder.log.steering_report import STEERING_HEADINGS, steering_cells
 
@@ -98,7 +97,7 @@ def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
         parts.append(f"{width:,} x {height:,} px in {', '.join(map(printable, names[:_MOST_NAMES]))}{more}")
     return [
         f"pictures of different sizes: {'; '.join(parts)}. Of each the same share is cut off, and the rest is"
-        f" brought to {SIZE_PX} x {SIZE_PX} px: they should show the same part of the world"
+        " brought to the size that the network sees: they should show the same part of the world"
     ]
 
 

@@ -17,7 +17,8 @@ from common.car import CAMERAS
 from dataset.augment import alter
 from dataset.errors import UnusablePictureError
 from dataset.frames.distinct_rows import number_distinct
-from dataset.preprocess import CROP_BYTES, CROP_SHAPE, Image, decode, preprocess
+from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.preprocess import Image, crop_of, decode, in_channels
 from dataset.samples.sample_rows import Rows
 from recorder import Log, LogError
 from recorder.errors import damaged_pictures
@@ -51,16 +52,19 @@ UNDECODED: Final = "pictures that do not decode"
 class Crops:
     """The pictures of some samples."""
 
-    def __init__(self, rows: Rows, logs: Mapping[str, Log], budget_bytes: int) -> None:
+    def __init__(
+        self, rows: Rows, logs: Mapping[str, Log], budget_bytes: int, seen: PictureSpec = ORIGINAL
+    ) -> None:
         """Keeps as many crops as fit into ``budget_bytes``: they are decoded once."""
         self._rows = rows
+        self._seen = seen
         self._logs = [logs[session] for session in rows.sessions]
-        kept = min(len(rows.session), budget_bytes // CROP_BYTES)
-        self._kept = np.empty((kept, *CROP_SHAPE), np.uint8)  # no memory is taken before it is written to
+        kept = min(len(rows.session), budget_bytes // seen.size_bytes)
+        self._kept = np.empty((kept, *seen.shape), np.uint8)  # no memory is taken before it is written to
         self._is_kept = np.zeros(kept, np.bool_)
 
     def fill(self, pictures: Image, samples: NDArray[np.int64]) -> dict[int, UnusablePictureError]:
-        """Write what `samples` show into `pictures` (N, 128, 128, 3).
+        """Write what `samples` show into `pictures` (N, height, width, 3).
 
         Returns the samples whose picture does not decode, or lies in a damaged chunk of its log, and why; what is
         written for them is arbitrary.
@@ -81,7 +85,9 @@ class Crops:
             else:
                 picture[:] = crop
             if names := self._rows.alterations[alteration]:
-                picture[:] = alter(picture, names, seed)
+                picture[:] = alter(picture, names, seed, self._seen)
+            if self._seen.channels != "BGR":  # last: alterations are of BGR
+                picture[:] = in_channels(picture, self._seen)
         return failed
 
     def name(self, number: int) -> str:
@@ -110,7 +116,8 @@ class Crops:
         log = self._logs[rows.session[number]]
         offset = int(rows.offset[number])
         try:
-            return preprocess(decode(log.read(offset, int(rows.length[number]), int(rows.chunk[number]))))
+            picture = decode(log.read(offset, int(rows.length[number]), int(rows.chunk[number])))
+            return crop_of(picture, self._seen)
         except LogError as error:
             raise UnusablePictureError(damaged_pictures(log.path), str(error)) from None
         except ValueError as error:

@@ -28,6 +28,7 @@ from common.closeable import Closeable
 from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import prefetched
+from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from dataset.samples.samples_reader import LOADED, Samples, Split
@@ -39,7 +40,7 @@ _AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more f
 
 @dataclass(frozen=True)
 class Batch:
-    pictures: Image  # (N, 128, 128, 3) BGR
+    pictures: Image  # (N, height, width, 3), by default (N, 128, 128, 3) BGR
     steering: NDArray[np.float32]  # (N,), -1..1
 
 
@@ -57,6 +58,7 @@ class Loader(Closeable):
         ranks: int = 1,
         budget_bytes: int = DEFAULT_BUDGET_BYTES,
         threads: int = 0,
+        seen: PictureSpec = ORIGINAL,
     ) -> None:
         """``rows`` are of ``samples``, which `close()` closes. For the rest see `load`."""
         if batch < 1 or threads < 0 or seed < 0 or budget_bytes < 0:
@@ -71,11 +73,12 @@ class Loader(Closeable):
         self.rank = rank
         self.ranks = ranks
         self.threads = threads or os.cpu_count() or 1
+        self.seen = seen
         self.rows: Rows = samples.rows(rows)
         self.skipped = Skipped()  # each picture once, however often it was wanted
         self._samples = samples
         self._undecoded: set[int] = set()  # the pictures in `skipped`
-        self._crops = Crops(self.rows, samples.logs, budget_bytes)
+        self._crops = Crops(self.rows, samples.logs, budget_bytes, seen)
         self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
 
     def close(self) -> None:
@@ -115,11 +118,11 @@ class Loader(Closeable):
         return self._batches(self._parts(np.arange(len(self)), 0))
 
     def crops(self, samples: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """The crops (N, 128, 128, 3) of some samples in their order, a batch at a time, with the samples that they
-        are of. None is kept here; neighbours that show the same picture share its decoding."""
+        """The crops (N, height, width, 3) of some samples in their order, a batch at a time, with the samples
+        that they are of. None is kept here; neighbours that show the same picture share its decoding."""
         size = max(1, -(-min(self.batch, len(self)) // self.ranks))
         parts = np.split(samples, np.arange(size, len(samples), size))
-        return self._decoded(parts, Crops(self.rows, self._samples.logs, budget_bytes=0))
+        return self._decoded(parts, Crops(self.rows, self._samples.logs, budget_bytes=0, seen=self.seen))
 
     @property
     def decoded(self) -> NDArray[np.bool_]:
@@ -127,7 +130,7 @@ class Loader(Closeable):
         return ~np.isin(self.rows.picture, list(self._undecoded))
 
     def pictures_of(self, samples: NDArray[np.int64]) -> Image:
-        """The pictures (N, 128, 128, 3) of N samples that decode, at most a batch of them."""
+        """The pictures (N, height, width, 3) of N samples that decode, at most a batch of them."""
         ((_, pictures),) = self._decoded([samples], self._crops)
         return pictures
 
@@ -142,7 +145,9 @@ class Loader(Closeable):
         self, parts: Iterable[NDArray[np.int64]], crops: Crops
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The samples of each part that decode, and their pictures; the others are skipped."""
-        for part, pictures, failed in prefetched(parts, crops.fill, threads=self.threads, at_once=self._at_once):
+        for part, pictures, failed in prefetched(
+            parts, crops.fill, self.seen, threads=self.threads, at_once=self._at_once
+        ):
             if failed:
                 self._skip(failed)
                 is_decoded = ~np.isin(part, list(failed))
@@ -168,12 +173,13 @@ def load(
     budget_bytes: int = DEFAULT_BUDGET_BYTES,
     threads: int = 0,
     driving_view: bool = False,
+    seen: PictureSpec = ORIGINAL,
 ) -> Loader:
     """The samples of a split of `index`, in batches of `batch` over all `ranks`, of which this process is `rank`:
     whatever their number, batch k is the same, and each takes its part of it (one may be empty in the last).
 
     `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
-    `driving_view` leaves only what the car sees itself (`Samples.driving_view`).
+    `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees.
     Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
     """
     samples = Samples(Path(index))
@@ -188,6 +194,7 @@ def load(
             ranks=ranks,
             budget_bytes=budget_bytes,
             threads=threads,
+            seen=seen,
         )
     except BaseException:
         samples.close()

@@ -21,6 +21,7 @@ from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import prefetched
+from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
@@ -37,7 +38,8 @@ class LogCrops(Closeable):
         """Raises LogError for a damaged log, DatasetError for one without a picture of the centre camera."""
         path = Path(path)
         self.session = session_name(path)
-        self.skipped = Skipped()
+        self.skipped = Skipped()  # each picture once
+        self._undecoded: set[int] = set()
         self._log = Log(path)
         try:
             self._read(self._log.pictures(camera_topic("center")))
@@ -81,22 +83,25 @@ class LogCrops(Closeable):
             alterations=("",),
             sessions=(self.session,),
         )
-        self._crops = Crops(rows, {self.session: self._log}, budget_bytes=0)
+        self._rows = rows
 
     def __len__(self) -> int:
         return len(self.row)
 
-    def batches(self, size: int) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """Numbers of pictures and their crops (at most `size`, 128, 128, 3), in order, read ahead by threads.
+    def batches(self, size: int, seen: PictureSpec = ORIGINAL) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """Numbers of pictures and their crops (at most `size` of `seen.shape`), in order, read ahead by threads.
 
         Pictures that do not decode, or lie where the log is damaged, are left out, and named in `skipped`.
         """
         numbers = np.arange(len(self))
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
-        for part, crops, failed in prefetched(parts, self._crops.fill, threads=threads, at_once=_AT_ONCE):
+        of_log = Crops(self._rows, {self.session: self._log}, budget_bytes=0, seen=seen)
+        for part, crops, failed in prefetched(parts, of_log.fill, seen, threads=threads, at_once=_AT_ONCE):
             for number, error in failed.items():
-                self.skipped.add(error.kind, self._crops.name(number))
+                if number not in self._undecoded:
+                    self._undecoded.add(number)
+                    self.skipped.add(error.kind, of_log.name(number))
             is_decoded = ~np.isin(part, list(failed))
             yield part[is_decoded], crops[is_decoded] if failed else crops
 

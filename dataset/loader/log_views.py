@@ -13,7 +13,8 @@ from common.closeable import Closeable
 from dataset.frames.frames_file import session_name
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import UNDECODED
-from dataset.preprocess import Image, decode, preprocess, seen_rows
+from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.preprocess import Image, crop_of, decode
 from dataset.recorded_line import DrivableStretch, stretches_to_drive
 from dataset.viewpoint import Viewpoint
 from recorder import Log, LogError
@@ -32,10 +33,11 @@ class LogViews(Closeable):
     """A log's rows, finished or not, numbered from 0, and what is seen at them. Use it as a context manager, or
     call `close()`."""
 
-    def __init__(self, path: Path | str, car: AnyCar = "auto") -> None:
+    def __init__(self, path: Path | str, car: AnyCar = "auto", picture: PictureSpec = ORIGINAL) -> None:
         """Raises LogError for a damaged log or tags, RecordingError where nothing tells of which car it is."""
         self.path = Path(path)
         self.session = session_name(self.path)
+        self.picture = picture
         self.skipped = Skipped()  # each picture once
         self._log = Log(self.path)
         try:
@@ -70,9 +72,9 @@ class LogViews(Closeable):
         return stretches_to_drive(self.states, is_usable)
 
     def seen(self, number: int, left_m: float, turn_rad: float) -> tuple[Image, float] | None:
-        """The crop (128, 128, 3) BGR that the network sees of row `number` from a car that is `left_m` to the left
-        of the line and turned to the left by `turn_rad`, and how much of it is known (0 .. 1); None without a
-        whole picture of the centre camera."""
+        """The crop (`picture.shape`, in BGR) that the network sees of row `number` from a car that is `left_m`
+        to the left of the line and turned to the left by `turn_rad`, and how much of it is known (0 .. 1); None
+        without a whole picture of the centre camera."""
         centre = self._decoded(number, _CENTER)
         if centre is None:
             return None
@@ -88,7 +90,8 @@ class LogViews(Closeable):
             if beside is not None and beside.shape == centre.shape:
                 pictures[nearest] = beside
         view = viewpoint.view(pictures, left_m, turn_rad)
-        return preprocess(view.picture), float(view.is_known[seen_rows(size[1])].mean())
+        known = view.is_known[self.picture.seen_rows(size[1])]
+        return crop_of(view.picture, self.picture), float(known.mean())
 
     def _places_of(self, camera: Camera) -> dict[int, tuple[int, int, int]]:
         """Offset, length and chunk of the picture of each row that has one."""

@@ -15,27 +15,29 @@ from typing import Any, SupportsIndex
 import numpy as np
 
 from dataset.loader.crops import Crops
-from dataset.preprocess import CROP_SHAPE, Image
+from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.preprocess import Image
 from dataset.samples.samples_reader import LOADED, Samples, Split, open_logs
 
 
 class SamplesDataset:
-    """A split of an index: item i is (picture (128, 128, 3) BGR uint8, steering -1..1 float32), mirrored and
-    altered as the index says.
+    """A split of an index: item i is (picture (`seen.shape`) uint8, steering -1..1 float32), mirrored and altered
+    as the index says.
 
     It may be pickled and used after a fork: a worker process opens the logs for itself, and raises DatasetError if
     they have changed. An item whose picture does not decode raises DatasetError: a data set cannot be without it.
     """
 
-    def __init__(self, index: Path | str, split: Split = "train") -> None:
+    def __init__(self, index: Path | str, split: Split = "train", seen: PictureSpec = ORIGINAL) -> None:
         """Raises DatasetError if there is no index, if it is damaged or does not fit its logs."""
         self._index = Path(index).absolute()  # a worker may run elsewhere
+        self._seen = seen
         samples = Samples(self._index)
         self._logs = samples.logs
         try:
             self._sources = samples.sources
             self._rows = samples.rows(samples.of_split(split, LOADED))
-            self._crops = Crops(self._rows, self._logs, 0)
+            self._crops = Crops(self._rows, self._logs, 0, self._seen)
         except BaseException:
             self.close()
             raise
@@ -52,16 +54,17 @@ class SamplesDataset:
         if self._process != os.getpid():
             self._open()
         sample = at.__index__()
-        picture = np.empty((1, *CROP_SHAPE), np.uint8)
+        picture = np.empty((1, *self._seen.shape), np.uint8)
         for error in self._crops.fill(picture, np.array([sample])).values():
             raise error
         return picture[0], self._rows.label[sample]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_index": self._index, "_sources": self._sources, "_rows": self._rows, "_logs": {}, "_process": 0}
+        kept = {name: getattr(self, name) for name in ("_index", "_seen", "_sources", "_rows")}
+        return {**kept, "_logs": {}, "_process": 0}
 
     def _open(self) -> None:
         self.close()  # those of the process that this one was forked from
         self._logs = open_logs(self._index, self._sources)
-        self._crops = Crops(self._rows, self._logs, 0)
+        self._crops = Crops(self._rows, self._logs, 0, self._seen)
         self._process = os.getpid()

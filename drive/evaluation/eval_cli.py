@@ -52,6 +52,8 @@ class Eval:
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """The run, by name or folder; the newest one by default."""
+    network: tuple[str, ...] = ()
+    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
     compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
     """Compare run B with run A instead, on the same frames, or by driving with --simulator. Exit code 1 if B is
     worse: more than chance and --tolerance explain."""
@@ -154,6 +156,17 @@ def _refuse_contradictions(config: Eval) -> None:
         raise UsageError(f"--departure {config.departure:g}: a distance above 0 metres was expected")
 
 
+def _found_runs(config: Eval, *names: str | None) -> list[Path]:
+    """The runs of these names, once the code of --network that they need has run."""
+    from model import find_run
+    from model.runs.network_of_run import load_named
+    from model.runs.run_folder import load_config
+
+    runs = [find_run(name, config.runs) for name in names]
+    load_named(config.network, [load_config(run) for run in runs] if config.network else [])
+    return runs
+
+
 def _misplaced(flags: str, other: str, way: str) -> str:
     if way == RECORDED:
         return f"{flags}: only with {other}: without it, recorded frames are measured"
@@ -164,10 +177,9 @@ def _misplaced(flags: str, other: str, way: str) -> str:
 
 def _measure(config: Eval) -> int:
     """Measure on recorded frames."""
-    from model import find_run
     from model.worst_moments import worst_frames
 
-    run = find_run(config.run, config.runs)
+    (run,) = _found_runs(config, config.run)
     what, (found,) = _evaluations(config, [run])
     _keep(run, "frames", {**what, **found.as_dict()})
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
@@ -254,10 +266,9 @@ def _print_learnt(found: Evaluation, what: dict[str, str | None]) -> int:
 
 def _compare(config: Eval, runs: tuple[str, str]) -> int:
     """Compare two runs; exit code 1 if the second one is worse, 3 if nothing can be said."""
-    from model import find_run
     from model.runs.run_folder import run_name
 
-    a, b = (find_run(run, config.runs) for run in runs)
+    a, b = _found_runs(config, *runs)
     names = run_name(a), run_name(b)
     compare = _compare_on_frames if config.simulator is None else _compare_by_driving
     verdict, code = compare(config, a, b, names)
@@ -301,12 +312,11 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
 def _drive(config: Eval) -> int:
     """Let the network drive."""
     from drive.evaluation.eval_report import print_drives
-    from model import find_run
 
     drives = _drives(config)  # before the seconds that a network takes to load: a track may be misspelt
     results = []
     try:
-        run = find_run(config.run, config.runs)
+        (run,) = _found_runs(config, config.run)
         for result in _driven(config, run, drives, config.logs or Path("drives")):
             results.append(result)
             _keep(run, "simulator", result.as_dict())
@@ -348,12 +358,12 @@ def _driven(
 def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     """Let the network drive recordings."""
     from dataset import find_logs
-    from model import find_run, load_pilot
+    from model import load_pilot
     from model.evaluation.recorded_drive import DEPARTURE_M, drive_recording
     from recorder import RecordingError
 
     logs = find_logs(sessions, config.sessions or Path("sessions"))
-    run = find_run(config.run, config.runs)
+    (run,) = _found_runs(config, config.run)
     pilot = load_pilot(run, config.precision or "auto")
     pilot.warm_up()
     departure_m = DEPARTURE_M if config.departure is None else config.departure
@@ -361,7 +371,9 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     try:
         for log in logs:
             try:
-                drive = drive_recording(pilot.predict, log, departure_m=departure_m, car=config.car or "auto")
+                drive = drive_recording(
+                    pilot.predict, log, departure_m=departure_m, car=config.car or "auto", picture=pilot.picture
+                )
             except RecordingError as error:
                 raise UserError(f"{error}; if it is of one of these, give --car") from None
             drives.append(drive)

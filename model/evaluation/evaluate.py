@@ -6,7 +6,7 @@ bc-eval RUN
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,8 @@ from common.errors import counted
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
+from dataset.picture_spec import PictureSpec
+from dataset.preprocess import Image
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
@@ -159,10 +161,17 @@ def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | 
 
 def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Evaluation]:
     configs = [load_config(run) for run in runs]
-    loader = Loader(samples, seen, batch=BATCH, budget_bytes=0)  # each picture is looked at once
-    steering, is_decoded = predict_crops(runs, loader.crops(np.arange(len(loader))), len(loader))
+    loaders: list[Loader] = []
+
+    def batches(picture: PictureSpec) -> Iterable[tuple[NDArray[np.int64], Image]]:
+        # each picture is looked at once
+        loaders.append(Loader(samples, seen, batch=BATCH, budget_bytes=0, seen=picture))
+        return loaders[-1].crops(np.arange(len(seen)))
+
+    steering, is_decoded = predict_crops(runs, batches, len(seen))
+    skipped = loaders[0].skipped  # for each network the same
     if not is_decoded.any():
-        _, name = next(iter(loader.skipped))
+        _, name = next(iter(skipped))
         raise DatasetError(
             f"none of {counted(len(seen), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
         )
@@ -176,7 +185,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
             {session: log.path.resolve() for session, log in samples.logs.items()},
             {session: log.time_range_ns[0] for session, log in samples.logs.items()},
             count_trained_on(sessions, samples, config),
-            loader.skipped,
+            skipped,
             answers=load_answer_scale(run),
         )
         for run, predicted, config in zip(runs, steering, configs, strict=True)

@@ -12,23 +12,27 @@ from numpy.typing import NDArray
 
 from common.memory_allocator import keep_freed_memory
 from dataset import Loader
-from dataset.preprocess import Image
+from dataset.picture_spec import PictureSpec
+from dataset.preprocess import Image, as_bgr
 from model.errors import RunError
-from model.network.original import SteeringNetwork
+from model.network.picture_network import PictureNetwork
 from model.network.visual_backprop import predict_with_attention
 from model.progress_bar import open_bar, progress_task
-from model.runs.run_folder import load_config, load_network
+from model.runs.run_folder import load_network, picture_of_run
 
 BATCH: Final = 64  # what stays in a processor's cache
 
 AttentionCallback = Callable[[int, NDArray[np.int64], Image, NDArray[np.float32]], object]
 """Called with where a network looks: which run (0, 1 ...), numbers of pictures (N,), their crops
-(N, 128, 128, 3) BGR, and the maps (N, 128, 128), 0..1."""
+(N, height, width, 3) BGR, and the maps (N, height, width), 0..1."""
+
+BatchesOf = Callable[[PictureSpec], Iterable[tuple[NDArray[np.int64], Image]]]
+"""The pictures as a network sees them: numbers of pictures, and their crops."""
 
 
 @torch.inference_mode()
 def predict(
-    network: SteeringNetwork, loader: Loader, advance: Callable[[int], object] = lambda samples: None
+    network: PictureNetwork, loader: Loader, advance: Callable[[int], object] = lambda samples: None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The network's steering and the recorded one, each (N,), for a loader's samples in their order; float32
     arithmetic on the network's device. `advance` gets the number of samples done since the last call."""
@@ -45,40 +49,45 @@ def predict(
 @torch.inference_mode()
 def predict_crops(
     runs: Sequence[Path],
-    batches: Iterable[tuple[NDArray[np.int64], Image]],
+    batches: BatchesOf,
     count: int,
     on_attention: AttentionCallback | None = None,
     on_batch: Callable[[], object] = lambda: None,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The steering of each run's network for `count` pictures, (runs, count), and of which pictures there was a
-    crop (count,); with a progress bar. `batches` gives numbers of pictures and their crops. `on_batch` is called
-    after each, and may raise what ends it.
+    crop (count,); with a progress bar. Networks that see the same share its decoding. `on_batch` is called after
+    each of the `batches`, and may raise what ends it.
 
     Raises RunError if a run is incomplete or damaged, or its network gives no number.
     """
-    networks = []
-    for run in runs:
-        load_config(run)  # refuses a run of another preprocessing
-        networks.append(load_network(run).to(memory_format=torch.channels_last))  # type: ignore[call-overload]
+    pictures = [picture_of_run(run) for run in runs]
+    networks = [load_network(run).to(memory_format=torch.channels_last) for run in runs]  # type: ignore[call-overload]
     keep_freed_memory()
     predicted, is_decoded = np.zeros((len(runs), count)), np.zeros(count, np.bool_)
-    with open_bar(is_shown=True) as bar, progress_task(bar, "frames", count) as advance:
-        for numbers, crops in batches:
-            is_decoded[numbers] = True
-            for at, network in enumerate(networks):
-                if on_attention is None:
-                    steering = network(as_input(crops))
-                else:
-                    steering, maps = predict_with_attention(network, as_input(crops))
-                    on_attention(at, numbers, crops, maps.numpy())
-                if not steering.isfinite().all():
-                    raise RunError(f"{runs[at]}: its network predicts what is no number; train it again")
-                predicted[at, numbers] = steering.numpy()
-            advance(len(numbers))
-            on_batch()
+    different = list(dict.fromkeys(pictures))
+    with open_bar(is_shown=True) as bar, progress_task(bar, "frames", count * len(different)) as advance:
+        for picture in different:
+            seeing = [at for at, seen in enumerate(pictures) if seen == picture]
+            for numbers, crops in batches(picture):
+                is_decoded[numbers] = True
+                for at in seeing:
+                    try:
+                        if on_attention is None:
+                            steering = networks[at](as_input(crops))
+                        else:
+                            steering, maps = predict_with_attention(networks[at], as_input(crops))
+                            shown = np.stack([as_bgr(crop, picture) for crop in crops]) if len(crops) else crops
+                            on_attention(at, numbers, shown, maps.numpy())
+                    except RunError as error:
+                        raise RunError(f"{runs[at]}: {error}") from None
+                    if not steering.isfinite().all():
+                        raise RunError(f"{runs[at]}: its network predicts what is no number; train it again")
+                    predicted[at, numbers] = steering.numpy()
+                advance(len(numbers))
+                on_batch()
     return predicted, is_decoded
 
 
 def as_input(pictures: NDArray[np.uint8]) -> torch.Tensor:
-    """Pictures (N, 128, 128, 3) as the network's (N, 3, 128, 128), without a copy: this is channels_last."""
+    """Pictures (N, height, width, 3) as the network's (N, 3, height, width), without a copy: channels_last."""
     return torch.from_numpy(pictures).permute(0, 3, 1, 2)

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from common.errors import counted
 from dataset.errors import DatasetError
 from dataset.loader.log_crops import LogCrops
+from dataset.picture_spec import metadata_of
 from dataset.preprocess import Image
 from model.errors import RunError
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH, predict_crops
-from model.runs.run_folder import run_name, weights_checksum
+from model.runs.run_folder import picture_of_run, run_name, weights_checksum
 
 LogAttentionCallback = Callable[[str, NDArray[np.int64], Image, NDArray[np.float32]], object]
 """Called with where a network looks, some pictures at a time: its run's name, their log times (N,) in ns, their
-crops (N, 128, 128, 3) BGR, and the maps (N, 128, 128), 0..1 (see visual_backprop.py)."""
+crops (N, height, width, 3) BGR, and the maps (N, height, width), 0..1 (see visual_backprop.py)."""
 
 
 def run_names(runs: Sequence[Path]) -> list[str]:
@@ -67,7 +68,7 @@ def predict_log(
                 on_attention(names[run], crops.log_time_ns[numbers], pictures, maps)
 
         predicted, is_decoded = predict_crops(
-            folders, crops.batches(BATCH), len(crops), on_attention and pass_on, on_batch
+            folders, lambda seen: crops.batches(BATCH, seen), len(crops), on_attention and pass_on, on_batch
         )
         if not is_decoded.any():
             raise DatasetError(
@@ -86,7 +87,20 @@ def predict_log(
                     f"weights_sha256.{name}": weights_checksum(run)
                     for name, run in zip(names, folders, strict=True)
                 },
+                **_preprocessing(names, folders),
             },
             crops.skipped,
             crops.notice,
         )
+
+
+def _preprocessing(names: Sequence[str], runs: Sequence[Path]) -> dict[str, str]:
+    """What the networks see: told once where all see the same, else of each run by name."""
+    pictures = [picture_of_run(run) for run in runs]
+    if len(set(pictures)) == 1:
+        return metadata_of(pictures[0])
+    return {
+        key.replace("preprocessing.", f"preprocessing.{name}.", 1): value
+        for name, picture in zip(names, pictures, strict=True)
+        for key, value in metadata_of(picture).items()
+    }

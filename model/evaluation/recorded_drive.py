@@ -23,6 +23,7 @@ from common.car import MPS_PER_MPH
 from common.progress import progress_bar
 from dataset.errors import DatasetError
 from dataset.loader.log_views import AnyCar, LogViews
+from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.recorded_line import SHORTEST_S, SLOW_MPH, CarBesideLine, DrivableStretch
 from model.errors import RunError
@@ -30,7 +31,8 @@ from model.errors import RunError
 DEPARTURE_M: Final = 1.0
 
 Predict = Callable[[Image], float]
-"""From a crop (128, 128, 3) BGR to steering, -1 (left) .. 1 (right); what is beyond is clamped."""
+"""From the crop (height, width, 3) BGR that a network sees to steering, -1 (left) .. 1 (right); what is beyond is
+clamped."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +82,20 @@ class RecordedDrive:
 
 
 def drive_recording(
-    predict: Predict, log: Path | str, *, departure_m: float = DEPARTURE_M, car: AnyCar = "auto"
+    predict: Predict,
+    log: Path | str,
+    *,
+    departure_m: float = DEPARTURE_M,
+    car: AnyCar = "auto",
+    picture: PictureSpec = ORIGINAL,
 ) -> RecordedDrive:
     """Let a network drive a log, finished or not, with a progress bar. The same network and log, the same drive.
+    `picture` is what it sees.
 
     Raises LogError for a damaged log or damaged tags, RecordingError where nothing tells of which car it is,
     DatasetError for one of which nothing can be driven, RunError for a network that predicts what is no number.
     """
-    with LogViews(log, car) as views:
+    with LogViews(log, car, picture) as views:
         return drive_views(predict, views, departure_m)
 
 

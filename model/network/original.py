@@ -6,20 +6,17 @@ place of strides, a larger input, and dropout.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
-import torch
 from torch import Tensor, nn
+
+from model.network.picture_network import PictureNetwork, glorot_weights
 
 PARAMETERS: Final = 5_022_327
 
 
-class SteeringNetwork(nn.Module):
+class SteeringNetwork(PictureNetwork):
     """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped."""
-
-    natural: Callable[[Tensor], Tensor] | None = None
-    """From what was learnt to the network's answer; None while it learns, and where both are the same."""
 
     def __init__(self, dropout: float = 0.5) -> None:
         super().__init__()
@@ -50,22 +47,8 @@ class SteeringNetwork(nn.Module):
             nn.ReLU(),
             nn.Linear(10, 1),
         )
-        for layer in self.modules():
-            # Glorot and Bengio 2010, as in Keras, which the original used. With PyTorch's own, smaller weights
-            # the network answers nearly the same to every picture for the whole first epoch.
-            if isinstance(layer, nn.Conv2d | nn.Linear):
-                nn.init.xavier_uniform_(layer.weight)
-                nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+        glorot_weights(self)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        return self.steering(self.features(scaled(pictures)))
-
-    def steering(self, features: Tensor) -> Tensor:
-        """The answer (N,) by what `features` gives, (N, 64, 8, 8)."""
-        learnt: Tensor = self.head(features).squeeze(1)
-        return learnt if self.natural is None else self.natural(learnt.float())
-
-
-def scaled(pictures: Tensor) -> Tensor:
-    """Pictures, uint8 or float 0..255, as float32 -1..1."""
-    return pictures.to(torch.float32) / 127.5 - 1.0
+    def answers(self, inputs: Tensor) -> Tensor:
+        steering: Tensor = self.head(self.features(inputs))
+        return steering

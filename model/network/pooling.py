@@ -21,8 +21,13 @@ class SlicedMaxPool(nn.Module):
         return torch.maximum(rows[:, :, 0:width:2], rows[:, :, 1:width:2]).permute(0, 3, 1, 2)
 
 
-def slice_max_pools(layers: nn.Sequential) -> None:
-    """Put a `SlicedMaxPool` in the place of each 2x2 pooling of `layers`."""
-    for number, layer in enumerate(layers):
-        if isinstance(layer, nn.MaxPool2d):
-            layers[number] = SlicedMaxPool()
+def sliced_max_pool(layer: nn.Module) -> nn.Module | None:
+    """A `SlicedMaxPool` that does what a layer does; None for what is no plain 2x2 pooling."""
+    if type(layer) is not nn.MaxPool2d or layer.ceil_mode or layer.return_indices:
+        return None
+    settings = [_sides(side) for side in (layer.kernel_size, layer.stride, layer.padding, layer.dilation)]
+    return SlicedMaxPool() if settings == [(2, 2), (2, 2), (0, 0), (1, 1)] else None
+
+
+def _sides(value: int | tuple[int, ...]) -> tuple[int, ...]:
+    return (value, value) if isinstance(value, int) else tuple(value)

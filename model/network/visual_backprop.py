@@ -4,65 +4,139 @@ What each convolution layer gives after its ReLU is averaged over its channels. 
 the map is brought to the size of the layer before by a deconvolution whose weights are all one, of the layer's own
 kernel and stride, and multiplied by that layer's average; the first layer's brings it to the size of the picture.
 
-The paper's network has strides where this one pools. Pooling is a part of the layer, and is undone before its
+The original's network has strides where this one pools. Pooling is a part of the layer, and is undone before its
 convolution, as a deconvolution with ones of its kernel and stride: a value goes to every place that it may be the
 maximum of. What pooling has left out at an edge gets nothing.
+
+The layers are found by watching them work. Where they are no chain (a residual network adds what went around some
+of them), there is one average of each size, that of the last ReLU, and bilinear enlargement in place of
+deconvolution.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from typing import Any
+
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
-from model.network.original import SteeringNetwork, scaled
+from model.errors import RunError
+from model.network.picture_network import PictureNetwork
 
 Side = int | tuple[int, ...]
 
 
 @torch.inference_mode()
-def predict_with_attention(network: SteeringNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """The network's steering (N,) for pictures (N, 3, 128, 128), the same as of calling it, and where it looks:
-    (N, 128, 128) float32, 0 nowhere .. 1 most of that picture. One pass through the network gives both."""
-    found, maps = visual_backprop(network.features, scaled(pictures))
-    return network.steering(found), maps
+def predict_with_attention(network: PictureNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    """The network's steering (N,) for pictures (N, 3, height, width), the same as of calling it, and where it
+    looks: (N, height, width) float32, 0 nowhere .. 1 most of that picture. One pass gives both.
+
+    Raises RunError for a network without an `nn.ReLU` after a convolution.
+    """
+    return visual_backprop(network, pictures)
 
 
 @torch.inference_mode()
-def visual_backprop(layers: nn.Sequential, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """The output of `layers` (convolutions without padding, pooling, ReLU) for inputs (N, channels, height,
-    width), and attention maps (N, height, width), each from 0 to 1, or all 0 where nothing stands out."""
-    averages: list[Tensor] = []
-    passed: list[tuple[nn.Module, torch.Size]] = []  # the layers, and the height and width of what went in
-    outputs = inputs
-    for layer in layers:
-        passed.append((layer, outputs.shape[2:]))
-        outputs = layer(outputs)
-        if isinstance(layer, nn.ReLU):
-            averages.append(outputs.mean(1))
-    maps = torch.ones_like(averages[-1])
-    for layer, size in reversed(passed):
-        if isinstance(layer, nn.ReLU):
-            maps = maps * averages.pop()
-        elif isinstance(layer, nn.Conv2d | nn.MaxPool2d):
-            maps = _spread(maps, size, layer.kernel_size, layer.stride)
+def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """The output of `network` for inputs (N, channels, height, width), and attention maps (N, height, width), each
+    from 0 to 1, or all 0 where nothing stands out."""
+    with _Watched(network) as watched:
+        outputs = network(inputs)
+    if not any(step.average is not None for step in watched.steps):
+        raise RunError("where it looks cannot be told: its network has no nn.ReLU after a convolution")
+    size = inputs.shape[2:]
+    maps = _through_chain(watched.steps) if watched.is_chain else _through_sizes(watched.steps)
+    if maps.shape[1:] != size:
+        maps = _enlarged(maps, size)
     return outputs, _normalised(maps)
 
 
-def _spread(maps: Tensor, size: torch.Size, kernel: Side, stride: Side) -> Tensor:
-    """Deconvolution by ones, without padding, to `size` (height, width).
+@dataclass
+class _Step:
+    """A layer that was called."""
+
+    layer: nn.Module
+    size: torch.Size  # the height and width of what went in
+    average: Tensor | None  # over its channels, of what came out of a ReLU
+
+
+@dataclass
+class _Watched:
+    """A network whose layers are watched: those that give planes (N, channels, height, width), in their order."""
+
+    network: nn.Module
+    steps: list[_Step] = field(default_factory=list)
+    is_chain: bool = True
+    _last: Tensor | None = None
+    _hooks: list[Any] = field(default_factory=list)
+
+    def __enter__(self) -> _Watched:
+        layers = [layer for layer in self.network.modules() if not list(layer.children())]
+        self._hooks = [layer.register_forward_hook(self._called) for layer in layers]
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for hook in self._hooks:
+            hook.remove()
+
+    def _called(self, layer: nn.Module, inputs: tuple[Any, ...], outputs: Any) -> None:
+        if not (isinstance(outputs, Tensor) and outputs.dim() == 4 and len(inputs) == 1):
+            return
+        if self._last is not None and inputs[0] is not self._last:
+            self.is_chain = False
+        average = outputs.mean(1) if isinstance(layer, nn.ReLU) else None  # now: it may be written over later
+        self.steps.append(_Step(layer, inputs[0].shape[2:], average))
+        self._last = outputs
+
+
+def _through_chain(steps: list[_Step]) -> Tensor:
+    averages = [step.average for step in steps if step.average is not None]
+    maps = torch.ones_like(averages[-1])
+    is_behind = True  # a layer behind the last ReLU has no average to bring back
+    for step in reversed(steps):
+        if step.average is not None:
+            maps, is_behind = maps * step.average, False
+        elif is_behind:
+            continue
+        elif isinstance(step.layer, nn.Conv2d | nn.MaxPool2d) and not isinstance(step.layer.padding, str):
+            maps = _spread(maps, step.size, step.layer.kernel_size, step.layer.stride, step.layer.padding)
+        elif maps.shape[1:] != step.size:
+            maps = _enlarged(maps, step.size)
+    return maps
+
+
+def _through_sizes(steps: list[_Step]) -> Tensor:
+    of_size = {step.average.shape: step.average for step in steps if step.average is not None}
+    first, *others = sorted(of_size.values(), key=lambda average: average.shape[1] * average.shape[2])
+    maps = first
+    for average in others:
+        maps = _enlarged(maps, average.shape[1:]) * average
+    return maps
+
+
+def _enlarged(maps: Tensor, size: torch.Size) -> Tensor:
+    return functional.interpolate(maps[:, None], size=list(size), mode="bilinear", align_corners=False)[:, 0]
+
+
+def _spread(maps: Tensor, size: torch.Size, kernel: Side, stride: Side, padding: Side) -> Tensor:
+    """Deconvolution by ones to `size` (height, width).
 
     Ones are separable: a sum of shifted rows, then of shifted columns, takes a twentieth of the time of
     `conv_transpose2d`, which is slow for a single channel.
     """
     for axis, length in enumerate(size, 1):
-        wide, step = (side if isinstance(side, int) else side[axis - 1] for side in (kernel, stride))
+        wide, step, edge = (
+            side if isinstance(side, int) else side[axis - 1] for side in (kernel, stride, padding)
+        )
         before, after = maps.shape[:axis], maps.shape[axis + 1 :]
-        spread = maps.new_zeros(*before, length, *after)
         end = (maps.shape[axis] - 1) * step + 1
+        spread = maps.new_zeros(*before, max(length + 2 * edge, end + wide - 1), *after)
         for shift in range(wide):
             places = (slice(None),) * axis + (slice(shift, shift + end, step),)
             spread[places].add_(maps)
-        maps = spread
+        maps = spread.narrow(axis, edge, length)
     return maps
 
 

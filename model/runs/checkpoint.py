@@ -31,6 +31,7 @@ LAST: Final = "last"
 CHECKPOINT: Final = "checkpoint.safetensors"
 
 _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
+_ANOTHER: Final = "the checkpoint of another network than its config.json tells"
 _MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 
 Count = Annotated[int, Meta(ge=0, lt=2**53)]
@@ -124,19 +125,20 @@ def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimize
     path = _required(run)
     tensors, stored = load_checksummed(path, run, _WAY_OUT)
     position = position_of(stored, path)
-    named = dict(network.named_parameters())
-    has_moments = any(name.startswith("exp_avg.") for name in tensors)
     networks = {"network": network} if averaged is network else {"network": network, "averaged": averaged}
-    kinds = (*networks, *_MOMENTS) if has_moments else tuple(networks)
-    if tensors.keys() != {f"{kind}.{name}" for kind in kinds for name in named}:
-        raise RunError(f"{path}: the checkpoint of another network than this toolkit's")
+    stepped = {
+        name: parameter for name, parameter in network.named_parameters() if f"{_MOMENTS[0]}.{name}" in tensors
+    }
+    known = {f"{kind}.{name}" for kind in networks for name in network.state_dict()}
+    known |= {f"{kind}.{name}" for kind in _MOMENTS for name in stepped}
+    if tensors.keys() != known:
+        raise RunError(f"{path}: {_ANOTHER}")
     with torch.no_grad():
         for kind, each in networks.items():
-            for name, parameter in each.named_parameters():
-                parameter.copy_(_like(tensors[f"{kind}.{name}"], parameter, path))
-        for name, parameter in named.items():
-            if has_moments:
-                optimizer.state[parameter] = _moments(name, parameter, tensors, optimizer, path)
+            for name, tensor in each.state_dict().items():
+                tensor.copy_(_like(tensors[f"{kind}.{name}"], tensor, path))
+        for name, parameter in stepped.items():
+            optimizer.state[parameter] = _moments(name, parameter, tensors, optimizer, path)
     return position
 
 
@@ -158,7 +160,7 @@ def _moments(
 
 def _like(tensor: Tensor, parameter: Tensor, path: Path) -> Tensor:
     if tensor.shape != parameter.shape or tensor.dtype != parameter.dtype:
-        raise RunError(f"{path}: the checkpoint of another network than this toolkit's")
+        raise RunError(f"{path}: {_ANOTHER}")
     if not torch.isfinite(tensor).all():
         raise RunError(f"{path}: holds numbers that are not finite; train anew with a smaller --rate")
     return tensor

@@ -11,7 +11,7 @@ import json
 import math
 from typing import Any, Final
 
-from dataset.preprocess import decode, is_crop
+from dataset.preprocess import decode, may_be_crop
 from model.metrics import BinErrors, Errors, Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step
@@ -61,7 +61,7 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
     frames = tuple(_worst_frame(frame) for frame in values["frames"])
     jpegs = tuple(base64.b64decode(frame["jpeg"], validate=True) for frame in values["frames"])
     for jpeg in jpegs:
-        if not is_crop(jpeg):
+        if not may_be_crop(jpeg):
             raise ValueError("no crop that a network sees")
         decode(jpeg)  # a ValueError for what is none
     return WorstPictures(epoch, frames, jpegs)

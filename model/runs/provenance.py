@@ -17,7 +17,7 @@ from dataset import Samples
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
-from model.network.original import PARAMETERS
+from model.network.choice import NetworkChoice
 from model.runs.run_folder import load_config, run_name, weights_checksum
 from model.runs.run_inputs import relative_place
 
@@ -35,11 +35,13 @@ class StoredData(msgspec.Struct):
     logs: dict[str, StoredLog]
 
 
-def provenance(samples: Samples, config: TrainConfig, machine: Machine, ranks: int) -> dict[str, Any]:
+def provenance(
+    samples: Samples, config: TrainConfig, network: NetworkChoice, parameters: int, machine: Machine, ranks: int
+) -> dict[str, Any]:
     """The part of a run's config.json that is about its training."""
     return {
-        "network": "bojarski2016-modified",
-        "parameters": PARAMETERS,
+        "network": network.description,
+        "parameters": parameters,
         "training": asdict(config),
         "machine": machine_settings(machine, ranks),
         "data": {

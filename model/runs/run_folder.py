@@ -2,6 +2,7 @@
 
 runs/NAME/model.safetensors   the weights of the best epoch: these drive; with their checksum, see checksums.py
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
+runs/NAME/network.py          the file that its network is of, where that is somebody's own
 runs/NAME/metrics.jsonl       one line an epoch
 runs/NAME/steps.jsonl         one line every few batches
 runs/NAME/worst.jsonl         one line an epoch: the frames held out at which it is off the most
@@ -24,12 +25,14 @@ from torch import Tensor
 
 from common.files import remove_empty
 from common.untrusted import read_bounded
-from dataset.preprocess import DESCRIPTION
+from dataset.picture_spec import ORIGINAL, PictureSpec
 from model.errors import RunError
-from model.network.original import SteeringNetwork
+from model.network.choice import NetworkChoice
+from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path, position_of
 from model.runs.checksums import load_checksummed, save_checksummed
+from model.runs.network_of_run import NETWORK_FILE, choice_of, picture_of
 from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_files import replaced_file, run_write_errors
 
@@ -39,14 +42,21 @@ MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
 
-def create_run(folder: Path, config: dict[str, Any]) -> None:
-    """Make a run folder with its config. Raises RunError if there is one already."""
+def create_run(
+    folder: Path, config: dict[str, Any], picture: PictureSpec = ORIGINAL, network_file: bytes = b""
+) -> None:
+    """Make a run folder with its config, and the file that its network is of. Raises RunError if there is one
+    already."""
     refuse_existing_run(folder)
     with run_write_errors(folder):
         folder.mkdir(parents=True)
     try:
-        write_config(folder, {"format": FORMAT, "preprocessing": DESCRIPTION, **config})
+        if network_file:
+            with replaced_file(folder / NETWORK_FILE) as part:
+                part.write_bytes(network_file)
+        write_config(folder, {"format": FORMAT, "preprocessing": picture.description, **config})
     except BaseException:
+        (folder / NETWORK_FILE).unlink(missing_ok=True)
         remove_empty([folder])
         raise
 
@@ -147,8 +157,7 @@ def load_config(folder: Path) -> dict[str, Any]:
         raise RunError(
             f"{path}: of format {version}, this toolkit reads {DRIVABLE[0]} to {FORMAT}; update the toolkit"
         )
-    if config.get("preprocessing") != DESCRIPTION:
-        raise RunError(f"{path}: trained with another preprocessing than this toolkit's; train it again")
+    picture_of(config, path)  # refuses what this toolkit does not do
     return dict(config)
 
 
@@ -166,10 +175,32 @@ def _is_last(folder: Path) -> bool:
     return folder.name == LAST and (folder / CHECKPOINT).is_file()
 
 
-def load_network(folder: Path) -> SteeringNetwork:
-    """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape."""
+def picture_of_run(folder: Path) -> PictureSpec:
+    """What the run's network sees. Raises RunError as `load_config` does."""
+    return picture_of(load_config(folder), folder)
+
+
+def choice_of_run(folder: Path) -> NetworkChoice:
+    """The run's network, to be made. Raises RunError as `load_config` and `choice_of` do."""
+    return choice_of(load_config(folder), config_folder(folder))
+
+
+def load_network(folder: Path) -> PictureNetwork:
+    """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape, or if
+    it is somebody's own that was not named, or does not work here."""
+    choice = choice_of_run(folder)
+    network = choice.build()
+    answers = load_weights(folder, network)
+    if choice.code is not None:
+        choice.try_network(network, picture_of_run(folder))
+    network.natural = answers.natural if answers != AnswerScale() else None
+    return network.eval()
+
+
+def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
+    """Bring the run's weights into a network, as they were learnt; the scale of the run's answers. Raises RunError
+    if they are damaged, or do not fit."""
     path = weights_path(folder)
-    network = SteeringNetwork()
     weights, stored = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
     if _is_last(folder):
         prefix = "averaged." if any(name.startswith("averaged.") for name in weights) else "network."
@@ -177,10 +208,8 @@ def load_network(folder: Path) -> SteeringNetwork:
     try:
         network.load_state_dict(weights)
     except RuntimeError:
-        raise RunError(f"{path}: weights of another network than this toolkit's") from None
-    answers = _answer_scale(stored, path)
-    network.natural = answers.natural if answers != AnswerScale() else None
-    return network.eval()
+        raise RunError(f"{path}: weights of another network than its config.json tells; train it again") from None
+    return _answer_scale(stored, path)
 
 
 def load_answer_scale(folder: Path) -> AnswerScale:

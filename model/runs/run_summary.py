@@ -14,6 +14,7 @@ import msgspec
 from common import UserError
 from model.runs.history import read_epochs
 from model.runs.kept_results import KeptResult, kept_results
+from model.runs.network_of_run import stored_network
 from model.runs.run_folder import CONFIG, WEIGHTS, load_config, weights_checksum
 from model.runs.training_progress import Epoch
 
@@ -32,7 +33,6 @@ class _Config(msgspec.Struct):
     """The part of a run's config.json that a summary needs."""
 
     training: _Training
-    network: str = ""
     data: _Data = msgspec.field(default_factory=_Data)
 
 
@@ -82,12 +82,13 @@ def summarize_run(run: Path) -> RunSummary:
     written_s = (weights if weights.exists() else run / CONFIG).stat().st_mtime
     about = run.name, str(run), datetime.fromtimestamp(written_s, UTC).isoformat(timespec="seconds")
     try:
-        config = msgspec.convert(load_config(run), _Config)
+        stored = load_config(run)
+        config = msgspec.convert(stored, _Config)
         epochs = read_epochs(run)
         kept = next((epoch for epoch in reversed(epochs) if epoch.is_best), None)
         return RunSummary(
             *about,
-            network=config.network,
+            network=stored_network(stored, run).name,
             recipe=config.training.recipe,
             seed=config.training.seed,
             sessions=list(config.data.logs),

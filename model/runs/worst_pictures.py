@@ -16,7 +16,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from dataset import MAX_STEERING_DEG, Loader
-from dataset.preprocess import Image
+from dataset.preprocess import Image, as_bgr
 from model.worst_moments import WorstFrame, worst_frames
 
 WORST_FILE: Final = "worst.jsonl"
@@ -68,7 +68,7 @@ def find_worst(
         for frame in worst
     ]
     pictures = loader.pictures_of(np.array(samples, np.int64)) if samples else ()
-    return WorstPictures(epoch, tuple(worst), tuple(map(_jpeg, pictures)))
+    return WorstPictures(epoch, tuple(worst), tuple(_jpeg(as_bgr(picture, loader.seen)) for picture in pictures))
 
 
 def _jpeg(crop: Image) -> bytes:

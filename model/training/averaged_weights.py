@@ -13,7 +13,7 @@ from typing import Final
 import torch
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from model.network.original import SteeringNetwork
+from model.network.picture_network import PictureNetwork
 
 _FIRST_STEPS: Final = 10
 """In the beginning the mean goes over a share of the steps taken, so that random weights are soon forgotten:
@@ -26,18 +26,20 @@ class AveragedWeights:
     Over one step, it is that other network itself, and costs nothing.
     """
 
-    def __init__(self, network: SteeringNetwork, steps: int) -> None:
+    def __init__(self, network: PictureNetwork, steps: int) -> None:
         self._steps = steps
         self.network = network if steps == 1 else copy.deepcopy(network)
 
     @torch.no_grad()
-    def begin(self, network: SteeringNetwork) -> None:
+    def begin(self, network: PictureNetwork) -> None:
         """Begin with the weights of `network`, before its first step."""
         self.network.load_state_dict(network.state_dict())
 
-    def update(self, network: SteeringNetwork, steps_taken: int) -> None:
+    def update(self, network: PictureNetwork, steps_taken: int) -> None:
         """Take in the weights after so many steps, 1 after the first."""
         if self.network is not network:
             keep = 1 - max(1 / self._steps, 1 / (1 + steps_taken / _FIRST_STEPS))
             update = get_ema_multi_avg_fn(keep)  # type: ignore[no-untyped-call]
             update(list(self.network.parameters()), list(network.parameters()), steps_taken)
+            for mean, latest in zip(self.network.buffers(), network.buffers(), strict=True):
+                mean.copy_(latest)  # of a batch normalisation, which are means already

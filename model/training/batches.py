@@ -18,7 +18,6 @@ from torch import Tensor
 from common import Skipped
 from dataset import Batch, Loader
 from dataset.loader.crops import count_crops, different_crops
-from dataset.preprocess import CROP_BYTES, CROP_SHAPE
 from model.evaluation.predict import as_input
 
 Advance = Callable[[int], object]
@@ -46,8 +45,8 @@ class Batches(ABC):
 
     @abstractmethod
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
-        """The batches of an epoch from `start_batch` on: pictures (N, 3, 128, 128) uint8 in channels_last memory,
-        and steering (N,) float32, both on the device. Any may be smaller than the others, or empty."""
+        """The batches of an epoch from `start_batch` on: pictures (N, 3, height, width) uint8 in channels_last
+        memory, and steering (N,) float32, both on the device. Any may be smaller than the others, or empty."""
 
 
 def make_batches(
@@ -69,7 +68,7 @@ def make_batches(
 
 def needed_bytes(loader: Loader) -> int:
     """Memory that all crops of a loader take on a device, with the order and the labels of an epoch."""
-    return count_crops(loader.rows) * CROP_BYTES + len(loader) * 16
+    return count_crops(loader.rows) * loader.seen.size_bytes + len(loader) * 16
 
 
 class HostBatches(Batches):
@@ -137,7 +136,7 @@ class DeviceBatches(Batches):
         samples, self._crop = different_crops(rows)
         self._flip = rows.flip != rows.flip[samples][self._crop]
         is_new_picture = np.diff(rows.picture[samples], prepend=-1) != 0
-        self._crops = torch.empty((len(samples), *CROP_SHAPE), dtype=torch.uint8, device=device)
+        self._crops = torch.empty((len(samples), *loader.seen.shape), dtype=torch.uint8, device=device)
         self._is_decoded = np.zeros(len(samples), np.bool_)
         for part, crops in loader.crops(samples):
             numbers = self._crop[part]

@@ -69,8 +69,9 @@ class Group:
         return result
 
     def distributed(self, network: nn.Module) -> nn.Module:
-        """The network with its gradients averaged over all ranks."""
-        return network if self.ranks == 1 else DistributedDataParallel(network)
+        """The network with its gradients averaged over all ranks. What it keeps beside its weights, such as the
+        means of a batch normalisation, is each rank's own; rank 0's is kept."""
+        return network if self.ranks == 1 else DistributedDataParallel(network, broadcast_buffers=False)
 
     def _reduce(self, values: tuple[float, ...], operation: ReduceOp.RedOpType) -> list[float]:
         if self.ranks == 1:

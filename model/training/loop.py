@@ -18,17 +18,17 @@ from torch import Tensor
 
 from common.errors import counted
 from dataset import Loader, Samples
-from dataset.preprocess import CROP_BYTES
+from dataset.picture_spec import PictureSpec
 from dataset.samples.samples_reader import LOADED
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
-from model.network.original import SteeringNetwork
+from model.network.choice import NetworkChoice
 from model.progress_bar import progress_task
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint
 from model.runs.run_arguments import run_argument
-from model.runs.run_folder import load_config, load_network
+from model.runs.run_folder import load_weights
 from model.runs.training_progress import Epoch, Listener, Step
 from model.training.averaged_weights import AveragedWeights
 from model.training.batches import make_batches
@@ -53,6 +53,8 @@ class TrainingLoop:
         samples: Samples,
         writer: RunWriter,
         config: TrainConfig,
+        network: NetworkChoice,
+        picture: PictureSpec,
         machine: Machine,
         group: Group,
         listeners: Sequence[Listener],
@@ -80,6 +82,7 @@ class TrainingLoop:
             ranks=group.ranks,
             budget_bytes=budget_bytes,
             threads=config.threads,
+            seen=picture,
         )
         if not len(loader):
             raise RunError(
@@ -88,26 +91,29 @@ class TrainingLoop:
             )
         with progress_task(bar, "reading pictures", loader.pictures) as advance:  # at once, where a GPU keeps them
             self.batches = make_batches(loader, machine.device, advance=advance)
-        kept_bytes = loader.pictures * CROP_BYTES if machine.device.type == "cpu" else 0
+        kept_bytes = loader.pictures * picture.size_bytes if machine.device.type == "cpu" else 0
         left_bytes = max(0, budget_bytes - kept_bytes)
         # a batch of more than `micro_batch` would only take more memory
-        self.validation = Validation(samples, machine.micro_batch, left_bytes, config.threads, config.keep)
+        self.validation = Validation(
+            samples, machine.micro_batch, left_bytes, config.threads, config.keep, picture
+        )
         self.natural_frames = (
-            NaturalFrames(samples, machine.micro_batch, config.threads) if config.answers == "natural" else None
+            NaturalFrames(samples, machine.micro_batch, config.threads, picture)
+            if config.answers == "natural"
+            else None
         )
         self.answers = AnswerScale()  # of the last epoch
         self.skipped = [self.batches.skipped, self.validation.loader.skipped]
         torch.manual_seed(config.seed)
-        self.network = SteeringNetwork(config.dropout).to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network = network.build().to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = AveragedWeights(self.network, config.average_steps)
         self.optimizer = make_optimizer(self.network, config.rate)
         self._saved_s = time.monotonic()
         self._busy_warning = BusyProcessorWarning(is_enabled=machine.device.type == "cpu" and group.is_first)
 
     def start_from(self, init: Path) -> None:
-        """Take the weights of another run."""
-        load_config(init)
-        self.network.load_state_dict(load_network(init).state_dict())
+        """Take the weights of another run of the same network."""
+        load_weights(init, self.network)
 
     def begin(self) -> None:
         """Save the start of a new training."""

@@ -13,9 +13,10 @@ import pyarrow.compute as pc
 
 from dataset import Loader, Samples
 from dataset.drawn_views import LAST_VIEW, VIEWPOINT
+from dataset.picture_spec import PictureSpec
 from dataset.samples.samples_format import Balance
 from model.evaluation.predict import predict
-from model.network.original import SteeringNetwork
+from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 
 MOST_FRAMES: Final = 1000
@@ -32,12 +33,12 @@ class NaturalFrames:
     The mirror images make both sides alike: what the offset mends is the network, not the direction of the track.
     """
 
-    def __init__(self, samples: Samples, batch: int, threads: int) -> None:
+    def __init__(self, samples: Samples, batch: int, threads: int, seen: PictureSpec) -> None:
         frames = _at_natural_frequency(samples)
         budget_bytes = 0  # each is looked at once an epoch
-        self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads)
+        self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads, seen=seen)
 
-    def fit(self, network: SteeringNetwork) -> AnswerScale:
+    def fit(self, network: PictureNetwork) -> AnswerScale:
         """The scale of a network's answers to these frames. NaN in its answers are as if there were no frames."""
         learnt, labels = predict(network, self.loader)
         is_number = np.isfinite(learnt)

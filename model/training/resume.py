@@ -10,6 +10,7 @@ from typing import Any, Final
 from dataset import Samples
 from model.config import TrainConfig
 from model.errors import RunError
+from model.network.names import is_own
 from model.runs.provenance import is_trained_on, training_of
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, WEIGHTS
@@ -28,6 +29,8 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
         return before
     wanted = asdict(config)
     for name, value in asdict(before).items():
+        if name == "network" and is_own(value) and is_own(wanted[name]):
+            continue  # its file may lie elsewhere; `choice_of` has found it to be the same
         if name not in MAY_CHANGE and wanted[name] != value:
             flag = f"--{name.replace('_', '-')}"
             raise RunError(

@@ -8,7 +8,7 @@ from pathlib import Path
 from torch import Tensor, nn
 
 from model.adam import Adam
-from model.network.original import SteeringNetwork
+from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, save_checkpoint
 from model.runs.run_files import append_json_line, keep_json_lines
@@ -45,7 +45,7 @@ class RunWriter:
             append_json_line(self.run / WORST_FILE, worst.as_dict())
         append_json_line(self.run / METRICS_FILE, epoch.as_dict())
 
-    def keep_best(self, epoch: int, network: SteeringNetwork, answers: AnswerScale) -> None:
+    def keep_best(self, epoch: int, network: PictureNetwork, answers: AnswerScale) -> None:
         """Take a copy of the network's weights, with this scale of its answers, to be saved as those of the best
         epoch."""
         weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}

@@ -28,8 +28,8 @@ def training_step(
     batch: int | None = None,
     ranks: int = 1,
 ) -> Tensor:
-    """Train on pictures (N, 3, 128, 128) uint8 and their steering (N,), on the network's device, and return the
-    squared error, summed over these samples, before the step.
+    """Train on pictures (N, 3, height, width) uint8 and their steering (N,), on the network's device, and return
+    the squared error, summed over these samples, before the step.
 
     The gradient is summed over parts of `micro_batch` samples. With several `ranks`, these samples are a part of
     `batch`, and the network is a DistributedDataParallel, which averages the ranks' gradients.

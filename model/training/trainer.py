@@ -18,10 +18,13 @@ from common import Skipped, UserError
 from common.interrupts import stop_signals
 from common.versions import TOOLKIT
 from dataset import Samples
+from dataset.picture_spec import PictureSpec
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.evaluation.predict import predict
+from model.network.choice import NetworkChoice, choose_network, chosen_picture
 from model.progress_bar import open_bar
+from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
 from model.runs.run_folder import (
     WEIGHTS,
@@ -29,6 +32,7 @@ from model.runs.run_folder import (
     has_nothing_saved,
     load_config,
     load_network,
+    picture_of_run,
     refuse_existing_run,
     removed_unless_saved,
     write_config,
@@ -38,6 +42,7 @@ from model.runs.run_lock import locked_for_training
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
 from model.training.loop import TrainingLoop
+from model.training.other_network import refuse_other_network
 from model.training.resume import arithmetic_remarks, refuse_other_samples, resumed_config, resumed_settings
 from model.training.run_writer import RunWriter
 from model.training.validation import validation_notices
@@ -75,8 +80,10 @@ def train(
     `figures` draws its curves, for which matplotlib is needed.
     Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
     Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
+    A network of one's own is run as code: a new run's because `config` names it, that of a run that is resumed
+    only if it was named before (`load_code`).
     Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges,
-    if what it goes on with is damaged, or if the disk is full.
+    if what it goes on with is damaged, if its network cannot be trained, or if the disk is full.
     """
     index, run, init = Path(index), Path(run), None if init is None else Path(init)
     stored = load_config(run) if resume else {}
@@ -86,6 +93,11 @@ def train(
         refuse_existing_run(run)
     config = config or TrainConfig()
     machine = choose_machine(config, local_rank_of_process())
+    network = choice_of(stored, run) if resume else choose_network(config)
+    picture = picture_of_run(run) if resume else chosen_picture(config, network)
+    parameters = network.try_out(picture, machine.device)
+    if init is not None:
+        refuse_other_network(init, network, picture)
     with (
         Samples(index) as samples,
         group_of_processes(machine.device) as group,
@@ -97,7 +109,10 @@ def train(
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
         stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
         writer = RunWriter(run)
-        origin = {"index": relative_place(run, index), **provenance(samples, config, machine, group.ranks)}
+        origin = {
+            "index": relative_place(run, index),
+            **provenance(samples, config, network, parameters, machine, group.ranks),
+        }
         if resume:
             refuse_other_samples(run, stored, samples)
             group.on_first_rank(lambda: stack.enter_context(locked_for_training(run)))
@@ -107,8 +122,8 @@ def train(
             begins = True
             if init is not None:
                 origin["init"] = init_provenance(init, run)
-            group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin)))
-        loop = TrainingLoop(samples, writer, config, machine, group, listeners, bar)
+            group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin, network, picture)))
+        loop = TrainingLoop(samples, writer, config, network, picture, machine, group, listeners, bar)
         notices = validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
         if begins:
@@ -133,8 +148,10 @@ def train(
 
 
 @contextlib.contextmanager
-def _new_run(writer: RunWriter, config: dict[str, Any]) -> Iterator[None]:
-    create_run(writer.run, config)
+def _new_run(
+    writer: RunWriter, config: dict[str, Any], network: NetworkChoice, picture: PictureSpec
+) -> Iterator[None]:
+    create_run(writer.run, config, picture, b"" if network.code is None else network.code.source)
     with removed_unless_saved(writer.run, lambda: writer.has_saved), locked_for_training(writer.run):
         yield
 

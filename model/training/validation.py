@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset import Loader, Samples
+from dataset.picture_spec import PictureSpec
 from model.config import Keep
 from model.evaluation.predict import predict
 from model.metrics import Measures, errors, measure
-from model.network.original import SteeringNetwork
+from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position
 from model.runs.run_folder import load_config
@@ -28,16 +29,18 @@ Floats = NDArray[np.float64]
 class Validation:
     """The frames held out: centre camera, unmirrored, unaltered. There may be none."""
 
-    def __init__(self, samples: Samples, batch: int, budget_bytes: int, threads: int, keep: Keep) -> None:
+    def __init__(
+        self, samples: Samples, batch: int, budget_bytes: int, threads: int, keep: Keep, seen: PictureSpec
+    ) -> None:
         self._keep = keep
         frames = samples.driving_view("validation")
-        self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads)
+        self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads, seen=seen)
         self.frames = frames.select(WORST_COLUMNS)
 
     def __len__(self) -> int:
         return len(self.loader)
 
-    def predict(self, network: SteeringNetwork, advance: Callable[[int], object]) -> tuple[Floats, Floats]:
+    def predict(self, network: PictureNetwork, advance: Callable[[int], object]) -> tuple[Floats, Floats]:
         """Predicted and recorded steering, each (N,), of the frames that decode."""
         return predict(network, self.loader, advance)
 

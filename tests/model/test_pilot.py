@@ -92,6 +92,7 @@ def test_a_crop_may_be_a_view_of_another_picture(run: Path, crops: list[Image]) 
 def test_packed_weights_say_what_the_layers_said(run: Path, crops: list[Image]) -> None:
     """Measured: to the last bit on an AMD EPYC. Another processor's oneDNN may add in another order."""
     network = load_network(run).eval().bfloat16()
+    assert isinstance(network, SteeringNetwork)
     pictures = torch.from_numpy(np.stack(crops)).permute(0, 3, 1, 2).bfloat16() / 255
     with torch.inference_mode():
         features = network.features(pictures)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from dataset.frames.frames_file import session_name
-from dataset.preprocess import DESCRIPTION
 from model.evaluation.log_predictions import LogPredictions
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import Prediction
@@ -22,8 +21,7 @@ def write_predictions(found: LogPredictions, path: Path, *, overwrite: bool = Fa
 
     Raises UserError if `path` exists and may not be overwritten, or cannot be written.
     """
-    preprocessing = {f"preprocessing.{name}": value for name, value in DESCRIPTION.items()}
-    with LogWriter(path, {"source": "prediction", **found.about, **preprocessing}, overwrite=overwrite) as writer:
+    with LogWriter(path, {"source": "prediction", **found.about}, overwrite=overwrite) as writer:
         columns = (found.row, found.log_time_ns, found.recorded, *found.predicted.values())
         for row, time_ns, recorded, *predicted in zip(*(column.tolist() for column in columns), strict=True):
             for run, steering in zip(found.predicted, predicted, strict=True):

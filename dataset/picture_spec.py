@@ -1,0 +1,109 @@
+"""What a network sees of a camera's picture: which rows, in which size and colour order. It belongs to the run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, cast, get_args
+
+Channels = Literal["BGR", "RGB", "YUV"]
+
+ROWS: Final = 160
+"""The height of the simulator's pictures, whose rows a crop is told in; of others the same share is cut off."""
+LEAST_PX, MOST_PX = 8, 1024
+
+_ROWS_CUT: Final = re.compile(rf"(\d{{1,3}})/{ROWS}", re.ASCII)
+_PX: Final = re.compile(r"\d{1,4}", re.ASCII)
+_RESIZE: Final = "bilinear"
+
+
+@dataclass(frozen=True)
+class PictureSpec:
+    """A picture of any size, cropped, brought to one size, in one order of colours. By default the original's.
+
+    Raises ValueError for what is no picture, or would fill the memory.
+    """
+
+    width_px: int = 128
+    height_px: int = 128
+    crop_top: int = 50  # of 160 rows: sky, trees
+    crop_bottom: int = 20  # of 160 rows: the bonnet
+    channels: Channels = "BGR"
+
+    def __post_init__(self) -> None:
+        for size in (self.width_px, self.height_px):
+            if not LEAST_PX <= size <= MOST_PX:
+                raise ValueError(f"pictures of {LEAST_PX} to {MOST_PX:,} px a side were expected, not {size:,}")
+        cut = self.crop_top + self.crop_bottom
+        if min(self.crop_top, self.crop_bottom) < 0 or cut >= ROWS:
+            raise ValueError(f"fewer than {ROWS} rows can be cut off, not {self.crop_top} and {self.crop_bottom}")
+        if self.channels not in get_args(Channels):
+            raise ValueError(f"colours in the order {', '.join(get_args(Channels))} were expected")
+
+    @classmethod
+    def from_description(cls, stored: object) -> PictureSpec:
+        """That of a run, by its `description`. Raises ValueError for what no version of this toolkit writes."""
+        if not isinstance(stored, dict):
+            raise ValueError("not told")
+        if stored.get("resize") != _RESIZE:
+            raise ValueError(f"resize {stored.get('resize')!r:.40}")
+        channels = stored.get("channels")
+        if channels not in get_args(Channels):
+            raise ValueError(f"channels {channels!r:.40}")
+        spec = cls(
+            _number(stored, "width_px", _PX),
+            _number(stored, "height_px", _PX),
+            _number(stored, "crop_top", _ROWS_CUT),
+            _number(stored, "crop_bottom", _ROWS_CUT),
+            cast(Channels, channels),
+        )
+        if spec.description != stored:
+            raise ValueError("more than is known here")
+        return spec
+
+    @property
+    def description(self) -> dict[str, str]:
+        """In words, as every run and every drive keeps it."""
+        return {
+            "channels": self.channels,
+            "crop_top": f"{self.crop_top}/{ROWS}",
+            "crop_bottom": f"{self.crop_bottom}/{ROWS}",
+            "height_px": str(self.height_px),
+            "width_px": str(self.width_px),
+            "resize": _RESIZE,
+        }
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(height, width, 3)."""
+        return self.height_px, self.width_px, 3
+
+    @property
+    def size_bytes(self) -> int:
+        return self.height_px * self.width_px * 3
+
+    def seen_rows(self, height: int) -> slice:
+        """The rows of a picture so high that the network sees."""
+        return slice(round(height * (self.crop_top / ROWS)), height - round(height * (self.crop_bottom / ROWS)))
+
+    def __str__(self) -> str:
+        rows = f"{self.crop_top} and {self.crop_bottom} of {ROWS} rows cut off"
+        return f"{self.width_px} x {self.height_px} px {self.channels}, {rows}"
+
+
+def metadata_of(picture: PictureSpec) -> dict[str, str]:
+    """The lines in the metadata of a log or an ONNX file that tell what its network saw."""
+    return {f"preprocessing.{name}": value for name, value in picture.description.items()}
+
+
+def _number(stored: Mapping[str, Any], name: str, form: re.Pattern[str]) -> int:
+    text = stored.get(name)
+    found = form.fullmatch(text) if isinstance(text, str) else None
+    if found is None:
+        raise ValueError(f"{name} {text!r:.40}")
+    return int(found[form.groups])
+
+
+ORIGINAL: Final = PictureSpec()
+"""What the original project's network sees, and that of every run of earlier versions."""

@@ -1,0 +1,195 @@
+"""The network of a training or a run: its name, its arguments, and how it is made and tried."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import inspect
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from common.errors import UsageError, printable
+from dataset.picture_spec import ORIGINAL, PictureSpec
+from model.config import TrainConfig
+from model.errors import RunError
+from model.network.names import BUILT_IN, is_own
+from model.network.own_code import OwnCode, in_one_line, load_code
+from model.network.picture_network import PictureNetwork
+
+_TRIED: Final = 2  # pictures: a network that mixes them up is seen
+
+
+class OwnNetwork(PictureNetwork):
+    """Somebody's own module: it is given pictures as float32 -1..1, (N, 3, height, width)."""
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def answers(self, inputs: Tensor) -> Tensor:
+        found: Tensor = self.network(inputs)
+        return found
+
+
+@dataclass(frozen=True)
+class NetworkChoice:
+    """A network that can be made, again and again."""
+
+    name: str  # of the toolkit's, or as `OwnCode.label`
+    arguments: Mapping[str, Any]
+    make: Callable[..., Any] = field(repr=False)
+    code: OwnCode | None = None
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """As a run's config.json has it."""
+        of_file = {} if self.code is None or not self.code.source else {"file_sha256": self.code.file_sha256}
+        return {"name": self.name, "arguments": dict(self.arguments), **of_file}
+
+    @property
+    def picture(self) -> PictureSpec:
+        """What it sees unless it is told otherwise."""
+        found = getattr(self.make, "PICTURE", ORIGINAL)
+        return found if isinstance(found, PictureSpec) else ORIGINAL
+
+    def build(self) -> PictureNetwork:
+        """A new network, with random weights. Raises RunError where that fails."""
+        try:
+            made = self.make(**self.arguments)
+        except RunError:
+            raise
+        except Exception as error:
+            given = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
+            raise RunError(f"{self._label}({printable(given)}) fails ({_why(error)})") from None
+        if not isinstance(made, nn.Module):
+            raise RunError(f"{self._label} gives a {type(made).__name__}: a torch.nn.Module was expected")
+        return made if isinstance(made, PictureNetwork) else OwnNetwork(made)
+
+    def try_out(self, picture: PictureSpec, device: torch.device) -> int:
+        """Make one, show it pictures, and forget it; the number of its parameters.
+
+        Raises RunError for what cannot be trained: another shape than one number a picture, answers that are no
+        numbers, weights that cannot be kept. The toolkit's own are made and tried without memory or arithmetic.
+        """
+        with torch.random.fork_rng(devices=[]):
+            if self.code is None:
+                with torch.device("meta"):
+                    network = self.build()
+                    self.try_network(network, picture)
+            else:
+                network = self.build()
+                self._refuse_unkeepable(network)
+                self.try_network(self._moved(network, device), picture)
+        return sum(parameter.numel() for parameter in network.parameters())
+
+    @torch.inference_mode()
+    def try_network(self, network: PictureNetwork, picture: PictureSpec) -> None:
+        """Show it pictures. Raises RunError where its answers are no steering."""
+        height, width, _ = picture.shape
+        device = next(network.parameters()).device
+        noise = np.random.default_rng(0).integers(0, 256, (_TRIED, height, width, 3), np.uint8)
+        pictures = torch.from_numpy(noise).permute(0, 3, 1, 2).to(device)
+        was_training = network.training
+        network.eval()
+        try:
+            answers = network(pictures)
+        except RunError as error:
+            raise RunError(f"{self._label}: {error}") from None
+        except Exception as error:
+            raise RunError(
+                f"{self._label} cannot take pictures of {picture.width_px} x {picture.height_px} px"
+                f" ({_why(error)}); give --picture-px WIDTH HEIGHT that it can"
+            ) from None
+        network.train(was_training)
+        if device.type != "meta" and not answers.isfinite().all():
+            raise RunError(f"{self._label} answers what is no number")
+
+    @property
+    def _label(self) -> str:
+        return f"--network {printable(self.name)}"
+
+    def _moved(self, network: PictureNetwork, device: torch.device) -> PictureNetwork:
+        try:
+            return network.to(device)
+        except (RuntimeError, NotImplementedError) as error:
+            raise RunError(f"{self._label} cannot be brought to {device} ({_why(error)})") from None
+
+    def _refuse_unkeepable(self, network: PictureNetwork) -> None:
+        if not any(parameter.requires_grad for parameter in network.parameters()):
+            raise RunError(f"{self._label} has no parameters: there is nothing to learn")
+        owners: dict[int, str] = {}
+        for name, tensor in network.state_dict(keep_vars=True).items():
+            other = owners.setdefault(tensor.untyped_storage().data_ptr(), name) if tensor.numel() else name
+            if other != name:
+                raise RunError(
+                    f"{self._label}: {other} and {name} share their numbers; a run keeps each by itself"
+                )
+
+
+def choose_network(config: TrainConfig) -> NetworkChoice:
+    """The network that a training asks for; code that is somebody's own is run. Raises RunError where that is not
+    there, or takes other arguments."""
+    given = _parsed(config.network_args)
+    if is_own(config.network):
+        code = load_code(config.network)
+        choice = NetworkChoice(code.label, given, code.make, code)
+    else:
+        choice = built_in(config.network, given)
+    if _takes_dropout(choice.make):
+        return replace(choice, arguments={"dropout": config.dropout, **given})
+    if config.dropout not in (0.0, TrainConfig.dropout):
+        raise UsageError(
+            f"--dropout {config.dropout:g}: the network {printable(choice.name)} has none; leave it out"
+        )
+    return choice
+
+
+def built_in(name: str, arguments: Mapping[str, Any]) -> NetworkChoice:
+    """One of the toolkit's own networks."""
+    module, _, kind = BUILT_IN[name].partition(":")
+    return NetworkChoice(name, arguments, getattr(importlib.import_module(module), kind))
+
+
+def chosen_picture(config: TrainConfig, network: NetworkChoice) -> PictureSpec:
+    """What the network of a training sees: what it says of itself, but for what the settings say. Raises
+    UsageError for what is no picture."""
+    wanted: dict[str, Any] = {}
+    if config.picture_px is not None:
+        wanted["width_px"], wanted["height_px"] = config.picture_px
+    if config.crop_rows is not None:
+        wanted["crop_top"], wanted["crop_bottom"] = config.crop_rows
+    if config.channels is not None:
+        wanted["channels"] = config.channels
+    try:
+        return replace(network.picture, **wanted)
+    except ValueError as error:
+        raise UsageError(f"--picture-px and --crop-rows: {error}") from None
+
+
+def _parsed(arguments: Sequence[str]) -> dict[str, Any]:
+    """The values of NAME=VALUE: numbers, true, false and null as in JSON, all else as text."""
+    found: dict[str, Any] = {}
+    for each in arguments:
+        name, _, text = each.partition("=")
+        found[name] = text
+        with contextlib.suppress(ValueError):
+            found[name] = json.loads(text)
+    return found
+
+
+def _takes_dropout(make: Callable[..., Any]) -> bool:
+    try:
+        return "dropout" in inspect.signature(make).parameters
+    except (TypeError, ValueError):  # of what is not written in Python
+        return False
+
+
+def _why(error: Exception) -> str:
+    needs_gpu = not torch.cuda.is_available() and "cuda" in f"{type(error)} {error}".lower()
+    return in_one_line(error) + (": it needs a GPU, and PyTorch finds none here" if needs_gpu else "")

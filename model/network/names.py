@@ -1,0 +1,38 @@
+"""Networks by name: those of the toolkit, `FILE.py:CLASS`, `package.module:CLASS`. Nothing is imported here."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from common.errors import did_you_mean, printable
+
+BUILT_IN: Final = {
+    "original": "model.network.original:SteeringNetwork",
+    "pilotnet": "model.network.pilotnet:PilotNet",
+    "small": "model.network.small:SmallNetwork",
+    "resnet18": "model.network.resnet18:ResNet18",
+}
+EXPECTED: Final = f"{', '.join(BUILT_IN)}, FILE.py:CLASS or package.module:CLASS was expected"
+
+_MODULE: Final = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*")
+_CLASS: Final = re.compile(r"[^\W\d]\w*")
+
+
+def check_network_name(name: str) -> None:
+    """Raise ValueError for what names no network, whether or not there is one of that name."""
+    if name in BUILT_IN:
+        return
+    place, _, kind = name.rpartition(":")
+    if not _CLASS.fullmatch(kind) or not (is_file(name) or _MODULE.fullmatch(place)):
+        meant = did_you_mean(name, list(BUILT_IN))
+        raise ValueError(f"--network {printable(name)}: {EXPECTED}{f'; {meant}' if meant else ''}")
+
+
+def is_own(name: str) -> bool:
+    """Whether a network is somebody's own: code that is not the toolkit's."""
+    return name not in BUILT_IN
+
+
+def is_file(name: str) -> bool:
+    return name.rpartition(":")[0].endswith(".py")

@@ -1,0 +1,135 @@
+"""Somebody's own network: code that runs because its user has named it, and never because a run names it.
+
+`FILE.py:CLASS` is read once: what is run, what is hashed and what a run keeps are the same bytes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from hashlib import sha256
+from importlib.abc import InspectLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+from common.errors import did_you_mean, printable
+from common.untrusted import read_bounded
+from model.errors import RunError
+from model.network.names import check_network_name, is_file
+
+MOST_SOURCE_BYTES: Final = 1 << 20
+
+_loaded: dict[tuple[str, str], OwnCode] = {}
+"""The code that was named in this process: by the hash of its file, or its module, and its class."""
+
+
+@dataclass(frozen=True)
+class OwnCode:
+    """A class, or a function, that makes a network."""
+
+    name: str  # as its user gave it
+    make: Callable[..., Any] = field(repr=False)
+    source: bytes = field(default=b"", repr=False)  # of its file
+
+    @property
+    def label(self) -> str:
+        """Its name as a run keeps it: a file's without its folder."""
+        place, _, kind = self.name.rpartition(":")
+        return f"{Path(place).name if is_file(self.name) else place}:{kind}"
+
+    @property
+    def file_sha256(self) -> str:
+        """Empty for a module."""
+        return sha256(self.source).hexdigest() if is_file(self.name) else ""
+
+
+def load_code(name: str) -> OwnCode:
+    """Run the file, or import the module, that `name` (`FILE.py:CLASS`, `package.module:CLASS`) names; from then
+    on runs of that network can be loaded in this process.
+
+    Raises RunError where it is not there, fails, or has no such class.
+    """
+    try:
+        check_network_name(name)
+    except ValueError as error:
+        raise RunError(str(error)) from None
+    place, _, kind = name.rpartition(":")
+    if is_file(name):
+        source = _read(name, Path(place))
+        module = _run(name, Path(place), source)
+    else:
+        source, module = b"", _import(name, place)
+    found = getattr(module, kind, None)
+    if not callable(found):
+        names = [each for each, value in vars(module).items() if isinstance(value, type)]
+        meant = did_you_mean(kind, names)
+        raise RunError(f"--network {printable(name)}: no {kind} in {place}{f'; {meant}' if meant else ''}")
+    code = OwnCode(name, found, source)
+    _loaded[code.file_sha256 or place, kind] = code
+    return code
+
+
+def named_code(label: str, file_sha256: str) -> OwnCode | None:
+    """The code of a run's network, if it was named in this process."""
+    place, _, kind = label.rpartition(":")
+    return _loaded.get((file_sha256 or place, kind))
+
+
+def named_otherwise(label: str) -> OwnCode | None:
+    """Code of a file that was named in this process, with a class of the same name as a run's network has."""
+    kind = label.rpartition(":")[2]
+    return next((code for (_, each), code in _loaded.items() if each == kind and code.source), None)
+
+
+def _read(name: str, path: Path) -> bytes:
+    try:
+        return read_bounded(path, MOST_SOURCE_BYTES)
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise RunError(f"--network {printable(name)}: {printable(str(path))} cannot be read ({why})") from None
+
+
+class _Source(InspectLoader):
+    """Loads a module from a text that was read already; nothing is cached beside the file."""
+
+    def __init__(self, path: Path, source: bytes) -> None:
+        self._path = path
+        self._source = source
+
+    def get_source(self, fullname: str) -> str:
+        return importlib.util.decode_source(self._source)
+
+    def get_code(self, fullname: str) -> Any:
+        return self.source_to_code(self._source, str(self._path))
+
+
+def _run(name: str, path: Path, source: bytes) -> ModuleType:
+    spec = spec_from_loader(f"network_{sha256(source).hexdigest()[:16]}", _Source(path, source), origin=str(path))
+    assert spec is not None  # noqa: S101
+    assert spec.loader is not None  # noqa: S101
+    module = module_from_spec(spec)
+    module.__file__ = str(path)
+    sys.modules[spec.name] = module  # where dataclasses look their own module up
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[spec.name]
+        raise RunError(f"--network {printable(name)}: {path} cannot be run ({in_one_line(error)})") from None
+    return module
+
+
+def _import(name: str, place: str) -> ModuleType:
+    try:
+        return importlib.import_module(place)
+    except (Exception, SystemExit) as error:
+        raise RunError(f"--network {printable(name)}: {place} cannot be imported ({in_one_line(error)})") from None
+
+
+def in_one_line(error: BaseException) -> str:
+    """An error of somebody else's code."""
+    lines = str(error).strip().splitlines()
+    return printable(f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__)[:300]

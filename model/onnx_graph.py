@@ -1,0 +1,229 @@
+"""A network as the graph of an ONNX file, node by node: what its layers do is asked of PyTorch (torch.fx).
+
+Only a network whose layers are known here, and whose way through them does not depend on what it sees, has one.
+ONNX is imported only here and in onnx_export.py.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import fx, nn
+from torch.nn import functional
+
+from dataset.picture_spec import PictureSpec
+from model.errors import RunError
+from model.network.own_code import in_one_line
+from model.network.picture_network import PictureNetwork
+from model.runs.answer_scale import AnswerScale
+
+if TYPE_CHECKING:
+    from onnx import GraphProto
+
+_ELEMENTWISE: Final[dict[Any, str]] = {
+    nn.ReLU: "Relu",
+    nn.Sigmoid: "Sigmoid",
+    nn.Tanh: "Tanh",
+    functional.relu: "Relu",
+    torch.relu: "Relu",
+    torch.sigmoid: "Sigmoid",
+    torch.tanh: "Tanh",
+    "relu": "Relu",
+    "sigmoid": "Sigmoid",
+    "tanh": "Tanh",
+}
+"""Layers, functions and methods of one tensor, and ONNX's operators that do the same."""
+_OF_TWO: Final[dict[Any, str]] = {
+    operator.add: "Add",
+    operator.iadd: "Add",
+    torch.add: "Add",
+    operator.mul: "Mul",
+    torch.mul: "Mul",
+}
+_UNCHANGED: Final = (nn.Dropout, nn.Dropout2d, nn.Identity)
+_FLATTEN: Final[tuple[Any, ...]] = (torch.flatten, "flatten")
+_RESHAPE: Final = ("view", "reshape")  # (N, -1) is flattening
+
+
+def onnx_graph(network: PictureNetwork, answers: AnswerScale, picture: PictureSpec) -> GraphProto:
+    """In: "pictures", uint8 (N, height, width, 3); out: "steering", float32 (N,). Raises RunError for a network
+    that has no graph."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    graph = _Graph(network)
+    value = graph.add("Transpose", "planes", "pictures", perm=[0, 3, 1, 2])
+    value = graph.add("Cast", "levels", value, to=TensorProto.FLOAT)
+    value = graph.add("Div", "halves", value, graph.constant("half_of_levels", np.array(127.5, np.float32)))
+    value = graph.add("Sub", "scaled", value, graph.constant("one", np.array(1, np.float32)))
+    value = graph.follow(value)
+    if answers != AnswerScale():
+        scale, curve, offset = (
+            graph.constant(name, np.array(getattr(answers, name), np.float32))
+            for name in ("scale", "curve", "offset")
+        )
+        size = graph.add("Abs", "size_of_answer", value)
+        factor = graph.add("Add", "factor", graph.add("Mul", "bent", size, curve), scale)
+        value = graph.add("Add", "natural", graph.add("Mul", "scaled_answer", value, factor), offset)
+    if _answers_in_columns(network, picture):
+        graph.add("Squeeze", "steering", value, graph.constant("axis", np.array([1], np.int64)))
+    else:
+        graph.add("Identity", "steering", value)
+    height, width, _ = picture.shape
+    return helper.make_graph(
+        graph.nodes,
+        "steering",
+        [helper.make_tensor_value_info("pictures", TensorProto.UINT8, ["N", height, width, 3])],
+        [helper.make_tensor_value_info("steering", TensorProto.FLOAT, ["N"])],
+        [numpy_helper.from_array(array, name) for name, array in graph.constants.items()],
+    )
+
+
+class _Graph:
+    """The nodes and constants of a graph that is being written."""
+
+    def __init__(self, network: PictureNetwork) -> None:
+        self.network = network
+        self.nodes: list[Any] = []
+        self.constants: dict[str, NDArray[Any]] = {}
+
+    def add(self, operation: str, output: str, *inputs: str, **attributes: Any) -> str:
+        from onnx import helper
+
+        self.nodes.append(helper.make_node(operation, inputs, [output], output, **attributes))
+        return output
+
+    def constant(self, name: str, array: NDArray[Any]) -> str:
+        self.constants[name] = array
+        return name
+
+    def follow(self, inputs: str) -> str:
+        """Add the network's own nodes, from its scaled inputs to its answers."""
+        values: dict[fx.Node, str] = {}
+        for node in _traced(self.network).nodes:
+            if node.op == "placeholder":
+                values[node] = inputs
+            elif node.op == "output":
+                answers = node.args[0]
+                if not isinstance(answers, fx.Node) or answers not in values:
+                    raise _UnknownPartError("its output")
+                return values[answers]
+            elif not _is_of_shape(node, values):
+                values[node] = self._node(node, values)
+        raise _UnknownPartError("its output")
+
+    def _node(self, node: fx.Node, values: dict[fx.Node, str]) -> str:
+        arguments = [values[each] for each in node.args if isinstance(each, fx.Node) and each in values]
+        if node.op == "call_module":
+            name = str(node.target)
+            layer = self.network.get_submodule(name)
+            if any(name in each.output for each in self.nodes):  # called before
+                name = node.name
+            return self._layer(name, layer, *arguments)
+        name, what, settings = node.name, node.target, (*node.args[1:], *node.kwargs.values())
+        if not arguments or node.op == "get_attr":
+            raise _UnknownPartError(str(getattr(what, "__name__", what)))
+        if what in _ELEMENTWISE and settings in ((), (False,), (True,)):  # in place or not
+            return self.add(_ELEMENTWISE[what], name, arguments[0])
+        if what in _OF_TWO and len(arguments) == 2 and len(settings) == 1:
+            return self.add(_OF_TWO[what], name, *arguments)
+        is_reshaped = what in _RESHAPE and len(settings) == 2 and repr(settings[1]) == "-1"
+        if is_reshaped or (what in _FLATTEN and settings == (1,)):
+            return self.add("Flatten", name, arguments[0], axis=1)
+        if what == operator.getitem:  # of a shape
+            return ""
+        raise _UnknownPartError(str(getattr(what, "__name__", what)))
+
+    def _layer(self, name: str, layer: nn.Module, value: str) -> str:
+        if type(layer) in _ELEMENTWISE:
+            return self.add(_ELEMENTWISE[type(layer)], name, value)
+        if isinstance(layer, _UNCHANGED):
+            return value
+        match layer:
+            case nn.Conv2d() if layer.padding_mode == "zeros" and isinstance(layer.padding, tuple):
+                return self.add(
+                    "Conv",
+                    name,
+                    *self._weighted(name, layer, value),
+                    pads=[*layer.padding, *layer.padding],
+                    strides=list(layer.stride),
+                    dilations=list(layer.dilation),
+                    group=layer.groups,
+                )
+            case nn.MaxPool2d() if not layer.return_indices and _sides(layer.dilation) == [1, 1]:
+                padding = _sides(layer.padding)
+                return self.add(
+                    "MaxPool",
+                    name,
+                    value,
+                    kernel_shape=_sides(layer.kernel_size),
+                    strides=_sides(layer.stride),
+                    pads=padding * 2,
+                    ceil_mode=int(layer.ceil_mode),
+                )
+            case nn.AdaptiveAvgPool2d() if layer.output_size in (1, (1, 1)):
+                return self.add("GlobalAveragePool", name, value)
+            case nn.BatchNorm2d() if layer.affine and layer.track_running_stats:
+                kept = ("weight", "bias", "running_mean", "running_var")
+                numbers = [self.constant(f"{name}.{each}", _numbers(getattr(layer, each))) for each in kept]
+                return self.add("BatchNormalization", name, value, *numbers, epsilon=layer.eps)
+            case nn.ELU():
+                return self.add("Elu", name, value, alpha=float(layer.alpha))
+            case nn.LeakyReLU():
+                return self.add("LeakyRelu", name, value, alpha=float(layer.negative_slope))
+            case nn.SiLU():
+                return self.add("Mul", name, value, self.add("Sigmoid", f"{name}.gate", value))
+            case nn.Flatten() if (layer.start_dim, layer.end_dim) == (1, -1):
+                return self.add("Flatten", name, value, axis=1)
+            case nn.Linear():
+                return self.add("Gemm", name, *self._weighted(name, layer, value), transB=1)
+        raise _UnknownPartError(str(layer))
+
+    def _weighted(self, name: str, layer: nn.Conv2d | nn.Linear, value: str) -> list[str]:
+        """A layer's inputs: the value, its weight, and its bias if it has one."""
+        kept = [each for each in ("weight", "bias") if getattr(layer, each) is not None]
+        return [value, *(self.constant(f"{name}.{each}", _numbers(getattr(layer, each))) for each in kept)]
+
+
+def _is_of_shape(node: fx.Node, values: dict[fx.Node, str]) -> bool:
+    """Whether a node gives a height, a width or the like: (N, -1) needs none of them."""
+    of_values = [each for each in node.all_input_nodes if each in values]
+    return (
+        node.target == "size"
+        or (node.target is getattr and node.args[1:] == ("shape",))
+        or (node.target is operator.getitem and not of_values)
+    )
+
+
+class _UnknownPartError(RunError):
+    def __init__(self, what: str) -> None:
+        super().__init__(f"a part of its network cannot be written as ONNX: {what}")
+
+
+def _traced(network: PictureNetwork) -> fx.Graph:
+    tracer = fx.Tracer()
+    tracer.traced_func_name = "answers"
+    try:
+        return tracer.trace(network)
+    except Exception as error:  # of its own code, asked for what is only known of pictures
+        raise RunError(
+            f"its network cannot be written as ONNX: its way depends on what it sees ({in_one_line(error)})"
+        ) from None
+
+
+@torch.inference_mode()
+def _answers_in_columns(network: PictureNetwork, picture: PictureSpec) -> bool:
+    height, width, _ = picture.shape
+    return network.answers(torch.zeros(2, 3, height, width)).dim() == 2
+
+
+def _numbers(tensor: torch.Tensor) -> NDArray[np.float32]:
+    found: NDArray[np.float32] = tensor.detach().numpy()
+    return found
+
+
+def _sides(value: int | tuple[int, ...]) -> list[int]:
+    return [value, value] if isinstance(value, int) else list(value)

@@ -1,0 +1,124 @@
+"""The network of a run, and what it sees, as its config.json tells. No code that it names is run unasked."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from common.errors import UsageError, printable
+from dataset.picture_spec import PictureSpec
+from model.errors import RunError
+from model.network.choice import NetworkChoice, built_in
+from model.network.names import BUILT_IN, check_network_name, is_file, is_own
+from model.network.own_code import load_code, named_code, named_otherwise
+
+NETWORK_FILE: Final = "network.py"
+"""A run's copy of the file that its network is of."""
+
+_EARLIER: Final = "bojarski2016-modified"
+"""What earlier versions, which had no other, called the original network."""
+
+
+class StoredNetwork(msgspec.Struct, frozen=True):
+    """The network of a run, as its config.json has it."""
+
+    name: str = "original"
+    arguments: dict[str, Any] = {}
+    file_sha256: str = ""
+
+
+def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
+    """The network that the config.json of the run in `folder` tells of. Raises RunError for what is none."""
+    stored = config.get("network", _EARLIER)
+    if stored == _EARLIER:
+        return StoredNetwork()
+    try:
+        found = msgspec.convert(stored, StoredNetwork)
+        check_network_name(found.name)
+    except ValueError as error:
+        raise RunError(f"{folder}: its network cannot be told ({printable(str(error))}); train it again") from None
+    return found
+
+
+def picture_of(config: dict[str, Any], folder: Path) -> PictureSpec:
+    """What the network of the run in `folder` sees. Raises RunError for what this toolkit does not do."""
+    try:
+        return PictureSpec.from_description(config.get("preprocessing"))
+    except ValueError as error:
+        raise RunError(
+            f"{folder}: trained with another preprocessing than this toolkit's ({printable(str(error))}); train it"
+            " again"
+        ) from None
+
+
+def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
+    """The network of the run in `folder`, to be made.
+
+    Raises RunError for somebody's own that was not named in this process (`load_code`), or is not what it was.
+    """
+    stored = stored_network(config, folder)
+    if not is_own(stored.name):
+        return built_in(stored.name, stored.arguments)
+    code = named_code(stored.name, stored.file_sha256)
+    if code is not None:
+        return NetworkChoice(stored.name, stored.arguments, code.make, code)
+    name = printable(stored.name)
+    if (other := named_otherwise(stored.name)) is not None and is_file(stored.name):
+        raise RunError(
+            f"{printable(other.name)}: not the file that {folder} was trained with (its SHA-256 is another); give"
+            f" {network_flag(stored, folder)}"
+        )
+    raise RunError(
+        f"{folder}: its network is {name}, code that is only run if you name it: {network_flag(stored, folder)}"
+    )
+
+
+def network_flag(stored: StoredNetwork, folder: Path) -> str:
+    """The flag that names the network of a run; of a file, the copy that the run keeps."""
+    name = stored.name
+    if is_own(name) and is_file(name) and (folder / NETWORK_FILE).is_file():
+        name = f"{folder / NETWORK_FILE}:{name.rpartition(':')[2]}"
+    return f"--network {shlex.quote(name)}"
+
+
+def load_named(names: Sequence[str], configs: Sequence[dict[str, Any]]) -> None:
+    """Run the code of networks that a user has named for runs with these config.json.
+
+    Raises UsageError for a name that none of them needs, RunError where there is no such code.
+    """
+    for name in names:
+        try:
+            check_network_name(name)
+        except ValueError as error:
+            raise UsageError(str(error)) from None
+        if not is_own(name) or not any(is_own_network(config) for config in configs):
+            raise UsageError(
+                f"--network {printable(name)}: names code of your own that a run's network is of, which none here"
+                f" needs: a run knows {', '.join(BUILT_IN)} by itself; leave it out"
+            )
+        load_code(name)
+
+
+def is_own_network(config: dict[str, Any]) -> bool:
+    """Whether a run's network is somebody's own, as far as its config.json tells."""
+    stored = config.get("network")
+    name = stored.get("name") if isinstance(stored, dict) else None
+    return isinstance(name, str) and is_own(name)
+
+
+def network_settings(config: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Settings of a `TrainConfig` for another training of the same network, which must be named if it is
+    somebody's own."""
+    choice, picture = choice_of(config, folder), picture_of(config, folder)
+    stored = config.get("training")
+    return {
+        "network": choice.name if choice.code is None else choice.code.name,
+        "network_args": tuple(stored.get("network_args", ())) if isinstance(stored, dict) else (),
+        "picture_px": (picture.width_px, picture.height_px),
+        "crop_rows": (picture.crop_top, picture.crop_bottom),
+        "channels": picture.channels,
+    }

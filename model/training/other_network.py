@@ -1,0 +1,30 @@
+"""Starting from another run's weights: only where it is the same network, of the same pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from common.errors import printable
+from dataset.picture_spec import PictureSpec
+from model.errors import RunError
+from model.network.choice import NetworkChoice
+from model.network.names import is_own
+from model.runs.network_of_run import network_flag, picture_of, stored_network
+from model.runs.run_folder import config_folder, load_config
+
+
+def refuse_other_network(init: Path, network: NetworkChoice, picture: PictureSpec) -> None:
+    """Raise RunError if a training of `network` cannot start from the weights of the run `init`."""
+    config, folder = load_config(init), config_folder(init)
+    before = stored_network(config, folder)
+    if before.name != network.name and not (is_own(before.name) and is_own(network.name)):
+        raise RunError(
+            f"{init}: its network is {printable(before.name)}, and {printable(network.name)} cannot start from its"
+            f" weights; give {network_flag(before, folder)}, or another --init"
+        )
+    seen = picture_of(config, folder)
+    if seen != picture:
+        raise RunError(
+            f"{init}: its network sees {seen}, and this one {picture}; give --picture-px {seen.width_px}"
+            f" {seen.height_px} --crop-rows {seen.crop_top} {seen.crop_bottom} --channels {seen.channels}"
+        )

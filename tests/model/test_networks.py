@@ -1,0 +1,216 @@
+"""`--network`: every network of the toolkit trains, goes on, drives, is looked into and exported."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import load_file
+
+from dataset import Loader, Samples, decode
+from dataset.picture_spec import PictureSpec
+from driving import road_jpeg, untrained_run
+from logs import write_log
+from model import RunError, TrainConfig, evaluate, export_onnx, load_pilot, predict_log, train
+from model.cli import main
+from model.evaluation.evaluate import evaluate_runs
+from model.evaluation.predict import as_input
+from model.network.choice import choose_network
+from model.network.visual_backprop import predict_with_attention
+from model.runs.run_folder import load_answer_scale, load_network
+from toy import TINY, road, toy_index
+from udacity import call
+
+SIZES = {"pilotnet": None, "small": None, "resnet18": (64, 48)}
+"""As they are, but for the slow one."""
+
+
+def skip_without_torchvision(name: str) -> None:
+    if name == "resnet18" and find_spec("torchvision") is None:
+        pytest.skip("torchvision is not installed")
+
+
+def settings(name: str) -> TrainConfig:
+    skip_without_torchvision(name)
+    return replace(
+        TINY, network=name, epochs=2, batch=8, picture_px=SIZES[name], answers="natural", average_steps=5
+    )
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="module", params=SIZES)
+def run(request: pytest.FixtureRequest, index: Path) -> Path:
+    """Trained for an epoch, and then for another."""
+    run: Path = index.parent / "runs" / request.param
+    whole = settings(request.param)
+    train(index, run, replace(whole, epochs=1), figures=False)
+    train(index, run, whole, resume=True, figures=False)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "picture"),
+    [
+        ("original", 5_022_327, PictureSpec()),
+        ("pilotnet", 252_219, PictureSpec(200, 66, channels="YUV")),  # Bojarski et al. 2016: 250 thousand
+        ("small", 81_929, PictureSpec(96, 48)),
+        ("resnet18", 11_177_025, PictureSpec(channels="RGB")),  # torchvision: 11,689,512 with 1000 answers
+    ],
+)
+def test_the_networks_of_the_toolkit(name: str, parameters: int, picture: PictureSpec) -> None:
+    skip_without_torchvision(name)
+    network = choose_network(TrainConfig(network=name))
+    assert network.picture == picture
+    before = torch.get_rng_state()
+    assert network.try_out(picture, torch.device("cpu")) == parameters
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_weights(run: Path, index: Path) -> None:
+    at_once = train(index, run.parent / f"{run.name}-at-once", settings(run.name), figures=False).run
+    for file in ("model.safetensors", "last/checkpoint.safetensors"):
+        ours, theirs = load_file(run / file), load_file(at_once / file)
+        assert ours.keys() == theirs.keys()
+        assert all((ours[name] == theirs[name]).all() for name in ours)
+
+
+def test_its_config_says_which_network_and_what_it_sees(run: Path) -> None:
+    config = json.loads((run / "config.json").read_text())
+    assert config["network"] == {"name": run.name, "arguments": {}}
+    assert config["parameters"] == sum(p.numel() for p in load_network(run).parameters())
+    assert config["preprocessing"]["channels"] == {"pilotnet": "YUV", "small": "BGR", "resnet18": "RGB"}[run.name]
+    assert config["preprocessing"]["width_px"] == {"pilotnet": "200", "small": "96", "resnet18": "64"}[run.name]
+
+
+def test_natural_answers_are_in_its_last_layer(run: Path, index: Path) -> None:
+    answers = load_answer_scale(run)
+    assert answers.scale != 1.0
+    found = evaluate(run, index)
+    learnt = answers.learnt(found.frames["predicted"].to_numpy())
+    history = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    best = [epoch for epoch in history if epoch["is_best"]][-1]
+    recorded = found.frames["recorded"].to_numpy()
+    rmse_deg = 25 * float(np.sqrt(np.square(learnt - recorded).mean()))
+    assert rmse_deg == pytest.approx(best["learnt"]["rmse_deg"], rel=1e-3)
+
+
+def test_the_pilot_sees_what_training_saw_and_says_the_same_in_both_arithmetics(run: Path, index: Path) -> None:
+    exact, rounded = load_pilot(run, "float32"), load_pilot(run, "bfloat16")
+    network = load_network(run)
+    with Samples(index) as samples:
+        frames = samples.driving_view("validation")
+        (pictures, *_) = [
+            batch.pictures for batch in Loader(samples, frames, batch=4, seen=exact.picture).in_order()
+        ]
+        rows = frames["row"].to_pylist()[:4]
+    with torch.inference_mode():
+        expected = network(as_input(pictures)).tolist()
+    crops = [exact.crop(decode(road("center", row))) for row in rows]
+    assert [exact.predict(crop) for crop in crops] == pytest.approx(expected, abs=1e-4)
+    assert [rounded.predict(crop) for crop in crops] == pytest.approx(expected, abs=0.02)
+
+
+def test_where_it_looks_can_be_seen(run: Path) -> None:
+    network = load_network(run)
+    height, width, _ = load_pilot(run).picture.shape
+    picture = np.zeros((1, height, width, 3), np.uint8)
+    picture[:, :, width // 2 : width // 2 + width // 10] = 255
+    steering, maps = predict_with_attention(network, as_input(picture))
+    with torch.inference_mode():
+        assert torch.equal(steering, network(as_input(picture)))
+    assert maps.shape == (1, height, width)
+    assert (float(maps.min()), float(maps.max())) == (0.0, 1.0)
+
+
+def test_it_is_exported(run: Path, tmp_path: Path) -> None:
+    import onnxruntime
+
+    assert export_onnx(run, tmp_path / "network.onnx") < 1e-4
+    session = onnxruntime.InferenceSession(tmp_path / "network.onnx", providers=["CPUExecutionProvider"])
+    picture = decode(road_jpeg(3))
+    cv2.imwrite(str(tmp_path / "picture.png"), picture)
+    example = (
+        session.get_modelmeta().custom_metadata_map["example"].replace("print(steering)", "said.append(steering)")
+    )
+    said: list[float] = []
+    code = compile(example.replace("sys.argv[1]", "network").replace("sys.argv[2]", "picture"), "example", "exec")
+    exec(code, {"said": said, "network": tmp_path / "network.onnx", "picture": str(tmp_path / "picture.png")})
+    pilot = load_pilot(run, "float32")
+    assert said == pytest.approx([pilot.predict(pilot.crop(picture))], abs=1e-4)
+
+
+def test_networks_that_see_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:
+    original = untrained_run(tmp_path / "original")
+    small = train(index, tmp_path / "small", replace(settings("small"), epochs=1), figures=False).run
+    together = evaluate_runs([original, small], index)
+    for run, found in zip((original, small), together, strict=True):
+        assert found.measures.network == evaluate(run, index).measures.network
+    log = write_log(tmp_path / "log.mcap", [0.0, 0.1], lambda _, row: road_jpeg(row), cameras=["center"])
+    found_in_log = predict_log(log, [original, small])
+    for run in (original, small):
+        pilot = load_pilot(run, "float32")
+        expected = [pilot.predict(pilot.crop(decode(road_jpeg(row)))) for row in range(2)]
+        assert found_in_log.predicted[run.name].tolist() == pytest.approx(expected, abs=1e-5)
+        about = found_in_log.about[f"preprocessing.{run.name}.width_px"]
+        assert about == str(pilot.picture.width_px)
+
+
+# What does not go together
+
+
+def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: Path, tmp_path: Path) -> None:
+    original = untrained_run(tmp_path / "original")
+    with pytest.raises(RunError, match=r"its network is original, and small cannot .* give --network original"):
+        train(index, tmp_path / "run", settings("small"), init=original)
+    red = replace(TINY, channels="RGB")
+    with pytest.raises(RunError, match=r"sees 128 x 128 px BGR.* give --picture-px 128 128 .* --channels BGR"):
+        train(index, tmp_path / "run", red, init=original)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_goes_on_only_with_its_own_network(index: Path, tmp_path: Path) -> None:
+    small = train(index, tmp_path / "small", replace(settings("small"), epochs=1), figures=False).run
+    with pytest.raises(RunError, match=r"begun with --network small and can only go on so"):
+        train(index, small, replace(settings("small"), network="pilotnet"), resume=True)
+    with pytest.raises(RunError, match=r"begun with --crop-rows None"):
+        train(index, small, replace(settings("small"), crop_rows=(40, 20)), resume=True)
+
+
+@pytest.mark.parametrize(
+    ("flags", "said", "code"),
+    [
+        (["--network", "resnet19"], "did you mean resnet18?", 2),
+        (["--network", "small", "--picture-px", 20, 20], "cannot take pictures of 20 x 20 px", 1),
+        (["--picture-px", 0, 20], "--picture-px and --crop-rows: pictures of 8 to 1,024 px", 2),
+        (["--crop-rows", 100, 60], "fewer than 160 rows can be cut off", 2),
+        (["--network", "small", "--dropout", 0.3], "--dropout 0.3: the network small has none", 2),
+        (["--network", "small", "--network-args", "width=3"], "small(width=3) fails (TypeError", 1),
+        (["--network-args", "3"], "--network-args 3: NAME=VALUE was expected", 2),
+    ],
+)
+def test_what_cannot_be_trained_is_one_line(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[object], said: str, code: int
+) -> None:
+    assert call(main, "--index", index, "--runs", tmp_path, *flags) == code
+    lines = capsys.readouterr().err.splitlines()
+    assert said in " ".join(lines)
+    assert code == 2 or len(lines) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_torchvision_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torchvision.models", None)
+    network = choose_network(TrainConfig(network="resnet18"))
+    with pytest.raises(RunError, match=r'`pip install "behavioural-cloning-toolkit\[torchvision\]"` brings it'):
+        network.build()
