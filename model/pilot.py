@@ -107,10 +107,11 @@ def load_pilot(run: Path | str, precision: Precision = "auto") -> Pilot:
     that was not named (`load_code`) or does not work here.
     """
     run = Path(run)
-    picture, about = picture_of_run(run), (run_name(run), weights_checksum(run))
+    picture, network = picture_of_run(run), load_network(run)
+    about = run_name(run), weights_checksum(run)
     dtype = training_dtype(precision, torch.device("cpu"))
     try:
-        return Pilot(load_network(run), *about, dtype, picture)
+        return Pilot(network, *about, dtype, picture)
     except RuntimeError as error:  # of types that do not go together
         if precision == "bfloat16":
             raise RunError(f"{run}: its network does not work in bfloat16 ({error}); give float32") from None
