@@ -261,31 +261,31 @@ def markdown(wide: pd.DataFrame, table: pd.DataFrame) -> list[str]:
 
 
 def draw(wide: pd.DataFrame, table: pd.DataFrame, path: Path) -> None:
-    """Left: the correlations of every measure with interventions; right: the best one against them."""
-    part = table[table["outcome"] == OUTCOMES[0]].sort_values("within")
+    """Left: the rank correlation of every measure with interventions, of recordings of people and of the expert;
+    right: interventions by two of them, a point a network."""
+    part = table[table["outcome"] == OUTCOMES[0]]
+    names = [name.removesuffix(" (people)") for name in part["measure"] if name.endswith(" (people)")]
+    names = sorted(names, key=lambda name: float(part.loc[part["measure"] == f"{name} (people)", "all"].iloc[0]))
     with figure_style():
-        figure = new_figure(0.2 * len(part) + 0.8)
-        bars, points = figure.subplots(1, 2, width_ratios=[1, 1])
-        at = np.arange(len(part))
-        for label, color, shift in (("within", BLUE, 0.15), ("all", ORANGE, -0.15)):
-            low, high = part[label] - part[f"{label} low"], part[f"{label} high"] - part[label]
-            bars.errorbar(
-                part[label], at + shift, xerr=np.clip([low, high], 0, None), fmt="o", color=color, markersize=3,
-                label={"within": "within a recipe", "all": "over all networks"}[label],
+        figure = new_figure(0.26 * len(names) + 0.8)
+        ranks, *points = figure.subplots(1, 3, width_ratios=[1.6, 1, 1])
+        for driver, color, shift in (("people", BLUE, 0.15), ("expert", ORANGE, -0.15)):
+            rows = part.set_index("measure").loc[[f"{name} ({driver})" for name in names]]
+            low, high = rows["all"] - rows["all low"], rows["all high"] - rows["all"]
+            ranks.errorbar(
+                rows["all"], np.arange(len(names)) + shift, xerr=np.clip([low, high], 0, None), fmt="o",
+                color=color, markersize=3, label=f"on recordings of {driver.replace('expert', 'the expert')}",
             )  # fmt: skip
-        bars.axvline(0, color="0.7", linewidth=0.8)
-        bars.set_yticks(at, part["measure"].tolist())
-        bars.set(xlabel="rank correlation with interventions", xlim=(-1, 1))
-        bars.legend(loc="lower left", fontsize="small")
-        best = part["measure"].iloc[-1]
-        for number, (recipe, group) in enumerate(wide.groupby("recipe", sort=False)):
-            points.plot(
-                group[best], group[OUTCOMES[0]], "o", markersize=3, color=f"C{number % 10}", label=str(recipe)
+        ranks.axvline(0, color="0.7", linewidth=0.8)
+        ranks.set_yticks(np.arange(len(names)), names)
+        ranks.set(xlabel="rank correlation with interventions", xlim=(-1, 1))
+        ranks.legend(loc="upper left", fontsize="x-small")
+        for axes, name in zip(points, ("RMSE (people)", "balanced RMSE and correlation (people)"), strict=True):
+            axes.plot(wide[name], wide[OUTCOMES[0]], "o", markersize=3, color=BLUE, alpha=0.6)
+            axes.set(
+                xlabel=name.removesuffix(" (people)").replace("balanced RMSE and correlation", "driving error")
             )
-        points.set(xlabel=best, ylabel=OUTCOMES[0])
-        points.set_yscale("symlog", linthresh=1)
-        points.set_ylim(bottom=-0.1)
-        points.legend(fontsize="x-small")
+        points[0].set(ylabel=OUTCOMES[0])
         figure.savefig(path, dpi=200)
 
 
