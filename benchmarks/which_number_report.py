@@ -1,5 +1,9 @@
 """Which number tells how a network drives: the measures of each network of which_number.py, and how they rank.
 
+python benchmarks/which_number_report.py benchmarks/which_number.parquet FOLDER
+
+makes the tables and the figure of docs/which-number.md again, in FOLDER, from the measures that are kept here.
+
 Each measure is turned so that more of it is worse. Spearman's rank correlation with how badly the network drives
 is then 1 for a measure that orders networks as driving does, and 0 for one that says nothing. Its confidence
 interval is from a bootstrap over trainings: networks of the same training are alike. "Within a recipe" asks what
@@ -11,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -31,6 +36,7 @@ Floats = NDArray[np.float64]
 KNOWN: Final = ("lake", "mountain")
 OUTCOMES: Final = ("interventions a lap", "mean offset", "autonomy lost, %")
 DRAWS: Final = 500
+DATA: Final = "which_number.parquet"
 
 
 def write(folder: Path) -> None:
@@ -47,8 +53,13 @@ def write(folder: Path) -> None:
     if not networks:
         raise SystemExit(f"{folder}: no network in it is measured yet")
     rows = [row for network in networks for row in rows_of(folder, network)]
-    with atomic_file(folder / "which_number.parquet", overwrite=True) as part:
+    with atomic_file(folder / DATA, overwrite=True) as part:
         pq.write_table(pa.Table.from_pylist(rows), part)
+    tell(rows, folder)
+
+
+def tell(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Write FOLDER/which_number.md and .png of these measures; print the tables."""
     wide = pivot(rows)
     table = correlations(wide)
     text = "\n".join([*driving_of_recipes(rows), "", *markdown(wide, table)]) + "\n"
@@ -250,29 +261,33 @@ def markdown(wide: pd.DataFrame, table: pd.DataFrame) -> list[str]:
 
 
 def draw(wide: pd.DataFrame, table: pd.DataFrame, path: Path) -> None:
-    """Left: the correlations of every measure with interventions; right: the best one against them."""
-    part = table[table["outcome"] == OUTCOMES[0]].sort_values("within")
+    """Left: the rank correlation of every measure with interventions, of recordings of people and of the expert;
+    right: interventions by two of them, a point a network."""
+    part = table[table["outcome"] == OUTCOMES[0]]
+    names = [name.removesuffix(" (people)") for name in part["measure"] if name.endswith(" (people)")]
+    names = sorted(names, key=lambda name: float(part.loc[part["measure"] == f"{name} (people)", "all"].iloc[0]))
     with figure_style():
-        figure = new_figure(0.2 * len(part) + 0.8)
-        bars, points = figure.subplots(1, 2, width_ratios=[1, 1])
-        at = np.arange(len(part))
-        for label, color, shift in (("within", BLUE, 0.15), ("all", ORANGE, -0.15)):
-            low, high = part[label] - part[f"{label} low"], part[f"{label} high"] - part[label]
-            bars.errorbar(
-                part[label], at + shift, xerr=np.clip([low, high], 0, None), fmt="o", color=color, markersize=3,
-                label={"within": "within a recipe", "all": "over all networks"}[label],
+        figure = new_figure(0.26 * len(names) + 0.8)
+        ranks, *points = figure.subplots(1, 3, width_ratios=[1.6, 1, 1])
+        for driver, color, shift in (("people", BLUE, 0.15), ("expert", ORANGE, -0.15)):
+            rows = part.set_index("measure").loc[[f"{name} ({driver})" for name in names]]
+            low, high = rows["all"] - rows["all low"], rows["all high"] - rows["all"]
+            ranks.errorbar(
+                rows["all"], np.arange(len(names)) + shift, xerr=np.clip([low, high], 0, None), fmt="o",
+                color=color, markersize=3, label=f"on recordings of {driver.replace('expert', 'the expert')}",
             )  # fmt: skip
-        bars.axvline(0, color="0.7", linewidth=0.8)
-        bars.set_yticks(at, part["measure"].tolist())
-        bars.set(xlabel="rank correlation with interventions", xlim=(-1, 1))
-        bars.legend(loc="lower left", fontsize="small")
-        best = part["measure"].iloc[-1]
-        for number, (recipe, group) in enumerate(wide.groupby("recipe", sort=False)):
-            points.plot(
-                group[best], group[OUTCOMES[0]], "o", markersize=3, color=f"C{number % 10}", label=str(recipe)
+        ranks.axvline(0, color="0.7", linewidth=0.8)
+        ranks.set_yticks(np.arange(len(names)), names)
+        ranks.set(xlabel="rank correlation with interventions", xlim=(-1, 1))
+        ranks.legend(loc="upper left", fontsize="x-small")
+        for axes, name in zip(points, ("RMSE (people)", "balanced RMSE and correlation (people)"), strict=True):
+            axes.plot(wide[name], wide[OUTCOMES[0]], "o", markersize=3, color=BLUE, alpha=0.6)
+            axes.set(
+                xlabel=name.removesuffix(" (people)").replace("balanced RMSE and correlation", "driving error")
             )
-        points.set(xlabel=best, ylabel=OUTCOMES[0])
-        points.set_yscale("symlog", linthresh=1)
-        points.set_ylim(bottom=-0.1)
-        points.legend(fontsize="x-small")
+        points[0].set(ylabel=OUTCOMES[0])
         figure.savefig(path, dpi=200)
+
+
+if __name__ == "__main__":
+    tell(pq.read_table(sys.argv[1]).to_pylist(), Path(sys.argv[2]))

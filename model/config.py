@@ -13,7 +13,7 @@ from model.network.names import check_network_name
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
 Answers = Literal["natural", "as-learnt"]
-Keep = Literal["balanced-rmse", "rmse", "last"]
+Keep = Literal["driving-error", "balanced-rmse", "rmse", "last"]
 
 _RANGES: Final = {
     "epochs": (1, 10**6),
@@ -62,9 +62,10 @@ class TrainConfig:
     """The weights that are measured, kept, and drive are the mean over about so many steps; 1: the latest."""
     answers: Answers = "natural"
     """natural: undo in the network's answers that hard steering was balanced up; as-learnt: leave them so."""
-    keep: Keep = "balanced-rmse"
+    keep: Keep = "driving-error"
     """The epoch that is kept, and drives: that of the smallest error on the frames held out, where every steering
-    bin counts alike or every frame does; or the last one."""
+    bin counts alike (driving-error: with the correlation, which tells best how a network drives) or every frame
+    does; or the last one."""
     dropout: float = 0.5
     """Share of the activations that dropout sets to zero, before each of the two widest layers."""
     seed: int = 0

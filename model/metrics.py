@@ -64,6 +64,14 @@ class Measures:
         """
         return _balanced_rmse_deg(self.bins)
 
+    @property
+    def driving_error(self) -> float:
+        """What tells best how often a network leaves the road (docs/which-number.md): the balanced RMSE as a share
+        of that of always predicting the mean, plus 1 - correlation. 0 is best; the mean itself has 2."""
+        correlation = 0.0 if math.isnan(self.network.correlation) else self.network.correlation
+        of_the_mean = self.mean_balanced_rmse_deg or 1.0  # it is 0 where the steering is constant
+        return self.balanced_rmse_deg / of_the_mean + 1 - correlation
+
 
 def measure(predicted: Floats, recorded: Floats, bins: int = BINS) -> Measures:
     """Compare two steering arrays (N,), -1..1, also within `bins` equal bins of the recorded steering."""

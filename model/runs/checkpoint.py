@@ -42,7 +42,11 @@ class Position(
     msgspec.Struct,
     frozen=True,
     forbid_unknown_fields=True,
-    rename={"reported_squared_error": "told_squared_error", "reported_samples": "told_samples"},
+    rename={
+        "reported_squared_error": "told_squared_error",
+        "reported_samples": "told_samples",
+        "best_error": "best_deg",
+    },
 ):
     """The place that a training has come to, and the sums of the epoch that it is in."""
 
@@ -57,7 +61,7 @@ class Position(
     answer_scale: Annotated[float, Meta(ge=LEAST_SCALE, le=MOST_SCALE)] = 1.0  # of the last finished epoch
     answer_offset: Annotated[float, Meta(ge=-MOST_OFFSET, le=MOST_OFFSET)] = 0.0
     answer_curve: Annotated[float, Meta(ge=0, le=MOST_CURVE)] = 0.0
-    best_deg: Sum = math.inf  # the error by which it is kept; infinite where nothing is held out
+    best_error: Sum = math.inf  # the error by which it is kept; infinite where nothing is held out
 
 
 def checkpoint_path(run: Path) -> Path:

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 from model.config import Keep
+from model.metrics import Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch
+
+_NAMES: Final = {"driving-error": "driving error", "balanced-rmse": "balanced RMSE"}
+
+
+def error_to_keep_by(keep: Keep, measures: Measures) -> float:
+    """The error of which the epoch with the least is kept; in degrees, but for the driving error."""
+    if keep == "driving-error":
+        return measures.driving_error
+    return measures.balanced_rmse_deg if keep == "balanced-rmse" else measures.network.rmse_deg
 
 
 def verdict(epochs: Sequence[Epoch], kept: int, keep: Keep = "balanced-rmse") -> list[str]:
@@ -54,9 +65,9 @@ def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
     other = f"epoch {least.epoch:,} for its RMSE ({rmse_deg(least):.2f} against {rmse_deg(best):.2f})"
     if keep == "last":
         return [f"epoch {best.epoch:,} is kept as the last one (--keep last) and not {other}"]
-    of_best, of_least = (epoch.measures.balanced_rmse_deg for epoch in (best, least))
+    of_best, of_least = (error_to_keep_by(keep, epoch.measures) for epoch in (best, least))
     return [
-        f"epoch {best.epoch:,} is kept for its balanced RMSE ({of_best:.2f} against {of_least:.2f} degrees)"
+        f"epoch {best.epoch:,} is kept for its {_NAMES[keep]} ({of_best:.2f} against {of_least:.2f})"
         f" and not {other}, which says little about bends where most of the road is straight"
     ]
 

@@ -235,11 +235,11 @@ class TrainingLoop:
     def _end_epoch(self) -> None:
         if not self.position.samples:
             raise RunError(f"{self.samples.path}: none of its training pictures decodes; see `bc-index --look`")
-        best_epoch, best_deg = self.group.sum(*(self.group.on_first_rank(self._validate) or (0.0, 0.0)))
+        best_epoch, best_error = self.group.sum(*(self.group.on_first_rank(self._validate) or (0.0, 0.0)))
         self.position = Position(
             self.position.epoch + 1,
             best_epoch=int(best_epoch),
-            best_deg=best_deg,
+            best_error=best_error,
             answer_scale=self.answers.scale,
             answer_offset=self.answers.offset,
             answer_curve=self.answers.curve,
@@ -264,8 +264,8 @@ class TrainingLoop:
         for listener in self.listeners:
             listener.epoch(epoch)
         if epoch.is_best:
-            return position.epoch, self.validation.error_deg(epoch.measures)
-        return position.best_epoch, position.best_deg
+            return position.epoch, self.validation.error(epoch.measures)
+        return position.best_epoch, position.best_error
 
     def _sum_over_ranks(self, sums: _EpochSums, begun_s: float) -> None:
         """Bring the sums of all ranks, and the time since `begun_s`, into the position."""

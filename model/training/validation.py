@@ -19,6 +19,7 @@ from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position
 from model.runs.run_folder import load_config
+from model.runs.training_outcome import error_to_keep_by
 from model.runs.training_progress import Epoch
 from model.runs.worst_pictures import WORST_COLUMNS, WorstPictures, find_worst
 
@@ -54,18 +55,16 @@ class Validation:
             position.squared_error / position.samples,
             float(np.mean(np.square(predicted - recorded))) if len(recorded) else math.nan,
             measures,
-            self._keep == "last" or not len(recorded) or self.error_deg(measures) < position.best_deg,
+            self._keep == "last" or not len(recorded) or self.error(measures) < position.best_error,
             position.seconds,
             position.samples / position.seconds,
             answers,
             errors(learnt, recorded),
         )
 
-    def error_deg(self, measures: Measures) -> float:
+    def error(self, measures: Measures) -> float:
         """The error that tells which epoch is the best one; infinite where nothing is held out."""
-        if not measures.frames:
-            return math.inf
-        return measures.balanced_rmse_deg if self._keep == "balanced-rmse" else measures.network.rmse_deg
+        return error_to_keep_by(self._keep, measures) if measures.frames else math.inf
 
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
         if not len(recorded):

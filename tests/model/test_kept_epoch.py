@@ -18,11 +18,15 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return toy_index(tmp_path_factory.mktemp("toy"))
 
 
-@pytest.mark.parametrize("keep", ["balanced-rmse", "rmse", "last"])
+@pytest.mark.parametrize("keep", ["driving-error", "balanced-rmse", "rmse", "last"])
 def test_the_epoch_that_is_kept_has_the_least_of_what_was_asked_for(
     index: Path, tmp_path: Path, keep: Keep
 ) -> None:
     errors: dict[str, Callable[[Epoch], float]] = {
+        "driving-error": lambda epoch: (
+            epoch.measures.balanced_rmse_deg / epoch.measures.mean_balanced_rmse_deg
+            - epoch.measures.network.correlation
+        ),
         "balanced-rmse": lambda epoch: epoch.measures.balanced_rmse_deg,
         "rmse": lambda epoch: epoch.measures.network.rmse_deg,
         "last": lambda epoch: -epoch.epoch,

@@ -59,7 +59,7 @@ def test_why_the_kept_epoch_is_not_that_of_the_least_rmse(tmp_path: Path) -> Non
     first, second = told(tmp_path / "a", 1, *epochs)
     assert first.startswith("better than")
     assert second.startswith(
-        "epoch 1 is kept for its balanced RMSE (5.00 against 6.00 degrees) and not epoch 2 for its RMSE"
+        "epoch 1 is kept for its balanced RMSE (5.00 against 6.00) and not epoch 2 for its RMSE"
         " (2.50 against 3.00)"
     )
     assert len(told(tmp_path / "b", 2, line(1, 3.0, 6.0), line(2, 2.5, 5.0))) == 1  # it has both
