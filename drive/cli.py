@@ -6,7 +6,7 @@ import contextlib
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -283,13 +283,14 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     with usage_errors(DriveError, ValueError):
         check_rounds(config.aggregate)
         check_laps(config.laps)
+        training = TrainConfig(epochs=config.epochs)
     simulator: BuiltInSimulator | ExternalSimulator = ExternalSimulator(config.laps, config.host, config.port)
     if config.simulator is not None:
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
     folders = AggregationFolders(config.sessions, Path("drives"), config.runs)
     run = find_run(config.run, config.runs)
     _load_named(config, run)
-    training = TrainConfig(epochs=config.epochs, **network_settings(load_config(run), run))
+    training = replace(training, **network_settings(load_config(run), run))
     aggregation = Aggregation(run, simulator, settings, config.aggregate, folders, training)
     try:
         for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):

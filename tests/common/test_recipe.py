@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ def trained(folder: Path, *flags: object) -> dict[str, Any]:
 def test_the_recipe_is_that_of_the_training_and_of_the_index_that_it_builds(tmp_path: Path, recipe: Any) -> None:
     toy_index(tmp_path)
     config = trained(tmp_path, *(["--recipe", recipe] if recipe == "original" else []))
-    assert config["training"] == asdict(TrainConfig.of(recipe)) | {"epochs": 1, "threads": 1}
+    assert settings_from(TrainConfig, config["training"]) == replace(TrainConfig.of(recipe), epochs=1, threads=1)
     assert settings_from(IndexConfig, config["data"]["settings"]) == IndexConfig.of(recipe)
 
 

@@ -362,7 +362,7 @@ def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     first, again, other = (tmp_path / name for name in ("first", "again", "other"))
     assert (again / "model.safetensors").read_bytes() == (first / "model.safetensors").read_bytes()
     assert metrics(again) == metrics(first)
-    assert TrainConfig(**json.loads((other / "config.json").read_text())["training"]) == TrainConfig(
+    assert settings_from(TrainConfig, json.loads((other / "config.json").read_text())["training"]) == TrainConfig(
         epochs=1, batch=8, rate=1e-3, threads=1, seed=0, precision="float32"
     )
     capsys.readouterr()
