@@ -15,6 +15,7 @@ import pytest
 import torch
 from safetensors import safe_open
 
+from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, decode
 from dataset.cli import main as bc_index
 from dataset.preprocess import Image
@@ -63,7 +64,7 @@ def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], ind
     assert config["parameters"] == 5_022_327
     assert config["preprocessing"]["channels"] == "BGR"
     assert (config["preprocessing"]["crop_top"], config["preprocessing"]["crop_bottom"]) == ("50/160", "20/160")
-    assert TrainConfig(**config["training"]) == TINY
+    assert settings_from(TrainConfig, config["training"]) == TINY
     machine = {"device": "cpu", "arithmetic": "float32", "micro_batch": 64, "ranks": 1, "threads": 1}
     assert config["machine"] == {**machine, "torch": torch.__version__}
     assert config["versions"].keys() >= {"python", "torch", "numpy", "opencv"}
