@@ -29,8 +29,10 @@ from recorder.log.edit import merge, rewrite, split, trim
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
+from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
 from repository import ROOT
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import make_recording, paths
@@ -202,7 +204,18 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     folder = tmp_path_factory.mktemp("logs")
     path = {
         name: folder / f"{name}.mcap"
-        for name in ("simulator", "udacity", "tub 1", "tub 2", "mcap", "bag", "recovered", "trimmed", "merged")
+        for name in (
+            "simulator",
+            "udacity",
+            "tub 1",
+            "tub 2",
+            "mcap",
+            "bag",
+            "gym",
+            "recovered",
+            "trimmed",
+            "merged",
+        )
     }
     record_simulated(SimulatedDrive(laps=0.002), path["simulator"])
     make_recording(folder / "recording", f"{paths(0)},0,0,0,1\n{paths(30)},0.5,1,0,1\n", [0, 7])
@@ -214,6 +227,13 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     import_tub(write_tub_2(folder / "tub 2", map(record_2, range(4))), path["tub 2"])
     import_mcap(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
     import_mcap(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
+    bar = GymFlags(
+        "toy_environment:toy/Bar-v0",
+        gym_args='{"max_episode_steps": 3}',
+        gym_action="steering,throttle",
+        expert="toy_environment:centre",
+    )
+    record_gymnasium(GymRecording(bar), path["gym"])
 
     evaluated = run(
         "bc-eval", untrained_run(folder / "pilot"), "--simulator", "lake", "--laps", 0.002, "--logs", folder
