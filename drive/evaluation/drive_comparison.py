@@ -57,11 +57,7 @@ class DriveComparison:
     @cached_property
     def _sums(self) -> tuple[Floats, Floats]:
         """Of every stretch of road that either run has driven, (stretches, K) each."""
-        pairs = [
-            (_sums_of_stretches(drive_a), _sums_of_stretches(drive_b))
-            for drive_a, drive_b in zip(self.a, self.b, strict=True)
-        ]
-        a, b = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        a, b = (_sums_of_tracks(drives) for drives in (self.a, self.b))
         is_driven = (a[:, 0] > 0) | (b[:, 0] > 0)
         return a[is_driven], b[is_driven]
 
@@ -97,6 +93,16 @@ class DriveComparison:
             "gave_up": list(self.gave_up),
             "verdict": self.verdict,
         }
+
+
+def _sums_of_tracks(drives: Sequence[DriveResult]) -> Floats:
+    """The sums of every stretch of every track, (stretches, 3). The drives of a track at several speeds are added
+    up, as its laps are: what is hard at one speed is at another, too, and no other observation."""
+    tracks: dict[str, Floats] = {}
+    for drive in drives:
+        sums = _sums_of_stretches(drive)
+        tracks[drive.simulator.track] = sums + tracks.get(drive.simulator.track, 0.0)
+    return np.concatenate(list(tracks.values()))
 
 
 def _sums_of_stretches(drive: DriveResult) -> Floats:

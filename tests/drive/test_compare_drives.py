@@ -69,6 +69,14 @@ def test_a_drive_that_goes_farther_from_the_line_everywhere_is_worse(good: Drive
     assert compared(good, good)[0] == "not told apart"
 
 
+def test_a_second_speed_is_no_other_road(good: DriveResult, tmp_path: Path) -> None:
+    """The same drives twice say as much as once."""
+    wide = drive(tmp_path / "wide.mcap", lambda arc_m: 0.1 + 0.1 * math.sin(arc_m / 20))
+    once, twice = (DriveComparison("a", "b", [good] * speeds, [wide] * speeds) for speeds in (1, 2))
+    assert once.stretches == twice.stretches
+    assert once.as_dict()["measures"]["mean_offset"] == twice.as_dict()["measures"]["mean_offset"]
+
+
 def test_one_intervention_may_be_chance_and_ten_in_different_places_are_not(
     good: DriveResult, tmp_path: Path
 ) -> None:
