@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from torch import fx, nn
 from torch.nn import functional
 
+from common.named_function import in_one_line
 from dataset.picture_spec import PictureSpec
 from model.errors import RunError
-from model.network.own_code import in_one_line
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 

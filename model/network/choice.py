@@ -15,11 +15,12 @@ import torch
 from torch import Tensor, nn
 
 from common.errors import UsageError, printable
+from common.named_function import in_one_line
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from model.config import TrainConfig
 from model.errors import RunError
 from model.network.names import BUILT_IN, is_own
-from model.network.own_code import OwnCode, in_one_line, load_code
+from model.network.own_code import OwnCode, load_code
 from model.network.picture_network import PictureNetwork
 
 _TRIED: Final = 2  # pictures: a network that mixes them up is seen

@@ -17,6 +17,7 @@ from types import ModuleType
 from typing import Any, Final
 
 from common.errors import did_you_mean, printable
+from common.named_function import in_one_line
 from common.untrusted import read_bounded
 from model.errors import RunError
 from model.network.names import check_network_name, is_file
@@ -127,9 +128,3 @@ def _import(name: str, place: str) -> ModuleType:
         return importlib.import_module(place)
     except (Exception, SystemExit) as error:
         raise RunError(f"--network {printable(name)}: {place} cannot be imported ({in_one_line(error)})") from None
-
-
-def in_one_line(error: BaseException) -> str:
-    """An error of somebody else's code."""
-    lines = str(error).strip().splitlines()
-    return printable(f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__)[:300]
