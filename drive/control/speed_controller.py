@@ -60,8 +60,8 @@ class SpeedController:
         """-1 .. 1, as from `throttle`, for a target in mph that may be another one with each telemetry.
 
         The car needs the acceleration that brings it to its target in `target_ahead_s`. The throttle is that and
-        the resistances over what engine or brakes of the simulator's car give at most. Nobody tells of slopes: they
-        show in what is missing of the acceleration. `time_s` never goes back, and all numbers are finite.
+        the resistances over what engine or brakes of the simulator's car give at most. Nobody tells of slopes:
+        they show in what is missing of the acceleration. `time_s` never goes back, all numbers are finite.
         """
         speed_mps = speed_mph * MPS_PER_MPH
         if self._last is not None:
