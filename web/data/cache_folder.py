@@ -17,7 +17,8 @@ _KEPT_SHARE: Final = 0.8  # when it is too large, so that this is seldom
 
 
 def default_cache_folder() -> Path:
-    return user_cache_path("behavioural-cloning-toolkit") / "web"
+    folder: Path = user_cache_path("behavioural-cloning-toolkit")
+    return folder / "web"
 
 
 class CacheFolder:

@@ -28,4 +28,5 @@ _environment.filters.update(minutes=_minutes, counted=counted)
 
 
 def render(name: str, **values: Any) -> str:
-    return _environment.get_template(name).render(values)
+    text: str = _environment.get_template(name).render(values)
+    return text
