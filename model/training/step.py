@@ -38,13 +38,16 @@ def training_step(
     squared_error = torch.zeros((), device=steering.device)
     scale = ranks / (batch or len(steering))
     parts = list(zip(torch.split(pictures, micro_batch), torch.split(steering, micro_batch), strict=True))
-    for number, (some_pictures, some_steering) in enumerate(parts, 1):
-        with _gradient_exchange(network, is_last=number == len(parts)):
-            with torch.autocast(steering.device.type, dtype=dtype, enabled=dtype != torch.float32):
+    kind = steering.device.type
+    # around all parts: the weights are cast once for all of them
+    with torch.autocast(kind, dtype=dtype, enabled=dtype != torch.float32):
+        for number, (some_pictures, some_steering) in enumerate(parts, 1):
+            with _gradient_exchange(network, is_last=number == len(parts)):
                 predicted = network(some_pictures)
-            loss = functional.mse_loss(predicted.float(), some_steering, reduction="sum")
-            (loss * scale).backward()  # type: ignore[no-untyped-call]
-        squared_error += loss.detach()
+                with torch.autocast(kind, enabled=False):
+                    loss = functional.mse_loss(predicted.float(), some_steering, reduction="sum")
+                    (loss * scale).backward()  # type: ignore[no-untyped-call]
+            squared_error += loss.detach()
     optimizer.step()
     return squared_error
 
