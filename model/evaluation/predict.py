@@ -34,15 +34,17 @@ BatchesOf = Callable[[PictureSpec], Iterable[tuple[NDArray[np.int64], Image]]]
 def predict(
     network: PictureNetwork, loader: Loader, advance: Callable[[int], object] = lambda samples: None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The network's steering and the recorded one, each (N,), for a loader's samples in their order; float32
-    arithmetic on the network's device. `advance` gets the number of samples done since the last call."""
+    """The network's answers and what was recorded, steering (N,) or targets (N, K), for a loader's samples in
+    their order; float32 arithmetic on the network's device. `advance` gets the number of samples done since the
+    last call."""
     network.eval()
     device = next(network.parameters()).device
-    predicted, recorded = [np.zeros(0)], [np.zeros(0)]
+    nothing = np.zeros((0, network.outputs)[: 1 if network.outputs == 1 else 2])
+    predicted, recorded = [nothing], [np.zeros((0, *loader.rows.label.shape[1:]))]
     for batch in loader.in_order():
         predicted.append(network(as_input(batch.pictures).to(device)).cpu().numpy().astype(np.float64))
-        recorded.append(batch.steering.astype(np.float64))
-        advance(len(batch.steering))
+        recorded.append(batch.labels.astype(np.float64))
+        advance(len(batch.labels))
     return np.concatenate(predicted), np.concatenate(recorded)
 
 

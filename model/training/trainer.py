@@ -19,6 +19,7 @@ from common.interrupts import stop_signals
 from common.versions import TOOLKIT
 from dataset import Samples
 from dataset.picture_spec import PictureSpec
+from dataset.targets import steering_in
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.evaluation.predict import predict
@@ -104,6 +105,7 @@ def train(
         open_bar(is_shown=show_progress and group.is_first) as bar,
         contextlib.ExitStack() as stack,
     ):
+        samples.refuse_missing(config.targets)
         for listener in listeners:
             stack.callback(listener.close)
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
@@ -179,6 +181,6 @@ def _draw_figures(loop: TrainingLoop, notices: list[str], remarks: list[str]) ->
         from model.runs.run_figures import write_run_figures
 
         predictions = loop.best_predictions or predict(load_network(run), loop.validation.loader)
-        write_run_figures(run, *predictions)
+        write_run_figures(run, *map(steering_in, predictions))
     except (UserError, OSError) as error:
         notices.append(str(error))
