@@ -33,6 +33,9 @@ class Target:
     answer_name: str  # of an answer, in `unit` but for steering: in tables and in ONNX
 
 
+MOST_AHEAD_S: Final = 10.0
+"""So much later at most is the speed driven that is learnt."""
+
 TARGETS: Final = {
     target.name: target
     for target in (

@@ -160,6 +160,11 @@ class Samples(Closeable):
             raise self._damaged(error) from None
         return {name: digest.hexdigest() for name, digest in digests.items()}
 
+    @property
+    def has_targets(self) -> bool:
+        """Whether there are labels of all targets, as in every index but those of earlier versions."""
+        return all(target.label_column in self._columns for target in TARGETS.values())
+
     def refuse_missing(self, targets: Sequence[TargetName]) -> None:
         """Raise DatasetError if this index has no labels of these targets."""
         missing = [name for name in targets if TARGETS[name].label_column not in self._columns]

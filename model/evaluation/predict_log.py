@@ -16,6 +16,7 @@ from dataset.errors import DatasetError
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import metadata_of
 from dataset.preprocess import Image
+from dataset.targets import steering_in
 from model.errors import RunError
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH, predict_crops
@@ -79,7 +80,7 @@ def predict_log(
             crops.row[is_decoded],
             crops.log_time_ns[is_decoded],
             crops.recorded[is_decoded],
-            {name: values[is_decoded] for name, values in zip(names, predicted, strict=True)},
+            {name: steering_in(values)[is_decoded] for name, values in zip(names, predicted, strict=True)},
             {
                 "log": log.name,
                 "log_fingerprint": crops.fingerprint,

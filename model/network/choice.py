@@ -80,9 +80,9 @@ class NetworkChoice:
     def try_out(self, picture: PictureSpec, device: torch.device) -> int:
         """Make one, show it pictures, and forget it; the number of its parameters.
 
-        Raises RunError for what cannot be trained: another shape than one number a picture and target, answers that are
-        no numbers, weights that cannot be kept. The toolkit's own are made and tried without memory or arithmetic.
-        """
+        Raises RunError for what cannot be trained: another shape than one number a picture and target, answers
+        that are no numbers, weights that cannot be kept. The toolkit's own are made and tried without memory or
+        arithmetic."""
         with torch.random.fork_rng(devices=[]):
             if self.code is None:
                 with torch.device("meta"):
