@@ -1,0 +1,36 @@
+"""Whether the training samples have labels of all targets: not every session tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dataset import Samples
+from dataset.targets import TARGETS, TargetName
+from model.errors import RunError
+
+
+def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]:
+    """A notice for each target that some sessions tell nothing of: what is learnt of these are the others.
+
+    Raises RunError where no session does.
+    """
+    columns = [TARGETS[name].label_column for name in targets[1:]]
+    if not columns:
+        return []
+    training = samples.of_split("train", ["session", "split", *columns])
+    session = np.asarray(training["session"])
+    notices = []
+    for name, column in zip(targets[1:], columns, strict=True):
+        is_known = np.isfinite(training[column].to_numpy())
+        told = set(session[is_known].tolist())
+        if not told:
+            raise RunError(f"{samples.path}: no session in it tells of the {name}; leave it out of --targets")
+        if silent := sorted(set(session.tolist()) - told):
+            others = ", ".join(other for other in targets if other != name)
+            notices.append(
+                f"{samples.path}: nothing tells of the {name} in {', '.join(silent)}:"
+                f" {others} alone is learnt there"
+            )
+    return notices
