@@ -6,6 +6,7 @@ calls for.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,6 +24,9 @@ from recorder.log.row_quality import GAP_S, SPEED_RANGE_MPH
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, no rounding carries over from stretch to stretch."""
 
+HELD_MPH: Final = 1.0
+"""A driver who is so near to his set speed keeps to it."""
+
 Steering = NDArray[np.float64]
 Times = NDArray[np.int64]
 
@@ -38,10 +42,20 @@ def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray
     return labels_of(frames, _is_good(frames), _side(frames, is_crashed), plan.smooth_s, plan.shift_s), is_crashed
 
 
-def planned_speed_mph(frames: pa.Table, plan: LabelPlan, ahead_s: float) -> NDArray[np.float64]:
+def planned_speed_mph(
+    frames: pa.Table, plan: LabelPlan, ahead_s: float, slower_mph: Sequence[float] = ()
+) -> NDArray[np.float64]:
     """The speed to be learnt of each of a session's frames (N,), as `later_speed_mph` gives it; as for
-    `planned_labels`, none depends on anything but its own stretch."""
-    return later_speed_mph(frames, _is_good(frames), _side(frames, _is_crashed(frames, plan)), ahead_s)
+    `planned_labels`, none depends on anything but its own stretch.
+
+    `slower_mph` are set speeds of this session's driver, where others were set a higher one: who keeps to such a
+    speed tells nothing of what the road allows but that it is more. There is no label then. (The mean of all that
+    was driven at a place would be too slow on straights.)
+    """
+    speed_mph = later_speed_mph(frames, _is_good(frames), _side(frames, _is_crashed(frames, plan)), ahead_s)
+    for set_mph in slower_mph:
+        speed_mph[np.abs(speed_mph - set_mph) < HELD_MPH] = np.nan
+    return speed_mph
 
 
 def recorded_throttle(frames: pa.Table) -> NDArray[np.float64]:

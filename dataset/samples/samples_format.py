@@ -89,3 +89,4 @@ class SessionLabels:
     habits: SteeringHabits
     lag: SteeringLag | None  # None: not measured, or nothing to measure it by
     plan: LabelPlan
+    set_speeds_mph: tuple[float, ...] = ()  # that the driver was to keep where bends allow; of people, none

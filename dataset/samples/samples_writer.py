@@ -7,7 +7,7 @@ written session by session.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -70,9 +70,12 @@ def write_samples(
     condition = Condition(config.where) if config.where is not None else None
     sessions: list[_Session] = []
     counts: dict[str, SessionCounts] = {}
+    fastest_mph = max((mph for of_session in labels.values() for mph in of_session.set_speeds_mph), default=0.0)
     random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
-        session, counts[name] = _usable(read_frames(file), config, labels[name].plan, condition, random)
+        slower_mph = [mph for mph in labels[name].set_speeds_mph if mph < fastest_mph]
+        plan = labels[name].plan
+        session, counts[name] = _usable(read_frames(file), config, plan, slower_mph, condition, random)
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
@@ -120,6 +123,7 @@ def _usable(
     frames: pa.Table,
     config: IndexConfig,
     plan: LabelPlan,
+    slower_mph: Sequence[float],
     condition: Condition | None,
     random: np.random.Generator,
 ) -> tuple[_Session, SessionCounts]:
@@ -160,7 +164,7 @@ def _usable(
         recorded,
         view,
         split[at] == 0,
-        planned_speed_mph(frames, plan, config.speed_ahead_s)[at],
+        planned_speed_mph(frames, plan, config.speed_ahead_s, slower_mph)[at],
         recorded_throttle(frames)[at],
     )
     if config.viewpoints:

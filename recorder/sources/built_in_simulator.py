@@ -34,7 +34,7 @@ class SimulatedDrive:
     """Who drives the built-in simulator, where and how."""
 
     track: str = "lake"
-    """The track of the built-in simulator: lake, mountain, or random:SEED."""
+    """The track of the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""
     driver: DriverName = "expert"
     """Who drives: the expert, who steers smoothly and in time, or somebody like a person, late and only when
     the car strays: at a keyboard in short presses of a key, with a mouse by dragging it aside for a second."""

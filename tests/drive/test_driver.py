@@ -95,7 +95,7 @@ def pilot_that_wants(**wanted: float) -> Pilot:
     say(network, 0.0)
     with torch.no_grad():
         for at, name in enumerate(names[1:], 1):
-            network.head[-1].bias[at] = wanted[name] / TARGETS[name].per_unit  # type: ignore[operator, index]
+            network.head[-1].bias[at] = wanted[name] / TARGETS[name].per_unit  # type: ignore[operator]
     return Pilot(network, targets=names, speed_ahead_s=1.0)
 
 

@@ -35,6 +35,7 @@ COMMANDS = (
     "bc-sim",
     "bc-eval",
     "bc-demo",
+    "bc-web",
 )
 
 

@@ -18,7 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from common.car import Camera
-from dataset import DatasetError, IndexConfig, SamplesDataset, build_index, load
+from dataset import DatasetError, IndexConfig, SamplesDataset, build_index, decode, load
 from model import RunError, TrainConfig, export_onnx, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate_runs
 from model.evaluation.run_comparison import Comparison
@@ -114,6 +114,28 @@ def test_labels_come_in_the_order_of_the_targets_and_in_their_units(folder: Path
     np.testing.assert_array_equal(labels, expected[3, [0, 2]])
 
 
+@pytest.mark.parametrize(("others_mph", "is_known"), [("10 20", False), ("10", True)])
+def test_who_keeps_to_a_slow_set_speed_tells_nothing_of_what_the_road_allows(
+    tmp_path: Path, others_mph: str, is_known: bool
+) -> None:
+    """Half of the rows keep to 10 mph, the others are slowed down by a bend."""
+    logs = []
+    for number, (told_mph, driven_mph) in enumerate([("10", (10.2, 7.0)), (others_mph, (9.0, 7.0))]):
+        with LogWriter(tmp_path / f"{number}.mcap", {"source": "simulator", "drive.speed": told_mph}) as writer:
+            for row in range(40):
+                time_ns = START_NS + round((3600 * number + row * STEP_S) * 1e9)
+                writer.picture("center", time_ns, row, road("center", row) + bytes([number]))
+                writer.vehicle(time_ns, row, VehicleState(speed_mph=driven_mph[row >= 20], steering=steering(row)))
+        logs.append(tmp_path / f"{number}.mcap")
+    build_index(logs, tmp_path / "index", replace(SETTINGS, validation_share=0.0, speed_ahead_s=0.0, flip=False))
+    table = pq.read_table(tmp_path / "index" / "samples.parquet").to_pylist()
+    first = [row for row in table if row["session"] == "0"]
+    held, slowed = ([row for row in first if (row["row"] >= 20) == is_late] for is_late in (False, True))
+    assert held
+    assert {math.isfinite(row["later_speed_mph"]) for row in held} == {is_known}
+    assert {row["later_speed_mph"] for row in slowed} == {7.0}
+
+
 # Learning
 
 
@@ -129,7 +151,7 @@ def test_a_label_that_nobody_knows_changes_nothing_and_each_target_has_its_weigh
     expected = (answers[:, 0] - labels[:, 0]).square().sum() + 0.25 * (
         answers[[0, 2], 1] - labels[[0, 2], 1]
     ).square().sum()
-    (expected / 4).backward()
+    (expected / 4).backward()  # type: ignore[no-untyped-call]
 
     optimizer = make_optimizer(network, 0.0)
     found = training_step(
@@ -162,7 +184,7 @@ def test_a_run_of_targets_that_was_stopped_goes_on_to_the_same_weights(folder: P
 def test_steering_alone_is_learnt_as_if_there_were_no_other_targets(folder: Path, tmp_path: Path) -> None:
     """Its samples are those of an index of the version before, which had no other labels."""
     alone = replace(QUICK, targets=("steering",), epochs=1)
-    weights = []
+    weights: list[bytes] = []
     for index in (folder / "index", before(folder / "index", tmp_path)):
         run = tmp_path / f"run-{len(weights)}"
         train(index, run, alone, figures=False)
@@ -196,7 +218,7 @@ def test_it_is_measured_compared_exported_and_drives_by_the_same_answers(folder:
     assert (pilot.targets, pilot.speed_ahead_s) == (ALL, 1.0)
     (found,) = evaluate_runs([run], folder / "index")
     row = found.frames.to_pylist()[0]
-    crop = pilot.crop(cv2.imdecode(np.frombuffer(road("center", row["row"]), np.uint8), cv2.IMREAD_COLOR))
+    crop = pilot.crop(decode(road("center", row["row"])))
     answer = pilot.answer(crop)
     assert answer.steering == pilot.predict(crop) == pytest.approx(row["predicted"], abs=1e-5)
     assert answer.speed_mph == pytest.approx(row["predicted_speed_mph"], abs=1e-3)
