@@ -124,8 +124,8 @@ class Pilot:
         except Exception:
             undo()
             return
-        numbers = np.array([[each for each in answer if each is not None] for answer in (before, after)])
-        if not np.allclose(*numbers, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
+        slow, fast = ([each for each in answer if each is not None] for answer in (before, after))
+        if not np.allclose(fast, slow, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
             undo()
 
 

@@ -19,6 +19,7 @@ from torch.nn import functional
 
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, SamplesDataset, build_index, decode, load
+from dataset.targets import TargetName
 from model import RunError, TrainConfig, export_onnx, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate_runs
 from model.evaluation.run_comparison import Comparison
@@ -32,7 +33,7 @@ from toy import TINY
 ROWS = 160
 STEP_S = 0.1
 START_NS = 1_720_880_000_000_000_000
-ALL = ("steering", "speed", "throttle")
+ALL: tuple[TargetName, ...] = ("steering", "speed", "throttle")
 QUICK = replace(
     TINY, network="small", targets=ALL, epochs=8, batch=8, rate=1e-3, answers="natural", average_steps=5
 )
