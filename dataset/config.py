@@ -50,7 +50,7 @@ class IndexConfig:
     """For all sessions: the mean of the steering over so many seconds around the frame; 0: no smoothing."""
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
     """For all sessions: the steering so many seconds later, because people react late; 0: at the frame itself."""
-    speed_ahead_s: Annotated[float, arg(name="speed-ahead", metavar="SECONDS")] = 1.0
+    speed_ahead_s: Annotated[float, arg(name="speed-ahead", metavar="SECONDS")] = 0.5
     """The speed to be learnt, where that is a target of a training, is the one that was driven so much later."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""

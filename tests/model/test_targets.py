@@ -69,7 +69,9 @@ def write_drive(log: Path, *, start_ns: int = START_NS, knows_speed: bool = True
     return log
 
 
-SETTINGS = IndexConfig(labels="as-recorded", per_bin=16, max_uses=1, block_s=2.0, gap_s=0.0, alter=("none",))
+SETTINGS = IndexConfig(
+    labels="as-recorded", per_bin=16, max_uses=1, block_s=2.0, gap_s=0.0, alter=("none",), speed_ahead_s=1.0
+)
 
 
 @pytest.fixture(scope="module")
