@@ -38,8 +38,8 @@ SAMPLES_SCHEMA: Final = pa.schema(
         pa.field("copy", pa.bool_()),  # added: to fill up its bin, or as a view from beside the line
         pa.field(
             "later_speed_mph", pa.float64()
-        ),  # that was driven --speed-ahead seconds later; NaN: nobody knows
-        pa.field("throttle", pa.float64()),  # less the brake: -1..1; NaN: nobody knows
+        ),  # that was driven --speed-ahead seconds later; null: nobody knows
+        pa.field("throttle", pa.float64()),  # less the brake: -1..1; null: nobody knows
     ]
 )
 

@@ -225,7 +225,7 @@ def _table(
         "recorded": recorded,
         "bin": bin_of(label, config.bins),
         "copy": chosen.is_copy | is_view,
-        "later_speed_mph": session.later_speed_mph,
-        "throttle": session.throttle,
+        "later_speed_mph": pa.array(session.later_speed_mph, from_pandas=True),  # NaN to null
+        "throttle": pa.array(session.throttle, from_pandas=True),
     }
     return pa.table({field.name: columns[field.name] for field in SAMPLES_SCHEMA}).cast(SAMPLES_SCHEMA)

@@ -128,6 +128,8 @@ def driven_by(log: Log) -> str:
     where nobody says."""
     if log.counts.get(topics.PILOT_COMMAND):
         return "a network"
+    if log.metadata.get("source") == "gymnasium":
+        return "an expert"  # an environment's actions are some program's
     return "the built-in expert" if log.metadata.get("driver") == "expert" else ""
 
 
