@@ -23,7 +23,7 @@ from common.files import refuse_existing
 from common.versions import TOOLKIT, version_of
 from dataset import MAX_STEERING_DEG
 from dataset.picture_spec import PictureSpec, metadata_of
-from dataset.targets import STEERING_ONLY, TARGETS, TargetName
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork

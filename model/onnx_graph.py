@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from common.named_function import in_one_line
 from dataset.picture_spec import PictureSpec
-from dataset.targets import STEERING_ONLY, TARGETS, TargetName
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale

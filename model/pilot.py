@@ -13,8 +13,8 @@ import torch
 
 from common.memory_allocator import keep_freed_memory
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from dataset.preprocess import Image, crop_of, in_channels
-from dataset.targets import STEERING_ONLY, TARGETS, TargetName
 from model.config import Precision
 from model.device import training_dtype
 from model.errors import RunError
@@ -37,7 +37,7 @@ WARM_UP_PREDICTIONS = 20
 _ROUNDING: Final = 0.02  # of bfloat16, added up in another order
 
 
-class Answer(NamedTuple):
+class NetworkAnswer(NamedTuple):
     """What a network answers to a picture; NaN or infinite if its weights are such."""
 
     steering: float  # -1 (left) .. 1 (right), not clamped
@@ -86,14 +86,14 @@ class Pilot:
         return crop_of(picture, self.picture)
 
     @torch.inference_mode()
-    def answer(self, crop: Image) -> Answer:
+    def answer(self, crop: Image) -> NetworkAnswer:
         """All that the network answers to a crop (`picture.shape`) BGR uint8."""
         seen = np.ascontiguousarray(in_channels(crop, self.picture))
         values = self._network(as_input(seen[None])).flatten().tolist()
         found = {TARGETS[name].answer_name: value for name, value in zip(self.targets, values, strict=True)}
         if "speed_mph" in found:
             found["speed_mph"] *= TARGETS["speed"].per_unit
-        return Answer(**found)
+        return NetworkAnswer(**found)
 
     def predict(self, crop: Image) -> float:
         """The steering of `answer`."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.targets import TARGETS, TargetName
+from dataset.prediction_targets import TARGETS, TargetName
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def target_errors(target: TargetName, predicted: Floats, recorded: Floats) -> Ta
 
 
 def other_targets(targets: Sequence[TargetName], predicted: Floats, recorded: Floats) -> tuple[TargetErrors, ...]:
-    """The errors of all targets but steering; labels and answers as `dataset.targets` has them."""
+    """The errors of all targets but steering; labels and answers as `dataset.prediction_targets` has them."""
     if len(targets) == 1:
         return ()
     return tuple(

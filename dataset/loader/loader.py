@@ -29,10 +29,10 @@ from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from dataset.samples.samples_reader import Samples, Split, loaded_columns
-from dataset.targets import STEERING_ONLY, TargetName
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 
@@ -42,7 +42,7 @@ _AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more f
 @dataclass(frozen=True)
 class Batch:
     pictures: Image  # (N, height, width, 3), by default (N, 128, 128, 3) BGR
-    labels: NDArray[np.float32]  # (N,) steering -1..1, or (N, K): see dataset.targets
+    labels: NDArray[np.float32]  # (N,) steering -1..1, or (N, K): see dataset.prediction_targets
 
     @property
     def steering(self) -> NDArray[np.float32]:

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocess import Image
 from dataset.samples.samples_reader import Samples, Split, loaded_columns, open_logs
-from dataset.targets import STEERING_ONLY, TargetName
 
 
 class SamplesDataset:
     """A split of an index: item i is (picture (`seen.shape`) uint8, steering -1..1 float32), mirrored and altered
-    as the index says. With other targets, the second is (K,): see dataset.targets.
+    as the index says. With other targets, the second is (K,): see dataset.prediction_targets.
 
     It may be pickled and used after a fork: a worker process opens the logs for itself, and raises DatasetError if
     they have changed. An item whose picture does not decode raises DatasetError: a data set cannot be without it.

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from dataset.augment import ALTERATIONS
 from dataset.drawn_views import VIEWPOINT
 from dataset.frames.distinct_rows import number_distinct
-from dataset.targets import STEERING_ONLY, TARGETS, TargetName
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,13 @@ def _labels(table: pa.Table, steering: NDArray[np.float64], targets: Sequence[Ta
     """(N,) for steering alone, otherwise (N, K)."""
     if len(targets) == 1:
         return steering.astype(np.float32)
-    others = (
-        numbers(table[TARGETS[name].label_column], np.float64) / TARGETS[name].per_unit for name in targets[1:]
-    )
+    others = (target_labels(table, name) / TARGETS[name].per_unit for name in targets[1:])
     return np.stack([steering, *others], axis=1).astype(np.float32)
+
+
+def target_labels(table: pa.Table, target: TargetName) -> NDArray[np.float64]:
+    """The labels (N,) of a target besides steering, in its unit; NaN where they are not known."""
+    return numbers(pc.fill_null(table[TARGETS[target].label_column], np.nan), np.float64)
 
 
 def words_as_numbers(column: pa.ChunkedArray) -> tuple[NDArray[np.int32], tuple[str, ...]]:

@@ -22,9 +22,9 @@ from common.files import short_path
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.parquet_file import METADATA_KEY
-from dataset.samples.sample_rows import Rows, numbers, rows_of, words_as_numbers
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
+from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
-from dataset.targets import STEERING_ONLY, TARGETS, TargetName
 from recorder import Log, LogError
 
 Split = Literal["train", "validation"]
@@ -176,12 +176,13 @@ class Samples(Closeable):
 
     def targets_fingerprint(self, targets: Sequence[TargetName]) -> str:
         """SHA-256, in hex, of the labels of the targets besides steering; empty where there are none of them."""
-        columns = [TARGETS[name].label_column for name in targets if name not in STEERING_ONLY]
-        if not columns:
+        others = [name for name in targets if name not in STEERING_ONLY]
+        if not others:
             return ""
+        table = self._table([TARGETS[name].label_column for name in others])
         digest = hashlib.sha256()
-        for column in self._table(columns).columns:
-            digest.update(numbers(column, np.float64).tobytes())
+        for name in others:
+            digest.update(target_labels(table, name).tobytes())
         return digest.hexdigest()
 
     def rows(self, table: pa.Table, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:

@@ -18,7 +18,7 @@ from drive.control.steering_filter import SteeringFilter
 from drive.control.takeover import Takeover
 from drive.control.telemetry_picture import camera_picture
 from model import Pilot
-from model.pilot import Answer
+from model.pilot import NetworkAnswer
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.server.world import World, WorldNotices
@@ -172,7 +172,7 @@ class Driver:
             events=events,
         )
 
-    def _drive(self, telemetry: Telemetry, answer: Answer, time_s: float) -> Decision:
+    def _drive(self, telemetry: Telemetry, answer: NetworkAnswer, time_s: float) -> Decision:
         events = []
         if self._brake.is_on:
             events.append("the brakes are released")
@@ -190,7 +190,7 @@ class Driver:
             throttle = self._throttle(telemetry, answer, steering, time_s)
         return self._decision(steering, throttle, events=events, target_mph=_target_mph(answer))
 
-    def _throttle(self, telemetry: Telemetry, answer: Answer, steering: float, time_s: float) -> float:
+    def _throttle(self, telemetry: Telemetry, answer: NetworkAnswer, steering: float, time_s: float) -> float:
         """By the speed; where that is unknown, the expert's, if the simulator tells of one.
 
         The network's own throttle is sent as it is while it does not bring the car above the set speed.
@@ -250,7 +250,7 @@ class Driver:
         )
 
 
-def _target_mph(answer: Answer) -> float:
+def _target_mph(answer: NetworkAnswer) -> float:
     """The speed that the network wants; without bound where it says nothing of it."""
     return math.inf if answer.speed_mph is None else answer.speed_mph
 

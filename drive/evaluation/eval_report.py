@@ -14,7 +14,7 @@ from rich.table import Table
 from common.errors import counted, printable
 from common.files import short_path
 from common.output import print_result, print_table
-from dataset.targets import TARGETS
+from dataset.prediction_targets import TARGETS
 from model.evaluation.evaluate import Evaluation
 from model.evaluation.recorded_drive import RecordedDrive
 from model.metrics import Measures

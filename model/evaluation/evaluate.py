@@ -23,9 +23,10 @@ from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
 from dataset.preprocess import Image
+from dataset.samples.sample_rows import target_labels
 from dataset.samples.samples_reader import Split
-from dataset.targets import STEERING_ONLY, TARGETS, TargetName, steering_in
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
 from model.runs.answer_scale import AnswerScale
@@ -237,7 +238,7 @@ def _with_answers(
     for at, name in enumerate(targets[1:], 1):
         predicted, recorded = target_columns(name)
         frames = frames.append_column(predicted, pa.array(answers[:, at] * TARGETS[name].per_unit))
-        frames = frames.append_column(recorded, seen[TARGETS[name].label_column])
+        frames = frames.append_column(recorded, pa.array(target_labels(seen, name)))
     return frames
 
 

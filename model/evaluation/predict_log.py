@@ -15,8 +15,8 @@ from common.errors import counted
 from dataset.errors import DatasetError
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import metadata_of
+from dataset.prediction_targets import steering_in
 from dataset.preprocess import Image
-from dataset.targets import steering_in
 from model.errors import RunError
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH, predict_crops

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
+from dataset.prediction_targets import TARGETS, TargetName
 from dataset.steering_bins import bin_of
-from dataset.targets import TARGETS, TargetName
 from model.evaluation.block_bootstrap import Floats
 from model.evaluation.differences import CONFIDENCE, Difference, Measure, compare_sums, overall
 from model.evaluation.evaluate import Evaluation, target_columns

@@ -19,7 +19,7 @@ from model.errors import RunError
 class PictureNetwork(nn.Module):
     """Pictures (N, 3, height, width), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped.
 
-    Of several targets the answers are (N, outputs), steering first (`dataset.targets`).
+    Of several targets the answers are (N, outputs), steering first (`dataset.prediction_targets`).
     """
 
     PICTURE: ClassVar[PictureSpec] = ORIGINAL

@@ -11,8 +11,8 @@ import json
 import math
 from typing import Any, Final
 
+from dataset.prediction_targets import TARGETS
 from dataset.preprocess import decode, may_be_crop
-from dataset.targets import TARGETS
 from model.metrics import BinErrors, Errors, Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step

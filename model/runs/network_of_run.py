@@ -12,7 +12,7 @@ import msgspec
 
 from common.errors import UsageError, printable
 from dataset.picture_spec import PictureSpec
-from dataset.targets import STEERING_ONLY, TargetName, check_targets
+from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.errors import RunError
 from model.network.choice import NetworkChoice, built_in
 from model.network.names import BUILT_IN, check_network_name, is_file, is_own

@@ -26,7 +26,7 @@ from torch import Tensor
 from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.picture_spec import ORIGINAL, PictureSpec
-from dataset.targets import MOST_AHEAD_S, TargetName
+from dataset.prediction_targets import MOST_AHEAD_S, TargetName
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.network.picture_network import PictureNetwork

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dataset import Samples
-from dataset.targets import TARGETS, TargetName
+from dataset.prediction_targets import TARGETS, TargetName
+from dataset.samples.sample_rows import target_labels
 from model.errors import RunError
 
 
@@ -22,8 +23,8 @@ def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]
     training = samples.of_split("train", ["session", "split", *columns])
     session = np.asarray(training["session"])
     notices = []
-    for name, column in zip(targets[1:], columns, strict=True):
-        is_known = np.isfinite(training[column].to_numpy())
+    for name in targets[1:]:
+        is_known = np.isfinite(target_labels(training, name))
         told = set(session[is_known].tolist())
         if not told:
             raise RunError(f"{samples.path}: no session in it tells of the {name}; leave it out of --targets")

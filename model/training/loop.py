@@ -19,8 +19,8 @@ from torch import Tensor
 from common.errors import counted
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import steering_in
 from dataset.samples.samples_reader import loaded_columns
-from dataset.targets import steering_in
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError

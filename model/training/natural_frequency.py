@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 from dataset import Loader, Samples
 from dataset.drawn_views import LAST_VIEW, VIEWPOINT
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import steering_in
 from dataset.samples.samples_format import Balance
-from dataset.targets import steering_in
 from model.evaluation.predict import predict
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from common.errors import printable
 from dataset.picture_spec import PictureSpec
-from dataset.targets import TargetName
+from dataset.prediction_targets import TargetName
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.network.names import is_own

@@ -19,7 +19,7 @@ from common.interrupts import stop_signals
 from common.versions import TOOLKIT
 from dataset import Samples
 from dataset.picture_spec import PictureSpec
-from dataset.targets import steering_in
+from dataset.prediction_targets import steering_in
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.evaluation.predict import predict

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from common.errors import counted
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
-from dataset.targets import steering_in
+from dataset.prediction_targets import steering_in
 from model.config import TrainConfig
 from model.evaluation.predict import predict
 from model.metrics import Measures, errors, measure

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset import decode
-from dataset.targets import TARGET_NAMES, TARGETS, TargetName
+from dataset.prediction_targets import TARGET_NAMES, TARGETS, TargetName
 from drive.config import DriveConfig
 from drive.control.driver import Decision, Driver
 from drive.control.speed_controller import max_curve_speed_mph
