@@ -46,6 +46,7 @@ def ros_2_bag(folder: Path) -> list[object]:
 SOURCES: dict[str, Callable[[Path], list[object]]] = {"tub_1": tub_1, "tub_2": tub_2, "bag": ros_2_bag}
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_tubs_of_both_versions_and_a_bag_are_trained_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -69,6 +69,7 @@ def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], st
         settings_from(kind, stored)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_that_was_fine_tuned_is_repeated_with_the_weights_it_began_with(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     one = replace(TINY, epochs=1, batch=8)

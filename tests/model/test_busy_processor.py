@@ -31,8 +31,14 @@ def test_a_clock_that_is_too_coarse_for_a_step_breaks_nothing() -> None:
     assert "many times" in busy_notice(threads=4, wall_s=0.01, cpu_s=0.0)
 
 
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
 @pytest.mark.parametrize(("threads", "computes", "times"), [(2, False, 1), (2, True, 0), (1, False, 0)])
 def test_a_training_says_it_once(
+    index: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -45,7 +51,7 @@ def test_a_training_says_it_once(
     before = torch.get_num_threads()
     try:
         config = replace(TINY, epochs=2, batch=26, threads=threads)
-        train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
+        train(index, tmp_path / "run", config, figures=False, show_progress=False)
     finally:
         torch.set_num_threads(before)
     assert [record.getMessage().startswith("the processor is busy") for record in caplog.records] == [True] * times

@@ -164,6 +164,7 @@ def test_bc_train_builds_the_index_and_prints_each_epoch(
     assert "no index yet" in told.err
     assert "no frame is held out, so nothing tells how good the network is" in told.err
     assert find_run(None, tmp_path / "runs") == tmp_path / "runs" / "first"
+    assert {"curves.png", "steering.png"} <= {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert call(main, *line, *flags) == 1
     assert "first: exists already" in capsys.readouterr().err
 
@@ -190,6 +191,7 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
         assert (pilot.crop(decode(jpeg)) == picture).all()
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -211,6 +213,7 @@ def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_s
     assert json.loads(Path("runs/first/config.json").read_text())["data"]["logs"].keys() == {"good"}
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -87,6 +87,7 @@ def broken_at(*rows: int) -> Callable[[Camera, int], bytes]:
     return lambda camera, row: b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9" if row in rows else road(camera, row)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_pictures_that_do_not_decode_are_left_out_named_and_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -239,6 +240,7 @@ def test_bad_usage_names_the_flag(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_disk_that_is_full_names_the_file_and_the_way_on(
     index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
