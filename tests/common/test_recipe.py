@@ -21,7 +21,9 @@ from udacity import call
 def trained(folder: Path, *flags: object) -> dict[str, Any]:
     """The settings of a training, and of the index that it has built."""
     places = ["--index", folder / "new", "--sessions", folder, "--runs", folder / "runs"]
-    assert call(bc_train, "--name", "run", "--epochs", 1, "--threads", 1, *flags, *places) in (0, 3)
+    assert call(
+        bc_train, "--name", "run", "--network", "small", "--epochs", 1, "--threads", 1, *flags, *places
+    ) in (0, 3)
     config: dict[str, Any] = json.loads((folder / "runs" / "run" / "config.json").read_text())
     return config
 
@@ -31,7 +33,9 @@ def trained(folder: Path, *flags: object) -> dict[str, Any]:
 def test_the_recipe_is_that_of_the_training_and_of_the_index_that_it_builds(tmp_path: Path, recipe: Any) -> None:
     toy_index(tmp_path)
     config = trained(tmp_path, *(["--recipe", recipe] if recipe == "original" else []))
-    assert settings_from(TrainConfig, config["training"]) == replace(TrainConfig.of(recipe), epochs=1, threads=1)
+    assert settings_from(TrainConfig, config["training"]) == replace(
+        TrainConfig.of(recipe), network="small", epochs=1, threads=1
+    )
     assert settings_from(IndexConfig, config["data"]["settings"]) == IndexConfig.of(recipe)
 
 

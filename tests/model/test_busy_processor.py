@@ -11,7 +11,7 @@ import torch
 
 from model import train
 from model.training.busy_processor import busy_notice
-from toy import TINY, toy_index
+from toy import SMALL, toy_index
 
 
 def test_a_step_much_slower_than_it_computes_is_noticed() -> None:
@@ -50,7 +50,7 @@ def test_a_training_says_it_once(
     monkeypatch.setattr(time, "thread_time", lambda: 10 * time.perf_counter() if computes else 0.0)
     before = torch.get_num_threads()
     try:
-        config = replace(TINY, epochs=2, batch=26, threads=threads)
+        config = replace(SMALL, epochs=2, batch=26, threads=threads)
         train(index, tmp_path / "run", config, figures=False, show_progress=False)
     finally:
         torch.set_num_threads(before)

@@ -131,7 +131,7 @@ def test_other_data_has_another_fingerprint(
 
     log = write_log(tmp_path / "toy.mcap", STEERING[:4], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation_share=0.0)).path
-    config = TrainConfig(epochs=1, batch=4, precision="float32", threads=1)
+    config = TrainConfig(network="small", epochs=1, batch=4, precision="float32", threads=1)
     [epoch] = train(other, tmp_path / "run", config, figures=False).epochs
     assert math.isnan(epoch.measures.network.mae_deg)  # nothing was held out
     assert fingerprint(tmp_path / "run") != fingerprint(trained[0])
@@ -204,7 +204,7 @@ def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_s
     assert call(bc_index) == 3
     expected = capsys.readouterr().err.splitlines()
     shutil.rmtree("index")
-    flags = ["--name", "first", "--epochs", 1, "--batch", 64, "--threads", 1]
+    flags = ["--name", "first", "--network", "small", "--epochs", 1, "--batch", 64, "--threads", 1]
     assert call(main, *flags) == 3
     told = capsys.readouterr().err.splitlines()
     assert any("bad.mcap: not an MCAP log" in line for line in expected)
@@ -224,7 +224,7 @@ def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
     log.write_bytes(whole.read_bytes()[:-40])  # its end
     assert call(bc_index, "--block-s", 0.5, "--gap-s", 0) == 3
     notice = next(line for line in capsys.readouterr().err.splitlines() if "cut.mcap" in line)
-    flags = ["--epochs", 1, "--batch", 64, "--threads", 1]
+    flags = ["--network", "small", "--epochs", 1, "--batch", 64, "--threads", 1]
     assert call(main, "--name", "first", *flags) == 0  # it was said when the index was built
     shutil.rmtree("index")
     capsys.readouterr()
