@@ -59,7 +59,9 @@ class Decision:
 class Driver:
     """Drives one connected simulator."""
 
-    def __init__(self, pilot: Pilot, config: DriveConfig) -> None:
+    def __init__(self, pilot: Pilot, config: DriveConfig, *, reported_size: bool = False) -> None:
+        self.reported_size = reported_size
+        """True once the size of pictures of another size than usual has been reported."""
         self._pilot = pilot
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
@@ -73,7 +75,6 @@ class Driver:
         self._decimal_separator: str | None = None  # the last known one
         self._unusable_since_s: float | None = None
         self._gave_number = True
-        self._reported_size = False
         self._world_notices = WorldNotices()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
@@ -148,8 +149,8 @@ class Driver:
             else self._answer_without_number(time_s)
         )
         events = decision.events
-        if picture.shape[:2] != USUAL_SIZE and not self._reported_size:
-            self._reported_size = True
+        if picture.shape[:2] != USUAL_SIZE and not self.reported_size:
+            self.reported_size = True
             height, width = picture.shape[:2]
             events = (*events, f"pictures of {width}x{height} pixels, not 320x160: driven on all the same")
         return replace(

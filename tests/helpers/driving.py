@@ -38,6 +38,7 @@ COMMANDS = (
     "bc-sim",
     "bc-eval",
     "bc-demo",
+    "bc-web",
 )
 
 
