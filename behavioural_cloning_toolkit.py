@@ -26,6 +26,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "model": ("common", "simulator", "recorder", "dataset"),
     "viz": ("common", "simulator", "recorder", "dataset", "model"),
     "drive": ("common", "simulator", "recorder", "dataset", "model", "viz"),
+    "web": ("common", "simulator", "recorder", "dataset", "model", "viz", "drive"),
 }
 """The rooms under each room."""
 
@@ -100,6 +101,7 @@ bc_sim = _command("bc-sim", "simulator.cli")
 bc_runs = _command("bc-runs", "model.runs_cli")
 bc_eval = _command("bc-eval", "drive.evaluation.eval_cli")
 bc_demo = _command("bc-demo", "drive.demo")
+bc_web = _command("bc-web", "web.cli")
 
 
 def _who_hides(room: str) -> str | None:

@@ -1,4 +1,4 @@
-"""The floor under the six rooms of behavioural_cloning_toolkit: errors, commands, progress, whole files.
+"""The floor under the rooms of behavioural_cloning_toolkit: errors, commands, progress, whole files.
 
 It imports no other room, and every room may import it.
 """

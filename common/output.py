@@ -29,7 +29,8 @@ from common.errors import printable
 from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
-    r"(`|--no-python )(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo)|rerun|torchrun|pip)(?![\w-])"
+    r"(`|--no-python )(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|web)|rerun|torchrun|pip)"
+    r"(?![\w-])"
 )
 _live_displays: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor

@@ -29,7 +29,7 @@ from drive.demo import Demo, demo
 from model.runs.history import read_history
 from model.runs.run_figures import draw_curves
 from recorder import Log
-from track_pictures import Picture, layout_sheet, track_sheet
+from track_pictures import Picture, hairpin_sheet, layout_sheet, track_sheet
 from viewer_pictures import screenshot
 from viz.playback.comparison import PLACE
 from viz.timelines import LOG_TIME
@@ -72,6 +72,7 @@ def main(config: Pictures) -> None:
     for name in ("lake", "mountain"):
         write(config.folder / f"{name}.png", track_sheet(name))
     write(config.folder / "layout.png", layout_sheet())
+    write(config.folder / "hairpins.png", hairpin_sheet())
     if config.curve is not None:
         script = Path(__file__).parent.parent / "benchmarks" / "learning_curve.py"
         _python(str(script), str(config.curve), "--figure", str(config.folder / "learning-curve.png"))

@@ -19,6 +19,7 @@ Picture = NDArray[np.uint8]
 WIDTH: Final = 320
 HEIGHT: Final = 160
 WHITE, GREY, FIRST, SECOND = (255, 255, 255), (120, 120, 120), (60, 120, 230), (60, 170, 60)
+BEFORE_HAIRPIN_M: Final = 28.0  # from its middle
 # Measured on the published recordings: where the horizon, the bonnet and the network's crop lie.
 HORIZON_ROW, BONNET_ROW, CROP_TOP_ROW, CROP_BOTTOM_ROW = 60, 137, 50, 140
 
@@ -39,29 +40,48 @@ def track_sheet(name: str) -> Picture:
 
 
 def overview(track: Track, size: int) -> Picture:
-    """The centre line from above: the half that is recorded in blue-grey, the other in green."""
-    points = track.line.points_m[:, :2]
-    low, high = points.min(axis=0), points.max(axis=0)
-    scale = (size - 80) / float((high - low).max())
-    middle = (low + high) / 2
-
-    def pixel(point: NDArray[np.float64]) -> tuple[int, int]:
-        x, y = (point - middle) * scale
-        return round(size / 2 + x), round(size / 2 - y)
-
-    sheet = np.full((size, size, 3), 250, np.uint8)
-    half = len(points) // 2
-    for i in range(len(points)):
-        color = FIRST[::-1] if i < half else SECOND
-        cv2.line(sheet, pixel(points[i]), pixel(points[(i + 1) % len(points)]), color, 5, cv2.LINE_AA)
+    """The road's plan, with the numbers of the views."""
+    sheet, pixels = plan(track, size)
     for k in range(8):
-        x, y = pixel(points[round((k + 0.5) / 8 * len(points))])
+        x, y = pixels[round((k + 0.5) / 8 * len(pixels))]
         cv2.circle(sheet, (x, y), 11, WHITE, -1, cv2.LINE_AA)
         cv2.circle(sheet, (x, y), 11, GREY, 1, cv2.LINE_AA)
         cv2.putText(sheet, str(k + 1), (x - 5, y + 5), cv2.FONT_HERSHEY_SIMPLEX, 0.45, GREY, 1, cv2.LINE_AA)
     text = f"{track.name}: {track.line.length_m:.0f} m; blue: first half, green: second"
     cv2.putText(sheet, text, (16, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.55, GREY, 1, cv2.LINE_AA)
     return sheet
+
+
+def hairpin_sheet() -> Picture:
+    """Six roads with hairpins from above, and what the centre camera sees before a hairpin of each."""
+    cells = []
+    for seed in range(6):
+        track = load_track(f"hairpins:{seed}")
+        world = build_world(track)
+        course = Course(track, world.height_m)
+        sharpest_m = float(np.abs(track.line.curvature_per_m).argmax()) * track.line.step_m
+        course.start(sharpest_m - BEFORE_HAIRPIN_M)
+        sheet, _ = plan(track, WIDTH)
+        text = f"{track.name}, {track.line.length_m:.0f} m"
+        cv2.putText(sheet, text, (10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, GREY, 1, cv2.LINE_AA)
+        cells.append(np.vstack([sheet, Renderer(world).render(course.pose)]))
+    return np.vstack([np.hstack(cells[:3]), np.hstack(cells[3:])]).astype(np.uint8)
+
+
+def plan(track: Track, size: int) -> tuple[Picture, list[tuple[int, int]]]:
+    """The centre line from above, the first half in blue and the second in green, and its points in pixels."""
+    points = track.line.points_m[:, :2]
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = (size - 80) / float((high - low).max())
+    middle = (low + high) / 2
+
+    pixels = [(round(size / 2 + x), round(size / 2 - y)) for x, y in (points - middle) * scale]
+    sheet = np.full((size, size, 3), 250, np.uint8)
+    half = len(points) // 2
+    for i in range(len(points)):
+        color = FIRST[::-1] if i < half else SECOND
+        cv2.line(sheet, pixels[i], pixels[(i + 1) % len(pixels)], color, 5, cv2.LINE_AA)
+    return sheet, pixels
 
 
 def layout_sheet() -> Picture:

@@ -47,7 +47,8 @@ class Drive:
     log: Path | None = None
     """Where the drive is logged; by default drives/DATE.mcap."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
-    """Start the built-in simulator on a track (lake, mountain, random:SEED), and end when it has driven."""
+    """Start the built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED), and end when it has
+    driven."""
     laps: float = 1.0
     """How far the built-in simulator drives; with --aggregate, each round of any simulator that tells its laps."""
     real_time: bool = False

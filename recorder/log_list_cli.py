@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -17,17 +17,16 @@ from common import UserError
 from common.command import DONE, print_error, warn
 from common.errors import printable
 from common.output import print_result, print_table
-from recorder.log.log_info import LogInfo, describe
+from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log.row_quality import ROW_FLAGS
-from recorder.log.topics import VEHICLE
 
 FOLDERS: Final = (Path("sessions"), Path("drives"))
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
     "newest": lambda info: tuple(-ord(character) for character in info.start),
     "name": lambda info: info.path,
-    "rows": lambda info: -_rows(info),
-    "duration": lambda info: -_seconds(info),
+    "rows": lambda info: -info.rows,
+    "duration": lambda info: -info.length_s,
 }
 
 
@@ -61,19 +60,11 @@ class ListLogs:
         folders = [folder for folder in FOLDERS if folder.is_dir()]
         if not self.places and not folders:
             raise UserError("no sessions and no drives here; record one with `bc-record`, or name a folder")
-        logs = [log for place in self.places or folders for log in _logs_of(place)]
+        logs = [log for place in self.places or folders for log in (logs_in(place) if place.is_dir() else [place])]
         if not logs:
             places = ", ".join(str(place) for place in self.places or folders)
             raise UserError(f"{places}: no log in it; record one with `bc-record`")
         return logs
-
-
-def _logs_of(place: Path) -> Iterator[Path]:
-    """The finished logs of a folder and those that are not; or the log itself."""
-    if place.is_dir():
-        yield from sorted((*place.glob("*.mcap"), *place.glob("*.mcap.*.part")))
-    else:
-        yield place
 
 
 def _table(found: Sequence[LogInfo]) -> Table:
@@ -87,28 +78,14 @@ def _table(found: Sequence[LogInfo]) -> Table:
         table.add_row(
             _plain(Path(info.path).name.removesuffix(".mcap")),
             _plain(info.start[:16].replace("T", " ")),
-            f"{_seconds(info) / 60:,.1f}",
-            f"{_rows(info):,}",
+            f"{info.length_s / 60:,.1f}",
+            f"{info.rows:,}",
             f"{info.size_bytes / 1e6:,.0f}",
-            _plain(_driver(info)),
+            _plain(info.driver or "-"),
             f"{odd:,}" if info.flags is not None else "-",
             _plain(", ".join(sorted({tag.name for tag in info.tags}))),
         )
     return table
-
-
-def _driver(info: LogInfo) -> str:
-    """The run that drove, or else who did or where it comes from, as far as the log says."""
-    names = (info.session.get(name, "") for name in ("run", "driver", "source"))
-    return next((name for name in names if name), "-")
-
-
-def _seconds(info: LogInfo) -> float:
-    return info.duration_s if info.driven_s is None else info.driven_s
-
-
-def _rows(info: LogInfo) -> int:
-    return next((topic.messages for topic in info.topics if topic.topic == VEHICLE), 0)
 
 
 def _plain(text: str) -> str:

@@ -28,7 +28,7 @@ class Sim:
     """
 
     track: str = "lake"
-    """The track: lake, mountain, or random:SEED."""
+    """The track: lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
     """How far to drive."""
     rate: float = 25.0

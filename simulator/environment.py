@@ -138,6 +138,13 @@ class RandomRoadEnv(DrivingEnv):
         super().__init__(f"random:{seed}", **settings)
 
 
+class HairpinRoadEnv(DrivingEnv):
+    """The road `hairpins:SEED`: the same, with hairpins like the mountain's."""
+
+    def __init__(self, seed: int = 0, **settings: Any) -> None:
+        super().__init__(f"hairpins:{seed}", **settings)
+
+
 def expert(env: gymnasium.Env[Any, Any], observation: object) -> NDArray[np.float32]:
     """The built-in expert for `bc-record --gym`: `--expert simulator.environment:expert`."""
     driving = env.unwrapped

@@ -1,33 +1,49 @@
-"""The speed controller: proportional-integral with a bounded integral, and slower in curves if asked for."""
+"""The speed controller: proportional-integral for a set speed, the wanted acceleration for one that changes."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 from common.car import MPS_PER_MPH
 from drive.control.braking import WALKING_MPH
 from simulator.driving.expert import BEND_MPS2
-from simulator.driving.vehicle import MAX_WHEEL_RAD, WHEELBASE_M
+from simulator.driving.vehicle import BRAKE_MPS2, MAX_WHEEL_RAD, THROTTLE_MPS2, WHEELBASE_M, resistance_mps2
 
 KP: Final = 0.1  # throttle for each mph too slow
 KI: Final = 0.002  # throttle for each mph too slow, summed over telemetries
 MAX_INTEGRAL_THROTTLE: Final = 0.5  # without a bound, a long climb winds up a throttle that outlasts it
 
+TARGET_AHEAD_S: Final = 0.5
+SLOPE_NOTICED_S: Final = 0.5  # time constant
+STEEPEST_MPS2: Final = MAX_INTEGRAL_THROTTLE * THROTTLE_MPS2  # the same bound, as an acceleration: 27 %
+_PUT_ELSEWHERE_MPS2: Final = 12.0  # no tyre changes the speed so fast
+_UNKNOWN_AFTER_S: Final = 1.0  # without a telemetry; what the throttle was meanwhile, others may have chosen
+
 
 class SpeedController:
-    """Gives the throttle for each telemetry's speed, as the original project's controller does."""
+    """Gives the throttle for each telemetry's speed.
 
-    def __init__(self, set_speed_mph: float, slow_in_curves: bool = False) -> None:
+    `throttle` holds the set speed, as the original project's controller does. `follow` gives the car a speed that
+    somebody else wants `target_ahead_s` later, and never more than the set speed.
+    """
+
+    def __init__(
+        self, set_speed_mph: float, slow_in_curves: bool = False, target_ahead_s: float = TARGET_AHEAD_S
+    ) -> None:
         self.set_speed_mph = set_speed_mph
         self._slow_in_curves = slow_in_curves
         self._integral = 0.0
+        self._target_ahead_s = target_ahead_s
+        self._slope_mps2 = 0.0  # what gravity takes off, and whatever else the car lacks
+        self._last: _Given | None = None
 
-    def set_speed_for(self, steering: float) -> float:
-        """The set speed in mph while the steering is -1..1: lower in a curve, if that was asked for."""
-        if not self._slow_in_curves:
-            return self.set_speed_mph
-        return min(self.set_speed_mph, max_curve_speed_mph(steering))
+    def set_speed_for(self, steering: float, target_mph: float = math.inf) -> float:
+        """The speed in mph that is driven: the set speed, or the target if that is lower; less in a curve, which
+        the steering of -1..1 tells, if that was asked for."""
+        speed_mph = min(self.set_speed_mph, max(target_mph, 0.0))
+        return min(speed_mph, max_curve_speed_mph(steering)) if self._slow_in_curves else speed_mph
 
     def throttle(self, speed_mph: float, steering: float = 0.0) -> float:
         """-1 (full brake) .. 1 (full throttle); never below 0 at walking pace, where it would reverse the car."""
@@ -39,6 +55,49 @@ class SpeedController:
             self._integral = min(max(self._integral + error, -bound), bound)
         least = -1.0 if speed_mph > WALKING_MPH else 0.0
         return min(max(KP * error + KI * self._integral, least), 1.0)
+
+    def follow(self, time_s: float, speed_mph: float, target_mph: float, steering: float = 0.0) -> float:
+        """-1 .. 1, as from `throttle`, for a target in mph that may be another one with each telemetry.
+
+        The car needs the acceleration that brings it to its target in `target_ahead_s`. The throttle is that and
+        the resistances over what engine or brakes of the simulator's car give at most. Nobody tells of slopes:
+        they show in what is missing of the acceleration. `time_s` never goes back, all numbers are finite.
+        """
+        speed_mps = speed_mph * MPS_PER_MPH
+        if self._last is not None:
+            self._notice_slope(time_s, speed_mps, self._last)
+        wanted_mps2 = (self.set_speed_for(steering, target_mph) * MPS_PER_MPH - speed_mps) / self._target_ahead_s
+        resistance = resistance_mps2(speed_mps)
+        pull = wanted_mps2 + resistance + self._slope_mps2
+        least = -1.0 if speed_mph > WALKING_MPH else 0.0
+        throttle = min(max(pull / _full_mps2(pull), least), 1.0)
+        self._last = _Given(time_s, speed_mps, throttle * _full_mps2(throttle) - resistance)
+        return throttle
+
+    def _notice_slope(self, time_s: float, speed_mps: float, last: _Given) -> None:
+        passed_s = time_s - last.time_s
+        if not 0.0 < passed_s < _UNKNOWN_AFTER_S:
+            return
+        got_mps2 = (speed_mps - last.speed_mps) / passed_s
+        if abs(got_mps2) > _PUT_ELSEWHERE_MPS2:
+            return
+        missing_mps2 = last.mps2 - got_mps2
+        slope_mps2 = self._slope_mps2 - math.expm1(-passed_s / SLOPE_NOTICED_S) * (missing_mps2 - self._slope_mps2)
+        self._slope_mps2 = min(max(slope_mps2, -STEEPEST_MPS2), STEEPEST_MPS2)
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """A telemetry's speed, and the acceleration that its answer gives on level ground."""
+
+    time_s: float
+    speed_mps: float
+    mps2: float
+
+
+def _full_mps2(throttle: float) -> float:
+    """The acceleration of the engine at full throttle, or of the brakes for what is below 0."""
+    return THROTTLE_MPS2 if throttle > 0.0 else BRAKE_MPS2
 
 
 def max_curve_speed_mph(steering: float) -> float:

@@ -80,7 +80,8 @@ class Eval:
     )
     """Of which simulator's car a recording is, whose cameras and wheelbase are known; auto asks the log."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
-    """Let it drive these tracks instead: lake, mountain, random:SEED; the same run gives the same numbers."""
+    """Let it drive these tracks instead: lake, mountain, random:SEED, hairpins:SEED; the same run gives the same
+    numbers."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
     """How far to drive on each."""
     speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None

@@ -30,7 +30,7 @@ END_S: Final = 10.0
 
 @dataclass(frozen=True)
 class BuiltInSimulator:
-    """The built-in simulator on a track (lake, mountain, random:SEED), for so many laps."""
+    """The built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED), for so many laps."""
 
     track: str
     laps: float = 1.0

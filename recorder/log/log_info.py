@@ -61,16 +61,37 @@ class LogInfo:
     notice: str  # of an unfinished log
     is_ours: bool  # not another program's
 
+    @property
+    def rows(self) -> int:
+        return next((topic.messages for topic in self.topics if topic.topic == topics.VEHICLE), 0)
 
-def describe(path: Path, *, look: bool = False) -> LogInfo:
-    """`look`: also at some pictures, for the lag of the steering. Raises LogError if the log cannot be read."""
+    @property
+    def driver(self) -> str:
+        """The run that drove, or else who did or where it comes from, as far as the log says; else empty."""
+        names = (self.session.get(name, "") for name in ("run", "driver", "source"))
+        return next((name for name in names if name), "")
+
+    @property
+    def length_s(self) -> float:
+        """How long was driven, or else from the first message to the last."""
+        return self.duration_s if self.driven_s is None else self.driven_s
+
+
+def logs_in(folder: Path) -> list[Path]:
+    """The logs of a folder by name, finished and not."""
+    return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
+
+
+def describe(path: Path, *, look: bool = False, with_tags: bool = True) -> LogInfo:
+    """`look`: also at some pictures, for the lag of the steering. Raises LogError if the log cannot be read or,
+    `with_tags`, its tags."""
     with Log(path) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
         quality = _quality(log)
         driven_s = _seconds(quality.get("driven_s")) if quality else None
-        has_tags = tags_path(path).exists()  # without, the fingerprint need not be made
+        has_tags = with_tags and tags_path(path).exists()  # without, the fingerprint need not be made
         rate_s = duration_s if driven_s is None else driven_s
         steering, lag = _steering(log, quality), None
         if look and steering and goes_by_lag(steering, driven_by(log)):
@@ -107,7 +128,20 @@ def driven_by(log: Log) -> str:
     where nobody says."""
     if log.counts.get(topics.PILOT_COMMAND):
         return "a network"
+    if log.metadata.get("source") == "gymnasium":
+        return "an expert"  # an environment's actions are some program's
     return "the built-in expert" if log.metadata.get("driver") == "expert" else ""
+
+
+def set_speeds_mph(log: Log) -> tuple[float, ...]:
+    """The speeds that a session's driver was set to keep where bends allow, as its log says; none where nobody was
+    told one, as of people."""
+    told = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
+    try:
+        speeds = [float(each) for each in told]
+    except ValueError:
+        return ()
+    return tuple(sorted({each for each in speeds if 0 < each < math.inf}))
 
 
 def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:

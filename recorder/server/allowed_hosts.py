@@ -40,10 +40,10 @@ class AllowedHosts:
         name = _name(origin or "")
         if not name:
             return False
-        return _is_loopback(name) or name in (self._host, _name(f"//{environ.get('HTTP_HOST', '')}"))
+        return is_loopback(name) or name in (self._host, _name(f"//{environ.get('HTTP_HOST', '')}"))
 
     def _allows_host(self, name: str) -> bool:
-        if not name or _is_loopback(name) or name == self._host:
+        if not name or is_loopback(name) or name == self._host:
             return bool(name)
         is_private = "." not in name or name.endswith(_PRIVATE) or name == _normalised(socket.gethostname())
         return self._is_everywhere and (is_private or _is_address(name))
@@ -61,7 +61,8 @@ def _normalised(name: str) -> str:
     return name.lower().rstrip(".")
 
 
-def _is_loopback(name: str) -> bool:
+def is_loopback(name: str) -> bool:
+    """True for this machine's own names and addresses, which no other can reach."""
     if name in _LOOPBACK_NAMES or name.endswith(".localhost"):
         return True
     return _is_address(name) and ipaddress.ip_address(name).is_loopback

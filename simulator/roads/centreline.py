@@ -64,6 +64,16 @@ class Centreline:
             float((1 - t) * self.slope[i] + t * self.slope[j]),
         )  # fmt: skip
 
+    def clearance_m(self, neighbours_m: float) -> float:
+        """The distance of the road from itself: the smallest one between places that are more than
+        ``neighbours_m`` apart along it, to about a metre."""
+        plan = self.points_m[::6, :2]
+        arc = np.arange(len(plan)) * 6 * self.step_m
+        apart = np.abs(arc[:, None] - arc[None])
+        apart = np.minimum(apart, self.length_m - apart)
+        distance = np.hypot(*(plan[:, None] - plan[None]).transpose(2, 0, 1))
+        return float(distance[apart > neighbours_m].min())
+
     def project(self, x_m: float, y_m: float, near_arc_m: float | None = None) -> tuple[float, float]:
         """The nearest place of the road: (arc_m in 0..length_m, offset_m, positive to the left of it).
 

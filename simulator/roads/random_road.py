@@ -51,23 +51,23 @@ def _drivable(points_m: Floats) -> bool:
     line = Centreline(points_m)
     if np.abs(line.curvature_per_m).max() > 1 / SMALLEST_RADIUS_M:
         return False
-    plan = line.points_m[::6, :2]
-    arc = np.arange(len(plan)) * 6 * line.step_m
-    apart = np.abs(arc[:, None] - arc[None])
-    apart = np.minimum(apart, line.length_m - apart)
-    distance = np.hypot(*(plan[:, None] - plan[None]).transpose(2, 0, 1))
-    return bool(distance[apart > NEIGHBOURS_M].min() > CLEARANCE_M)
+    return line.clearance_m(NEIGHBOURS_M) > CLEARANCE_M
 
 
 def _dress(random: np.random.Generator, points_m: Floats) -> tuple[tuple[Look, ...], NDArray[np.intp]]:
-    """Looks of the two built-in tracks in a random order, a handful of one track's before the other's."""
+    """Looks for stretches of random lengths."""
     steps = np.hypot(*(np.roll(points_m, -1, axis=0) - points_m)[:, :2].T)
     arc = np.cumsum(steps)
     ends = np.cumsum(random.uniform(*STRETCHES_M, size=int(arc[-1] / STRETCHES_M[0]) + 1))
     index = np.searchsorted(ends, arc)
+    return draw_looks(random, int(index.max()) + 1), index.astype(np.intp)
+
+
+def draw_looks(random: np.random.Generator, count: int) -> tuple[Look, ...]:
+    """Looks of the two built-in tracks in a random order, a handful of one track's before the other's."""
     looks: list[Look] = []
     first = int(random.integers(2))
-    for k in range(int(index.max()) + 1):
+    for k in range(count):
         source = (LAKE, MOUNTAIN)[(first + k // 4) % 2]
         looks.append(source[int(random.integers(len(source)))].look)
-    return tuple(looks), index.astype(np.intp)
+    return tuple(looks)

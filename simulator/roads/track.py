@@ -1,4 +1,4 @@
-"""Tracks, and finding them by name: ``lake``, ``mountain`` and ``random:SEED``."""
+"""Tracks, and finding them by name: ``lake``, ``mountain``, ``random:SEED`` and ``hairpins:SEED``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from common.errors import did_you_mean
 from simulator.roads.built_in_tracks import LAKE, MOUNTAIN
 from simulator.roads.centreline import Centreline
+from simulator.roads.hairpin_road import hairpin_road
 from simulator.roads.random_road import random_road
 from simulator.roads.road_stretches import Floats, Look, trace
 
@@ -43,7 +44,7 @@ class Track:
 
 
 def load_track(name: str) -> Track:
-    """The track called ``lake``, ``mountain`` or ``random:SEED`` (SEED a whole number, 0 or more).
+    """The track called ``lake``, ``mountain``, ``random:SEED`` or ``hairpins:SEED`` (SEED: 0, 1, ...).
 
     Raises ``ValueError`` for any other name.
     """
@@ -51,12 +52,13 @@ def load_track(name: str) -> Track:
     if built_in is not None:
         points, index = trace(built_in)
         return make_track(name, points, tuple(s.look for s in built_in), index)
-    seed = re.fullmatch(r"random:([0-9]{1,18})", name)
-    if seed is None:
-        meant = did_you_mean(name.lower(), ("lake", "mountain", "random:7"))
-        choice = "Choose lake, mountain or random:SEED (such as random:7)"
+    drawn = re.fullmatch(r"(random|hairpins):([0-9]{1,18})", name)
+    if drawn is None:
+        meant = did_you_mean(name.lower(), ("lake", "mountain", "random:7", "hairpins:7"))
+        choice = "Choose lake, mountain, random:SEED or hairpins:SEED (such as random:7)"
         raise ValueError(f"no such track{f'; {meant}' if meant else '.'} {choice}")
-    points, looks, index = random_road(int(seed[1]))
+    draw = random_road if drawn[1] == "random" else hairpin_road
+    points, looks, index = draw(int(drawn[2]))
     return make_track(name, points, looks, index)
 
 

@@ -96,12 +96,13 @@ def test_a_seed_is_a_place_on_the_road_and_options_name_one() -> None:
     assert math.hypot(car.x_m - place.x_m, car.y_m - place.y_m) < 0.01
 
 
-def test_the_seed_of_a_random_road_names_the_road() -> None:
-    roads = [gymnasium.make("simulator:bc/Random-v0", seed=seed) for seed in (7, 7, 8)]
+@pytest.mark.parametrize(("name", "kind"), [("Random", "random"), ("Hairpins", "hairpins")])
+def test_the_seed_of_a_drawn_road_names_the_road(name: str, kind: str) -> None:
+    roads = [gymnasium.make(f"simulator:bc/{name}-v0", seed=seed) for seed in (7, 7, 8)]
     seven, again, eight = (env.reset(options={"start_m": 0.0})[0]["center"] for env in roads)
     np.testing.assert_array_equal(seven, again)
     assert (seven != eight).any()
-    simulation = Simulation("random:7")
+    simulation = Simulation(f"{kind}:7")
     np.testing.assert_array_equal(seven, simulation.picture("center")[..., ::-1])  # RGB
 
 

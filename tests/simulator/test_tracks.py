@@ -5,7 +5,7 @@ import pytest
 
 from simulator.roads.track import Track, load_track
 
-NAMES = ["lake", "mountain", "random:7"]
+NAMES = ["lake", "mountain", "random:7", "hairpins:7"]
 
 
 def corner(track: Track, left: bool, second_half: bool) -> float:
@@ -62,7 +62,7 @@ def test_each_half_has_sharp_bends_to_both_sides(name: str, radius_m: float) -> 
             assert corner(track, left, second_half) <= radius_m, (left, second_half)
 
 
-@pytest.mark.parametrize("name", [*NAMES, "random:0", "random:3"])
+@pytest.mark.parametrize("name", ["lake", "mountain", "random:0", "random:3", "random:7"])
 def test_a_road_keeps_its_distance_from_itself(name: str) -> None:
     line, widest = load_track(name).line, float(load_track(name).half_width_m.max())
     plan = line.points_m[::3, :2]
@@ -73,8 +73,55 @@ def test_a_road_keeps_its_distance_from_itself(name: str) -> None:
     assert distance[apart > 60.0].min() >= 3 * 2 * widest
 
 
-def test_a_seed_is_a_road() -> None:
-    first, again, other = (load_track(name) for name in ("random:7", "random:7", "random:8"))
+def hairpins(track: Track) -> tuple[int, int]:
+    """How many bends turn by more than 150 degrees within 50 m, to the left and to the right."""
+    x, y = (np.concatenate([axis, axis]) for axis in track.line.points_m[:, :2].T)
+    heading = np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
+    reach, count = round(50.0 / track.line.step_m), len(track.line.points_m)
+    turned = np.degrees(heading[reach : reach + count] - heading[:count])
+    starts = [(side * turned > 150.0) & (side * np.roll(turned, 1) <= 150.0) for side in (1, -1)]
+    return int(starts[0].sum()), int(starts[1].sum())
+
+
+def test_hairpin_roads_keep_what_they_promise_whatever_the_seed() -> None:
+    lengths = set()
+    for seed in range(20):
+        track = load_track(f"hairpins:{seed}")
+        line = track.line
+        left, right = hairpins(track)
+        assert left == right >= 2
+        assert 700 <= line.length_m <= 1150
+        assert 12.7 <= 1 / np.abs(line.curvature_per_m).max() <= 14.5  # the mountain's: 12.7 and 13.4 m
+        steps = np.roll(line.points_m, -1, axis=0) - line.points_m
+        slope = np.abs(steps[:, 2]) / np.hypot(steps[:, 0], steps[:, 1])
+        assert 0.02 < slope.max() < 0.13
+        plan = line.points_m[::5, :2]
+        arc = np.arange(len(plan)) * 5 * line.step_m
+        apart = np.abs(arc[:, None] - arc[None])
+        apart = np.minimum(apart, line.length_m - apart)
+        assert np.linalg.norm(plan[:, None] - plan[None], axis=2)[apart > 60.0].min() > 23.0
+        lengths.add(line.length_m)
+    assert len(lengths) == 20
+    assert hairpins(load_track("mountain")) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "length_m", "at_300_m"),
+    [("random:7", 843.816, (-76.571, -87.029, 0.114)), ("hairpins:7", 834.135, (69.432, -189.623, 1.926))],
+)
+def test_a_name_is_the_same_road_in_every_version(
+    name: str, length_m: float, at_300_m: tuple[float, float, float]
+) -> None:
+    """Logs and studies name roads. These numbers are of the version that made the first road of the kind."""
+    line = load_track(name).line
+    place = line.at(300.0)
+    assert line.length_m == pytest.approx(length_m, abs=0.01)
+    assert (place.x_m, place.y_m, place.z_m) == pytest.approx(at_300_m, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ["random", "hairpins"])
+def test_a_seed_is_a_road(kind: str) -> None:
+    first, again, other = (load_track(f"{kind}:{seed}") for seed in (7, 7, 8))
     assert np.array_equal(first.line.points_m, again.line.points_m)
     assert first.looks == again.looks
     assert first.fingerprint() == again.fingerprint()
@@ -82,14 +129,24 @@ def test_a_seed_is_a_road() -> None:
     assert first.fingerprint() != other.fingerprint()
 
 
-@pytest.mark.parametrize("name", ["", "sea", "Lake", "random", "random:", "random:-1", "random:x", "random:1.5"])
+@pytest.mark.parametrize(
+    "name",
+    ["", "sea", "Lake", "random", "random:", "random:-1", "random:x", "random:1.5", "hairpins", "hairpins:x"],
+)
 def test_an_unknown_name_is_explained(name: str) -> None:
-    with pytest.raises(ValueError, match="Choose lake, mountain or random:SEED"):
+    with pytest.raises(ValueError, match="Choose lake, mountain, random:SEED or hairpins:SEED"):
         load_track(name)
 
 
 @pytest.mark.parametrize(
-    ("name", "meant"), [("lkae", "lake"), ("Lake", "lake"), ("mountian", "mountain"), ("random7", "random:7")]
+    ("name", "meant"),
+    [
+        ("lkae", "lake"),
+        ("Lake", "lake"),
+        ("mountian", "mountain"),
+        ("random7", "random:7"),
+        ("hairpin:7", "hairpins:7"),
+    ],
 )
 def test_a_misspelt_name_is_asked_about(name: str, meant: str) -> None:
     with pytest.raises(ValueError, match=f"no such track; did you mean {meant}\\?"):

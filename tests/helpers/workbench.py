@@ -1,0 +1,69 @@
+"""The workbench on a free port, in this process, and plain requests to it."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from driving import PATIENCE_S
+from web.app import workbench_app
+from web.data.project_folders import ProjectFolders
+from web.server.workbench_server import WorkbenchServer
+
+
+@dataclass(frozen=True)
+class Answer:
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+    @property
+    def text(self) -> str:
+        return self.body.decode()
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+@dataclass(frozen=True)
+class Served:
+    """A workbench that answers on `port`."""
+
+    folder: Path
+    port: int
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def get(self, path: str, **headers: str) -> Answer:
+        return self.ask("GET", path, **headers)
+
+    def ask(self, method: str, path: str, body: bytes | None = None, /, **headers: str) -> Answer:
+        """As a program asks that is no browser; `headers` are said as they are, `Sec_Fetch_Site` with dashes."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        with contextlib.closing(connection):
+            said = {name.replace("_", "-"): value for name, value in headers.items()}
+            connection.request(method, path, body, said)
+            answer = connection.getresponse()
+            return Answer(answer.status, dict(answer.getheaders()), answer.read())
+
+
+@contextlib.contextmanager
+def served(folder: Path, host: str = "127.0.0.1", token: str = "") -> Iterator[Served]:
+    """The workbench over the folders of a project; its cache is in `folder`, too. It listens on loopback, whatever
+    it believes its `host` to be."""
+    folders = ProjectFolders(*(folder / name for name in ("sessions", "index", "runs", "drives")))
+    with workbench_app(folders, host, token, folder / "cache") as app:
+        server = WorkbenchServer(app, "127.0.0.1", 0)
+        server.start()
+        try:
+            yield Served(folder, server.port)
+        finally:
+            server.stop()

@@ -1,0 +1,135 @@
+"""Who may ask the workbench: no page of another site, nobody without the token where others can reach it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from driving import Process, command
+from logs import write_log
+from rrd import free_ports
+from workbench import Served, served
+
+FROM_OUR_PAGE = {"Sec_Fetch_Site": "same-origin", "Sec_Fetch_Mode": "cors", "Sec_Fetch_Dest": "empty"}
+FROM_ANOTHER = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "no-cors", "Sec_Fetch_Dest": "image"}
+A_LINK = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "document"}
+A_FRAME = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "iframe"}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("bench")
+    write_log(folder / "sessions" / "a.mcap", [0.1, 0.2, 0.3])
+    with served(folder) as found:
+        yield found
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "", "a b"])
+def test_a_name_that_leads_here_but_is_not_ours_is_refused(bench: Served, host: str) -> None:
+    """DNS rebinding: the page of evil.example asks evil.example, which now is this machine."""
+    assert bench.get("/sessions", Host=host).status in (400, 403)
+
+
+@pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1", "[::1]:8080"])
+def test_our_own_names_are_answered(bench: Served, host: str) -> None:
+    assert bench.get("/sessions", Host=host).status == 200
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["http://evil.example", "null", "http://localhost:3000", "http://127.0.0.1", "https://127.0.0.1:{port}"],
+)
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_a_page_from_elsewhere_cannot_ask(bench: Served, origin: str, method: str) -> None:
+    """Also not one of another program on this machine."""
+    answer = bench.ask(
+        method, "/sessions", b"{}" if method == "POST" else None, Origin=origin.format(port=bench.port)
+    )
+    assert answer.status == 403
+    assert "only the workbench's own pages" in answer.json["error"]
+
+
+def test_what_browsers_tell_without_an_origin_is_heard_too(bench: Served) -> None:
+    """A picture or a frame in another site's page has no Origin."""
+    said = [FROM_OUR_PAGE, A_LINK, FROM_ANOTHER, A_FRAME, {**FROM_ANOTHER, "Sec_Fetch_Site": "same-site"}]
+    assert [bench.get("/sessions", **headers).status for headers in said] == [200, 200, 403, 403, 403]
+    own = bench.address
+    assert bench.get("/sessions", Origin=own, **FROM_OUR_PAGE).status == 200
+
+
+def test_no_answer_lets_code_in_or_may_be_framed(bench: Served) -> None:
+    for path in ("/sessions", "/static/js/live.js", "/nothing", "/sessions/a/pictures/center/0"):
+        headers = {name.lower(): value for name, value in bench.get(path).headers.items()}
+        policy = dict(part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";"))
+        assert policy["default-src"] == policy["frame-ancestors"] == policy["base-uri"] == "'none'"
+        assert policy["script-src"] == policy["style-src"] == "'self'"
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["cross-origin-resource-policy"] == "same-origin"
+
+
+def test_pages_hold_no_code_of_their_own(bench: Served) -> None:
+    """What the policy would not run, the pages do not have; and nothing comes from another machine."""
+    for path in ("/sessions", "/nothing"):
+        text = bench.get(path, Accept="text/html").text
+        assert (
+            re.findall(r"<script(?![^>]* src=)|<style| style=| on\w+=|javascript:|=\"(?:https?:)?//", text) == []
+        )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/sessions/..%2f..%2fsecret/strip.jpg",
+        "/sessions/%2e%2e/strip.jpg",
+        "/sessions/../../secret",
+        "/static/../app.py",
+        "/static/%2e%2e/app.py",
+        "/static/..%2fapp.py",
+        "/runs/secret/strip.jpg",
+        "/sessions/secret/strip.jpg",
+        "/sessions/a%00/strip.jpg",
+        "/sessions/a/pictures/..%2fcenter/0",
+        "//evil.example/sessions",
+    ],
+)
+def test_no_path_leaves_the_folders(bench: Served, path: str) -> None:
+    write_log(bench.folder / "secret.mcap", [0.1], overwrite=True)
+    assert bench.get(path).status == 404
+
+
+def test_a_large_body_or_one_of_unknown_length_is_refused(bench: Served) -> None:
+    assert bench.ask("POST", "/sessions", b"x" * (1 << 20 | 1)).status == 413
+    assert bench.ask("POST", "/sessions", None, Transfer_Encoding="chunked").status in (400, 411)
+
+
+def test_where_others_can_reach_it_everything_needs_the_token(tmp_path: Path) -> None:
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1])
+    with served(tmp_path, "0.0.0.0", "the-token") as bench:
+        for path in ("/", "/sessions", "/changes", "/static/js/live.js", "/sessions/a/strip.jpg", "/nothing"):
+            assert bench.get(path).status == 401
+            assert bench.get(path, Cookie="bc-web-token=the-toke").status == 401
+            assert bench.get(f"{path}?token=the-tokeN").status == 401
+        assert bench.get("/sessions", Authorization="Bearer the-token").status == 200
+        answer = bench.get("/sessions?token=the-token&sort=name")
+        assert (answer.status, answer.headers["location"]) == (303, "/sessions?sort=name")
+        cookie = answer.headers["set-cookie"]
+        assert "HttpOnly" in cookie
+        assert "samesite=lax" in cookie.lower()
+        assert bench.get("/sessions", Cookie=cookie.partition(";")[0]).status == 200
+        assert bench.get("//evil.example/?token=the-token").headers["location"].startswith("/evil.example")
+
+
+def test_the_command_says_where_it_listens_and_ends_with_ctrl_c(tmp_path: Path) -> None:
+    (port,) = free_ports(1)
+    with Process(command("bc-web", "--port", port, "--host", "127.0.0.1"), cwd=tmp_path) as process:
+        process.wait_for("Ctrl-C ends it")
+        assert Served(tmp_path, port).get("/sessions").status == 200
+        with Process(command("bc-web", "--port", port), cwd=tmp_path) as second:
+            assert second.join() == 1
+        assert [line for line in second.stderr if "give another --port" in line]
+        assert process.end() == 0
+    assert process.stdout == f"http://127.0.0.1:{port}/\n"
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,167 @@
+"""The list of sessions shows what the commands know of each log, also of those that are unfinished or damaged."""
+
+from __future__ import annotations
+
+import html
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlencode
+
+import cv2
+import numpy as np
+import pytest
+
+import dataset.cli
+import recorder.log_cli
+from common.car import Camera
+from driving import road_jpeg
+from logs import START_NS, write_log
+from udacity import call
+from waiting import wait_until
+from workbench import Served, served
+
+AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
+
+
+def road(camera: Camera, row: int) -> bytes:
+    return road_jpeg(row)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """One session of each kind: in the index, with tags, standing still, unfinished, damaged, oddly named."""
+    folder = tmp_path_factory.mktemp("bench")
+    sessions = folder / "sessions"
+    turning = [0.05 * (row % 9 - 4) for row in range(400)]
+    plain = write_log(sessions / "plain.mcap", turning, road)
+    write_log(sessions / "stuck.mcap", [0.3] * 50, start_ns=START_NS + 10**12, cameras=["center"])
+    write_log(sessions / f"{AWKWARD}.mcap", turning[:20], source="<i>evil</i>")
+    whole = plain.read_bytes()
+    (sessions / "killed.mcap.0a1b2c.part").write_bytes(whole[: len(whole) // 2])
+    (sessions / "nothing.mcap").write_bytes(b"not a log")
+    (sessions / "notes.txt").write_text("no log")
+    assert call(recorder.log_cli.main, "tag", plain, "exclude", "--rows", 3, 12) == 0
+    assert call(recorder.log_cli.main, "tag", plain, "exclude", "--rows", 10, 19) == 0
+    assert call(dataset.cli.main, "plain", "--sessions", sessions, "--index", folder / "index") == 0
+    with served(folder) as found:
+        wait_until(lambda: "being read" not in found.get("/sessions.rows").text)
+        yield found
+
+
+def rows(bench: Served, **query: str) -> dict[str, str]:
+    """The text of each session in the list, by name and in the order of the list."""
+    page = bench.get(f"/sessions.rows?{urlencode(query)}").text
+    items = re.findall(r"<li .*?</li>", page, re.DOTALL)
+    plain = [html.unescape(" ".join(re.sub(r"<[^>]*>", " ", item).split())) for item in items]
+    names = [html.unescape(re.findall(r'class="name"[^>]*>(.*?)</a>', item, re.DOTALL)[0]) for item in items]
+    return dict(zip(names, plain, strict=True))
+
+
+def test_each_session_is_told_as_the_commands_tell_it(bench: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    found = rows(bench)
+    shown = AWKWARD.replace("\n", "\\n")
+    assert set(found) == {"plain", "stuck", shown, "killed.mcap.0a1b2c.part", "nothing"}
+    assert "0:40 min 400 rows" in found["plain"]
+    assert "exclude 17" in found["plain"]  # rows 3 to 19, some of them twice
+    assert "in the index" in found["plain"]
+    assert "left out by choice" in found[shown]
+    assert "stuck steering 50" in found["stuck"]
+    assert "unfinished" in found["killed.mcap.0a1b2c.part"]
+    assert "bc-log recover" in found["killed.mcap.0a1b2c.part"]
+    assert "damaged" in found["nothing"]
+    assert "MCAP" in found["nothing"]
+
+
+def test_names_and_sources_are_text(bench: Served) -> None:
+    page = bench.get("/sessions").text
+    assert "<b>a" not in page
+    assert "<i>evil" not in page
+    assert "&lt;i&gt;evil" in page
+
+
+def test_sorted_searched_and_filtered(bench: Served) -> None:
+    assert next(iter(rows(bench))) == "stuck"  # the newest
+    assert next(iter(rows(bench, sort="rows"))) == "plain"
+    assert next(iter(rows(bench, sort="most odd rows"))) == "stuck"
+    assert list(rows(bench, text="PLA")) == ["plain"]
+    assert list(rows(bench, text="exclude")) == ["plain"]
+    assert set(rows(bench, only="unfinished or damaged")) == {"killed.mcap.0a1b2c.part", "nothing"}
+    assert len(rows(bench, sort="no such", only="no such")) == 5
+
+
+def test_the_condition_of_bc_index_finds_rows(bench: Served) -> None:
+    duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed: conditions were not tried")
+    assert duckdb
+    where = "steering > 0.25 and row < 20"
+    wait_until(lambda: "4 logs asked" in bench.get(f"/sessions.rows?{urlencode({'where': where})}").text)
+    found = rows(bench, where=where)
+    assert list(found) == ["stuck"]
+    assert "20 rows where" in found["stuck"]
+    for wrong in ("no_such_column > 1", "1; drop table x", "steering > (select 1 from read_csv('/etc/passwd'))"):
+        page = bench.get(f"/sessions.rows?{urlencode({'where': wrong})}").text
+        assert 'role="alert"' in page
+    assert "root:" not in page
+
+
+def test_the_film_strip_shows_the_sessions_pictures(bench: Served) -> None:
+    """Four of them, from its beginning to its end."""
+    answer = bench.get("/sessions/plain/strip.jpg")
+    assert answer.headers["content-type"] == "image/jpeg"
+    strip = decoded(answer.body)
+    assert strip.shape == (80, 640, 3)
+    for number in range(4):
+        whole = decoded(road_jpeg(50 + 100 * number))
+        small = cv2.resize(whole, (160, 80), interpolation=cv2.INTER_AREA).astype(float)
+        assert np.abs(strip[:, 160 * number : 160 * number + 160] - small).mean() < 8
+
+
+def test_a_session_without_pictures_that_decode_has_a_strip_all_the_same(bench: Served) -> None:
+    assert decoded(bench.get("/sessions/stuck/strip.jpg").body).shape == (80, 640, 3)
+    assert bench.get("/sessions/nothing/strip.jpg").status == 422
+    assert "MCAP" in bench.get("/sessions/nothing/steering.svg").json["error"]
+
+
+def test_the_sketch_is_a_picture(bench: Served) -> None:
+    answer = bench.get("/sessions/plain/steering.svg")
+    assert answer.headers["content-type"] == "image/svg+xml"
+    assert answer.body.startswith(b"<svg ")
+
+
+def test_what_is_kept_in_the_cache_may_be_deleted_or_damaged(bench: Served) -> None:
+    before = bench.get("/sessions/plain/strip.jpg").body
+    assert any((bench.folder / "cache").rglob("*"))
+    shutil.rmtree(bench.folder / "cache")
+    assert bench.get("/sessions/plain/strip.jpg").body == before
+    for path in (bench.folder / "cache").rglob("*"):
+        if path.is_file():
+            path.write_bytes(b"{")
+    with served(bench.folder) as again:
+        wait_until(lambda: "being read" not in again.get("/sessions.rows").text)
+        assert rows(again) == rows(bench)
+
+
+def test_what_commands_change_appears(tmp_path: Path) -> None:
+    with served(tmp_path) as bench:
+        assert "bc-record first" in bench.get("/sessions").text  # how to begin
+        before = bench.get("/changes").json
+        log = write_log(tmp_path / "sessions" / "a.mcap", [0.1, 0.2])
+        after = wait_until(lambda: (found := bench.get("/changes").json) != before and found)
+        assert list(wait_until(lambda: rows(bench))) == ["a"]
+        call(recorder.log_cli.main, "tag", log, "good", "--rows", 0, 1)
+        wait_until(lambda: bench.get("/changes").json != after)
+        assert "good 2" in rows(bench)["a"]
+        tags = log.with_name("a.tags.jsonl")
+        tags.write_text(tags.read_text() + "no tag\n")
+        assert "line 2 is not a tag" in rows(bench)["a"]
+        write_log(tmp_path / "b.mcap", [0.1] * 7).replace(log)
+        wait_until(lambda: "7 rows" in rows(bench)["a"])
+        log.unlink()
+        assert rows(bench) == {}
+
+
+def decoded(data: bytes) -> np.ndarray:
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    return picture

@@ -1,0 +1,47 @@
+"""The workbench as an ASGI app: its pages, its static files, what guards them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from starlette.applications import Starlette
+from starlette.routing import Mount
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from web.data.cache_folder import CacheFolder
+from web.data.open_logs import OpenLogs
+from web.data.project_folders import ProjectFolders
+from web.data.session_cards import SessionCards
+from web.data.where_search import WhereSearches
+from web.pages.changes import change_routes
+from web.pages.log_files import log_file_routes
+from web.pages.sessions_page import session_list_routes
+from web.pages.workbench import Workbench
+from web.server.error_pages import HANDLERS
+from web.server.request_guard import RequestGuard
+
+
+@contextlib.contextmanager
+def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterator[ASGIApp]:
+    """The app, until the context is left."""
+    pool = ThreadPoolExecutor(1, "reading logs")
+    logs = OpenLogs()
+    kept = CacheFolder(cache)
+    pool.submit(kept.tidy)
+    cards = SessionCards(folders, kept, pool)
+    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool))
+    routes = [
+        *session_list_routes(bench),
+        *change_routes(bench),
+        *log_file_routes(bench),
+        Mount("/static", StaticFiles(packages=[("web", "static")])),
+    ]
+    try:
+        yield RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), host, token)
+    finally:
+        pool.shutdown(cancel_futures=True)
+        logs.close()

@@ -1,0 +1,76 @@
+"""`bc-web`: the workbench, sessions, runs and drives in the browser."""
+
+from __future__ import annotations
+
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+
+from common import UserError
+from common.command import DONE, check_port, run_command
+from common.interrupts import stop_signals
+from common.output import print_message, print_result
+
+
+@dataclass(frozen=True)
+class Web:
+    """See and clean all sessions in the browser, until Ctrl-C. Changes are made as the commands make them.
+
+    bc-web --open
+    """
+
+    port: int = 8080
+    """The port of the address to open."""
+    host: str = "127.0.0.1"
+    """Where to listen. Where others can reach it, everything needs the token that is printed with the address; the
+    connection is not encrypted."""
+    open: bool = False
+    """Open the browser."""
+    sessions: Path = Path("sessions")
+    """Where sessions are kept."""
+    index: Path = Path("index")
+    """Where the index is kept."""
+    runs: Path = Path("runs")
+    """Where runs are kept."""
+    drives: Path = Path("drives")
+    """Where drives are kept."""
+
+
+def serve(config: Web) -> int:
+    check_port("--port", config.port)
+    try:
+        from web.app import workbench_app
+        from web.server.request_guard import TOKEN, token_for
+        from web.server.workbench_server import WorkbenchServer
+    except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn", "jinja2", "platformdirs"):
+            raise
+        raise UserError(
+            f'{error.name} is not installed: `pip install "behavioural-cloning-toolkit[web]"` brings it'
+        ) from None
+    from web.data.cache_folder import default_cache_folder
+    from web.data.project_folders import ProjectFolders
+
+    folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
+    token = token_for(config.host)
+    with (
+        stop_signals() as stopped,
+        workbench_app(folders, config.host, token, default_cache_folder()) as app,
+    ):
+        server = WorkbenchServer(app, config.host, config.port)
+        server.start()
+        name = f"[{config.host}]" if ":" in config.host else config.host
+        address = f"http://{name}:{server.port}/" + (f"?{TOKEN}={token}" if token else "")
+        try:
+            print_result(address)
+            print_message("open this address in a browser; Ctrl-C ends it")
+            if config.open:
+                webbrowser.open(address)
+            server.serve_until(stopped.wait)
+        finally:
+            server.stop()
+    return DONE
+
+
+def main() -> None:
+    run_command("bc-web", Web, serve)

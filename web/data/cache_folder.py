@@ -1,0 +1,73 @@
+"""Thumbnails and summaries that took long to make, in a folder of the user's own caches. It may be deleted at any
+time: they are made again."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from platformdirs import user_cache_path
+
+_MOST_BYTES: Final = 512 << 20
+_KEPT_SHARE: Final = 0.8  # when it is too large, so that this is seldom
+
+
+def default_cache_folder() -> Path:
+    folder: Path = user_cache_path("behavioural-cloning-toolkit")
+    return folder / "web"
+
+
+class CacheFolder:
+    """Bytes by key. Whatever goes wrong with the files, only time is lost."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def get(self, key: str, make: Callable[[], bytes]) -> bytes:
+        """What was kept under that key, or what `make` makes; an error that it raises is kept nowhere."""
+        path = self._path(key)
+        with contextlib.suppress(OSError):
+            if data := path.read_bytes():
+                return data
+        data = make()
+        self._keep(path, data)
+        return data
+
+    def forget(self, key: str) -> None:
+        """What is kept under that key is no good."""
+        with contextlib.suppress(OSError):
+            self._path(key).unlink()
+
+    def tidy(self) -> None:
+        """Remove the oldest files, if all of them are more than half a gigabyte."""
+        found = []
+        with contextlib.suppress(OSError):
+            for path in self._folder.glob("*/*"):
+                status = path.stat()
+                found.append((status.st_mtime_ns, status.st_size, path))
+        found.sort(reverse=True)
+        total = 0
+        is_too_large = sum(size for _, size, _ in found) > _MOST_BYTES
+        for _, size, path in found if is_too_large else ():
+            total += size
+            if total > _MOST_BYTES * _KEPT_SHARE:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+
+    def _path(self, key: str) -> Path:
+        name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()
+        return self._folder / name[:2] / name[2:]
+
+    def _keep(self, path: Path, data: bytes) -> None:
+        part = path.with_name(f"{path.name}.{secrets.token_hex(3)}")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(data)
+            part.replace(path)  # no fsync: what a power cut takes is made again
+        except OSError:  # a full disk, a folder that is nobody's: then it is made each time
+            with contextlib.suppress(OSError):
+                part.unlink()

@@ -1,0 +1,51 @@
+"""Versions of files and folders: short texts that change whenever a command writes there. Nothing is read."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+_GROWING_STEP: Final = 22  # bits: a log that is being recorded counts as changed every 4 MB, not every second
+_PART: Final = ".part"
+
+
+def version_of(*paths: Path) -> str:
+    """Of files: it changes when one of them is written to, replaced, or removed."""
+    digest = hashlib.sha256()
+    for path in paths:
+        try:
+            status = path.stat()
+        except OSError:
+            digest.update(b"none;")
+        else:
+            digest.update(f"{status.st_dev},{status.st_ino},{status.st_size},{status.st_mtime_ns};".encode())
+    return digest.hexdigest()[:16]
+
+
+def version_of_folder(folder: Path) -> str:
+    """Of the names, sizes and times of what is directly in a folder; "" if there is none."""
+    digest = hashlib.sha256()
+    try:
+        with os.scandir(folder) as entries:
+            for line in sorted(_lines(entries)):
+                digest.update(line)
+    except OSError:
+        return ""
+    return digest.hexdigest()[:16]
+
+
+def _lines(entries: Iterable[os.DirEntry[str]]) -> Iterable[bytes]:
+    for entry in entries:
+        name = os.fsencode(entry.name)
+        try:
+            status = entry.stat()
+        except OSError:  # gone since, or a link to nothing
+            yield name
+            continue
+        if entry.name.endswith(_PART):
+            yield b"%s,%d" % (name, status.st_size >> _GROWING_STEP)
+        else:
+            yield b"%s,%d,%d" % (name, status.st_size, status.st_mtime_ns)

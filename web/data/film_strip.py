@@ -1,0 +1,65 @@
+"""A film strip of a session: pictures along it, side by side in one JPEG."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.car import CAMERAS
+from recorder import Log, LogError, Pictures
+from recorder.log.topics import camera_topic
+from recorder.pictures.picture_size import MOST_PIXELS, width_and_height
+
+PICTURES: Final = 4
+WIDTH_PX, HEIGHT_PX = 160, 80  # of each; shown at half of that, for screens of two pixels a point
+_QUALITY: Final = 80
+_NO_PICTURE: Final = 128  # grey
+
+
+def film_strip(log: Log) -> bytes:
+    """`PICTURES` pictures of the first camera that has any, as one JPEG; one that is missing, damaged or does not
+    decode is a crossed-out box. Raises LogError where the log's index cannot be read."""
+    strip = np.full((HEIGHT_PX, PICTURES * WIDTH_PX, 3), _NO_PICTURE, np.uint8)
+    found = (log.pictures(camera_topic(camera)) for camera in CAMERAS)
+    pictures = next((each for each in found if len(each.sequence)), None)
+    for number in range(PICTURES):
+        shown = _thumbnail(log, pictures, (number + 0.5) / PICTURES)
+        left = number * WIDTH_PX
+        if shown is None:
+            corners = (left + 8, 8), (left + WIDTH_PX - 8, HEIGHT_PX - 8)
+            cv2.line(strip, *corners, (80, 80, 80), 2)
+            cv2.line(strip, (corners[0][0], corners[1][1]), (corners[1][0], corners[0][1]), (80, 80, 80), 2)
+        else:
+            strip[:, left : left + WIDTH_PX] = shown
+    ok, encoded = cv2.imencode(".jpg", strip, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    if not ok:
+        raise LogError(f"{log.path}: its film strip cannot be encoded")
+    return encoded.tobytes()
+
+
+def _thumbnail(log: Log, pictures: Pictures | None, share: float) -> NDArray[np.uint8] | None:
+    """The picture at a share of the session, as large as it is shown; None if there is none."""
+    if pictures is None:
+        return None
+    at = int(share * len(pictures.sequence))
+    try:
+        data = log.read(int(pictures.offset[at]), int(pictures.length[at]), int(pictures.chunk[at]))
+    except LogError:
+        return None
+    size = width_and_height(data)
+    if size is None or not 0 < size[0] * size[1] <= MOST_PIXELS:
+        return None
+    is_large = min(size[0] // WIDTH_PX, size[1] // HEIGHT_PX) >= 2
+    flag = cv2.IMREAD_REDUCED_COLOR_2 if is_large else cv2.IMREAD_COLOR  # JPEGs are decoded at half their size
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+    if decoded is None:
+        return None
+    height, width = decoded.shape[:2]
+    scale = max(WIDTH_PX / width, HEIGHT_PX / height)
+    shape = max(WIDTH_PX, round(width * scale)), max(HEIGHT_PX, round(height * scale))
+    resized = cv2.resize(decoded, shape, interpolation=cv2.INTER_AREA)
+    top, left = (shape[1] - HEIGHT_PX) // 2, (shape[0] - WIDTH_PX) // 2
+    return resized[top : top + HEIGHT_PX, left : left + WIDTH_PX].astype(np.uint8)

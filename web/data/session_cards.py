@@ -1,0 +1,230 @@
+"""What the list of sessions shows of each: its log in short, its tags, and what of it is in the index."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import pyarrow.compute as pc
+
+from common import UserError
+from common.errors import printable
+from common.files import PART_SUFFIX
+from common.locks import is_being_written
+from dataset.errors import DatasetError
+from dataset.frames.frames_file import read_frames, session_name
+from dataset.index.build_state import FRAMES_FOLDER, BuildState, read_state, sources_of
+from recorder import Log
+from recorder.log.log_info import LogInfo, describe
+from recorder.log.row_quality import ROW_FLAGS
+from recorder.log.tags import Tag, read_tags, tags_path
+from web.data.background import Background
+from web.data.cache_folder import CacheFolder
+from web.data.file_versions import version_of
+from web.data.project_folders import PLACES, Place, ProjectFolders, key_of
+
+_GROWING_STEP: Final = 22  # bits: an unfinished log is read in full, so not after each of its seconds
+
+
+class Glance(msgspec.Struct, frozen=True):
+    """What is read of a log, and kept for the next start: not its tags, which change without it."""
+
+    info: LogInfo
+    fingerprint: str
+
+
+@dataclass(frozen=True)
+class InIndex:
+    """What the index has of a session."""
+
+    words: str  # "in the index", "not in the index", "changed since", "left out"
+    why: str = ""
+    frames: dict[str, int] = field(default_factory=dict)  # by split
+
+
+@dataclass(frozen=True)
+class SessionCard:
+    """A log in the list. `info` is None while it is being read, and where `problem` says why it cannot be."""
+
+    key: str
+    path: Path
+    version: str
+    info: LogInfo | None
+    problem: str
+    tags: dict[str, int]  # rows of each name
+    tags_problem: str
+    index: InIndex
+    is_recording: bool
+
+    @property
+    def name(self) -> str:
+        return printable(self.path.name.removesuffix(".mcap"))
+
+    @property
+    def state(self) -> str:
+        """In one word: "" for a finished log."""
+        if self.problem:
+            return "damaged"
+        if self.is_recording:
+            return "recording"
+        return "reading" if self.info is None else "unfinished" if self.info.notice else ""
+
+    @cached_property
+    def flags(self) -> dict[str, int]:
+        """Rows of each flag that any row has."""
+        counts = (self.info.flags if self.info else None) or {}
+        return {flag: counts[flag] for flag in ROW_FLAGS if counts.get(flag)}
+
+    @property
+    def odd_rows(self) -> int:
+        return sum(count for flag, count in self.flags.items() if flag != "gap")  # as `bc-log ls` counts them
+
+
+class SessionCards:
+    """The cards of all logs of a folder, read on a thread and cached between starts."""
+
+    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
+        self._folders = folders
+        self._cache = cache
+        self._lock = threading.Lock()
+        self._glances = {place: Background(pool, self._glance) for place in PLACES}
+        self._shares = {place: Background(pool, self._share) for place in PLACES}
+        self._tags: dict[Path, tuple[tuple[str, str], list[Tag] | UserError]] = {}
+
+    @property
+    def done(self) -> int:
+        glances, shares = self._glances.values(), self._shares.values()
+        return sum(made.done for made in glances) + sum(made.done for made in shares)
+
+    def cards(self, place: Place, patience_s: float) -> list[SessionCard]:
+        """Of all logs in that folder, by name; those that cannot be read in that time have no `info` yet."""
+        logs = self._folders.logs(place)
+        versions = [(path, glance_version(path)) for path in logs.values()]
+        glances = self._glances[place].results(versions, patience_s)
+        state = read_state(self._folders.index)
+        frames = {path: frames_path(self._folders.index, path) for path in logs.values()}
+        held = [frames[path] for path in logs.values() if session_name(path) in state.logs]
+        shares = self._shares[place].results([(path, version_of(path)) for path in held], patience_s)
+        return [
+            self._card(path, version, glances.get(path), self._in_index(path, state, shares.get(frames[path])))
+            for path, version in versions
+        ]
+
+    def tags(self, path: Path, fingerprint: str) -> list[Tag]:
+        """Those of the log, from memory while their file is unchanged. Raises LogError for a broken file."""
+        key = version_of(tags_path(path)), fingerprint
+        with self._lock:
+            known = self._tags.get(path)
+        if known is None or known[0] != key:
+            found: list[Tag] | UserError
+            try:
+                found = read_tags(path, fingerprint)
+            except UserError as error:
+                found = error
+            with self._lock:
+                self._tags[path] = known = key, found
+        if isinstance(known[1], UserError):
+            raise known[1]
+        return known[1]
+
+    def _card(self, path: Path, version: str, glance: Glance | UserError | None, index: InIndex) -> SessionCard:
+        problem, tags_problem, counts = "", "", Counter[str]()
+        if isinstance(glance, UserError):
+            problem, glance = printable(str(glance)), None
+        if glance is not None:
+            try:
+                counts = rows_by_name(self.tags(path, glance.fingerprint))
+            except UserError as error:
+                tags_problem = printable(str(error))
+        return SessionCard(
+            key=key_of(path),
+            path=path,
+            version=version,
+            info=glance.info if glance else None,
+            problem=problem,
+            tags=dict(counts),
+            tags_problem=tags_problem,
+            index=index,
+            is_recording=path.name.endswith(PART_SUFFIX) and is_being_written(path),
+        )
+
+    def _glance(self, path: Path, version: str) -> Glance:
+        key = f"glance 1 {path.resolve()} {version}"
+        data = self._cache.get(key, lambda: msgspec.json.encode(_read_glance(path)))
+        try:
+            return msgspec.json.decode(data, type=Glance)
+        except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
+            self._cache.forget(key)
+            return _read_glance(path)
+
+    def _in_index(self, path: Path, state: BuildState, share: dict[str, int] | UserError | None) -> InIndex:
+        session = session_name(path)
+        built = state.logs.get(session)
+        if built is None:
+            return InIndex("left out by choice" if session in state.passed_over else "not in the index")
+        if built.sources[0] != str(path.resolve()):
+            return InIndex("not in the index", "it has another log of that name")
+        if built.sources != sources_of(session, path, self._folders.index):
+            return InIndex("changed since", "`bc-index` brings it up to date")
+        if not built.fingerprint:
+            return InIndex("left out", printable(built.notice))
+        if isinstance(share, UserError):
+            return InIndex("in the index", printable(str(share)))
+        return InIndex("in the index", "", share or {})
+
+    def _share(self, path: Path, version: str) -> dict[str, int]:
+        key = f"split 1 {path.resolve()} {version}"
+        data = self._cache.get(key, lambda: msgspec.json.encode(_read_share(path)))
+        try:
+            return msgspec.json.decode(data, type=dict[str, int])
+        except (msgspec.MsgspecError, UnicodeError):
+            self._cache.forget(key)
+            return _read_share(path)
+
+
+def glance_version(path: Path) -> str:
+    """The version of a log, as the list tells it apart."""
+    if not path.name.endswith(PART_SUFFIX):
+        return version_of(path)
+    try:
+        status = path.stat()
+    except OSError:
+        return "none"
+    return f"{status.st_ino:x}.{status.st_size >> _GROWING_STEP:x}"
+
+
+def frames_path(index: Path, log: Path) -> Path:
+    return index / FRAMES_FOLDER / f"{session_name(log)}.parquet"
+
+
+def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
+    """How many rows have each name; `tags` are in the order of their rows, and may lie over each other."""
+    counts, reached = Counter[str](), dict[str, int]()
+    for tag in tags:
+        first = max(tag.first_row, reached.get(tag.name, -1) + 1)
+        counts[tag.name] += max(0, tag.last_row - first + 1)
+        reached[tag.name] = max(tag.last_row, reached.get(tag.name, -1))
+    return counts
+
+
+def _read_glance(path: Path) -> Glance:
+    # a path may be no text; of what is kept, nothing depends on where it was
+    info = describe(path, with_tags=False)
+    info = dataclasses.replace(info, path="", notice=printable(info.notice))
+    with Log(path) as log:
+        return Glance(info, log.fingerprint)
+
+
+def _read_share(path: Path) -> dict[str, int]:
+    if not path.is_file():
+        raise DatasetError(f"{path}: missing; `bc-index` makes it again")
+    split = read_frames(path, ["split"])["split"]
+    return {str(pair["values"]): int(pair["counts"]) for pair in pc.value_counts(split).to_pylist()}

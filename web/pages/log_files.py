@@ -1,0 +1,103 @@
+"""Pictures made of a log: its film strip, the sketch of its steering, and the cameras' own, byte for byte."""
+
+from __future__ import annotations
+
+from typing import Final, get_args
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from common.car import CAMERAS, Camera
+from recorder import LogError
+from recorder.pictures.picture_size import PNG_START
+from web.data.film_strip import film_strip
+from web.data.project_folders import PLACES, Place
+from web.data.session_cards import glance_version
+from web.data.steering_sketch import steering_sketch
+from web.errors import WebError
+from web.pages.workbench import Workbench
+
+_FOR_EVER: Final = {"Cache-Control": "private, max-age=31536000, immutable"}  # another content has another address
+_JPEG_START: Final = b"\xff\xd8\xff"
+
+
+def log_file_routes(bench: Workbench) -> list[Route]:
+    def strip(request: Request) -> Response:
+        place, key = _log_of(request)
+        path = bench.folders.log(place, key)
+        version = glance_version(path)
+
+        def make() -> bytes:
+            with bench.logs.open(path) as opened:
+                return film_strip(opened.log)
+
+        data = bench.cache.get(f"strip 1 {path.resolve()} {version}", make)
+        return Response(data, media_type="image/jpeg", headers=_kept(request, version))
+
+    def sketch(request: Request) -> Response:
+        place, key = _log_of(request)
+        path = bench.folders.log(place, key)
+        version = glance_version(path)
+
+        def make() -> bytes:
+            with bench.logs.open(path) as opened:
+                return steering_sketch(opened.states.steering)
+
+        data = bench.cache.get(f"sketch 1 {path.resolve()} {version}", make)
+        return Response(data, media_type="image/svg+xml", headers=_kept(request, version))
+
+    def picture(request: Request) -> Response:
+        place, key = _log_of(request)
+        camera, row = _camera_of(request), int(request.path_params["row"])
+        with bench.logs.open(bench.folders.log(place, key)) as opened:
+            asked = request.query_params.get("v", opened.version)
+            if asked != opened.version:
+                raise WebError("the log has changed since this page was opened: reload it", 409)
+            try:
+                data = opened.log.picture(row, camera)
+            except LogError as error:
+                raise WebError(str(error), 404) from None
+        return Response(data, media_type=_type_of(data, row), headers=_kept(request, opened.version))
+
+    at = "/{place}/{log}"
+    return [
+        Route(f"{at}/strip.jpg", strip),
+        Route(f"{at}/steering.svg", sketch),
+        Route(f"{at}/pictures/{{camera}}/{{row:int}}", picture),
+    ]
+
+
+def place_of(request: Request) -> Place:
+    """The folder of logs that an address names."""
+    named = request.path_params["place"]
+    found: Place | None = next((place for place in PLACES if place == named), None)
+    if found is None:
+        raise WebError(f"{request.url.path}: there is no such page", 404)
+    return found
+
+
+def _log_of(request: Request) -> tuple[Place, str]:
+    return place_of(request), request.path_params["log"]
+
+
+def _camera_of(request: Request) -> Camera:
+    named = request.path_params["camera"]
+    found: Camera | None = next((camera for camera in CAMERAS if camera == named), None)
+    if found is None:
+        raise WebError(f"{named}: no such camera; expected {', '.join(get_args(Camera))}", 404)
+    return found
+
+
+def _type_of(data: bytes, row: int) -> str:
+    """Raises WebError for what no browser should take for a picture."""
+    if data.startswith(_JPEG_START):
+        return "image/jpeg"
+    if data.startswith(PNG_START):
+        return "image/png"
+    raise WebError(f"row {row}: what the log has there is no JPEG and no PNG", 415)
+
+
+def _kept(request: Request, version: str) -> dict[str, str]:
+    """Kept by the browser where the address names this very content."""
+    return _FOR_EVER if request.query_params.get("v") == version else {}

@@ -1,0 +1,125 @@
+"""The list of sessions: film strips, how they were steered, flags, tags, what of it is in the index."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from common import UserError
+from common.errors import printable
+from recorder.log_list_cli import SORTED_BY
+from web.data.session_cards import SessionCard
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+_PATIENCE_S: Final = 0.3
+"""For logs that are being read: a handful of sessions is whole at first sight, a thousand is filled in."""
+
+SORTS: Final[dict[str, Callable[[SessionCard], Any]]] = {
+    **{name: (lambda card, key=key: key(card.info)) for name, key in SORTED_BY.items() if name != "name"},  # type: ignore[misc]
+    "name": lambda card: card.name,
+    "most odd rows": lambda card: -card.odd_rows,
+}
+ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
+    "all": lambda card: True,
+    "with odd rows": lambda card: bool(card.flags),
+    "with tags": lambda card: bool(card.tags),
+    "not in the index, or changed since": lambda card: not card.index.words.startswith("in the index"),
+    "unfinished or damaged": lambda card: card.state in ("unfinished", "damaged", "recording"),
+}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the form above the list asks for."""
+
+    text: str = ""
+    sort: str = "newest"
+    only: str = "all"
+    where: str = ""
+
+    @classmethod
+    def of(cls, query: Mapping[str, str]) -> Asked:
+        """What makes no sense, because somebody typed the address, is as if it were not there."""
+        sort, only = query.get("sort", "newest"), query.get("only", "all")
+        return cls(
+            query.get("text", "").strip(),
+            sort if sort in SORTS else "newest",
+            only if only in ONLY else "all",
+            query.get("where", "").strip(),
+        )
+
+
+@dataclass(frozen=True)
+class Listed:
+    """The list as it is shown."""
+
+    cards: list[SessionCard]
+    total: int
+    reading: int  # logs that are not read yet
+    rows: dict[str, int]  # by key: rows that the condition holds for
+    looked: int | None  # logs that the condition has been asked of; None where there is none
+    where_problem: str
+
+
+def session_list_routes(bench: Workbench) -> list[Route]:
+    def front(request: Request) -> Response:
+        return RedirectResponse("/sessions")
+
+    def page(request: Request) -> Response:
+        asked = Asked.of(request.query_params)
+        shown = _list(asked)
+        return HTMLResponse(render("sessions.html", asked=asked, sorts=list(SORTS), only=list(ONLY), **shown))
+
+    def rows(request: Request) -> Response:
+        return HTMLResponse(render("session_rows.html", **_list(Asked.of(request.query_params))))
+
+    def _list(asked: Asked) -> dict[str, Any]:
+        found = list_sessions(bench, asked)
+        folder = bench.folders.sessions
+        return {"found": found, "has_folder": folder.is_dir(), "folder": printable(str(folder))}
+
+    return [
+        Route("/", front),
+        Route("/sessions", page),
+        Route("/sessions.rows", rows),
+    ]
+
+
+def list_sessions(bench: Workbench, asked: Asked) -> Listed:
+    """The sessions that are asked for, in the order that is asked for."""
+    cards = bench.cards.cards("sessions", _PATIENCE_S)
+    chosen = [card for card in cards if ONLY[asked.only](card) and _has(card, asked.text.casefold())]
+    rows: dict[str, int] = {}
+    looked: int | None = None
+    problem = ""
+    if asked.where:
+        readable: dict[Path, SessionCard] = {card.path: card for card in chosen if not card.problem}
+        try:
+            counts = bench.searches.rows(asked.where, list(readable), _PATIENCE_S)
+        except UserError as error:
+            problem = str(error)
+        else:
+            looked = len(counts)
+            rows = {readable[path].key: count for path, count in counts.items() if count}
+            chosen = [card for card in chosen if card.key in rows]
+    chosen.sort(key=lambda card: (card.info is None, SORTS[asked.sort](card) if card.info else 0, card.name))
+    reading = sum(card.info is None and not card.problem for card in cards)
+    return Listed(chosen, len(cards), reading, rows, looked, problem)
+
+
+def _has(card: SessionCard, text: str) -> bool:
+    """Whether all words of the text are in what is told of the session."""
+    if not text:
+        return True
+    told: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.words, card.state)
+    if card.info:
+        told = (*told, card.info.start, *card.info.session.values())
+    lower = " ".join(told).casefold()
+    return all(word in lower for word in text.split())

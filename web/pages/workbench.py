@@ -1,0 +1,22 @@
+"""What the pages share: the folders they show, and what is kept of them in memory and in the cache."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from web.data.cache_folder import CacheFolder
+from web.data.open_logs import OpenLogs
+from web.data.project_folders import ProjectFolders
+from web.data.session_cards import SessionCards
+from web.data.where_search import WhereSearches
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """One for each server. Nothing in it is state: all of it can be read anew from the folders."""
+
+    folders: ProjectFolders
+    cache: CacheFolder
+    logs: OpenLogs
+    cards: SessionCards
+    searches: WhereSearches

@@ -1,0 +1,59 @@
+"""What an error looks like: a page for somebody who opens an address, JSON for a script."""
+
+from __future__ import annotations
+
+import traceback
+from http import HTTPStatus
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.types import Scope
+
+from common import UserError
+from common.errors import printable
+from common.output import safe_line
+from web.errors import WebError
+from web.server.templates import render
+
+
+def error_answer(scope: Scope, error: WebError) -> Response:
+    """The answer to a request that cannot be answered, with the reason."""
+    why = printable(safe_line(str(error)))
+    if "text/html" in Headers(scope=scope).get("accept", ""):
+        title = HTTPStatus(error.status).phrase
+        return HTMLResponse(render("error.html", title=title, why=why), status_code=error.status)
+    return JSONResponse({"error": why}, status_code=error.status)
+
+
+def on_user_error(request: Request, error: Exception) -> Response:
+    """A file, a name or a value that is not what was expected."""
+    if not isinstance(error, WebError):
+        error = WebError(str(error), 422)
+    return error_answer(request.scope, error)
+
+
+def on_http_error(request: Request, error: Exception) -> Response:
+    """An address that there is not, or that is not to be asked like that."""
+    status = error.status_code if isinstance(error, HTTPException) else 500
+    path = request.url.path
+    known = {404: f"{path}: there is no such page", 405: f"{path}: not to be asked by {request.method}"}
+    return error_answer(request.scope, WebError(known.get(status, HTTPStatus(status).phrase), status))
+
+
+def on_os_error(request: Request, error: Exception) -> Response:
+    """The system refuses: no space, no permission."""
+    reason = getattr(error, "strerror", None) or str(error)
+    where = f"{error.filename}: " if isinstance(error, OSError) and error.filename is not None else ""
+    return error_answer(request.scope, WebError(f"{where}{reason}", 500))
+
+
+def on_bug(request: Request, error: Exception) -> Response:
+    """Anything else is a mistake of ours: its traceback is on the command's stderr."""
+    traceback.print_exception(error)
+    why = f"a bug of the workbench ({type(error).__name__}); the terminal of bc-web tells more"
+    return error_answer(request.scope, WebError(why, 500))
+
+
+HANDLERS = {UserError: on_user_error, HTTPException: on_http_error, OSError: on_os_error, Exception: on_bug}

@@ -1,0 +1,138 @@
+"""Who may ask: the check of each request's Host, Origin and token, and the headers of each answer.
+
+A page of another site, open in the same browser, can send requests to this machine. Its `Host` is not one of ours
+(DNS rebinding) or its `Origin` not that of our own pages; `Sec-Fetch-Site` says so of requests without an Origin
+(https://www.w3.org/TR/fetch-metadata/). Programs that are no browsers send neither, and need not be kept out: they
+can read the files themselves. Where others can reach the port, everything needs the token that was printed.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from http.cookies import CookieError, SimpleCookie
+from typing import Final
+from urllib.parse import parse_qsl, quote, urlencode
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from recorder.server.allowed_hosts import AllowedHosts, is_loopback
+from web.errors import WebError
+from web.server.error_pages import error_answer
+
+TOKEN: Final = "token"
+_COOKIE: Final = "bc-web-token"
+MOST_BODY_BYTES: Final = 1 << 20
+
+CONTENT_SECURITY_POLICY: Final = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' blob:",
+        "connect-src 'self'",
+        "form-action 'self'",
+        "base-uri 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+_HEADERS: Final = {
+    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+def token_for(host: str) -> str:
+    """A new token where others can reach the server; empty on this machine's own addresses."""
+    return "" if is_loopback(host) else secrets.token_urlsafe(24)
+
+
+class RequestGuard:
+    """ASGI middleware around all that is served."""
+
+    def __init__(self, app: ASGIApp, host: str, token: str) -> None:
+        """`token`: empty where none is needed."""
+        self._app = app
+        self._hosts = AllowedHosts(host)
+        self._token = token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return  # nothing else is served, and the server is not asked for it
+        answer: ASGIApp = self._app
+        try:
+            self._check_origin(scope)
+            if self._token:
+                answer = self._check_token(scope) or self._app
+            _check_size(scope)
+        except WebError as error:
+            answer = error_answer(scope, error)
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
+                headers.setdefault("Cache-Control", "no-store")
+            await send(message)
+
+        await answer(scope, receive, send_with_headers)
+
+    def _check_origin(self, scope: Scope) -> None:
+        headers = Headers(scope=scope)
+        host, origin = headers.get("host"), headers.get("origin")
+        environ = {"HTTP_HOST": host} if host is not None else {}
+        if why := self._hosts.why_refused(environ):
+            raise WebError(f"asked {why}: this workbench answers to its own address only", 403)
+        if origin is not None and origin.lower() != f"http://{host}".lower():
+            raise WebError(f"asked by a page from {origin}: only the workbench's own pages may ask", 403)
+        site, mode = headers.get("sec-fetch-site"), headers.get("sec-fetch-mode")
+        is_opened = mode == "navigate" and scope["method"] == "GET" and headers.get("sec-fetch-dest") == "document"
+        if site not in (None, "same-origin", "none") and not is_opened:
+            raise WebError("asked by a page of another site: only the workbench's own pages may ask", 403)
+
+    def _check_token(self, scope: Scope) -> ASGIApp | None:
+        """Whoever has brought the token in the address gets a cookie, and is sent to the address without it."""
+        headers = Headers(scope=scope)
+        given = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        in_address = next((value for name, value in given if name == TOKEN), "")
+        if in_address and self._is_token(in_address):
+            rest = urlencode([(name, value) for name, value in given if name != TOKEN])
+            # one slash: two would be the address of another server
+            path = "/" + quote(scope["path"]).lstrip("/")
+            answer = RedirectResponse(f"{path}?{rest}" if rest else path, status_code=303)
+            answer.set_cookie(_COOKIE, self._token, httponly=True, samesite="lax")
+            return answer
+        scheme, _, bearer = headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer" and self._is_token(bearer.strip()):
+            return None
+        if self._is_token(_cookie(headers)):
+            return None
+        raise WebError("this workbench needs its token: open the address that bc-web printed when it began", 401)
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self._token.encode())
+
+
+def _cookie(headers: Headers) -> str:
+    try:
+        cookies = SimpleCookie(headers.get("cookie", ""))
+    except CookieError:
+        return ""
+    return cookies[_COOKIE].value if _COOKIE in cookies else ""
+
+
+def _check_size(scope: Scope) -> None:
+    """A body without a length is refused too: nobody needs to send one."""
+    if scope["method"] in ("GET", "HEAD"):
+        return
+    length = Headers(scope=scope).get("content-length", "")
+    if not (length.isascii() and length.isdigit() and len(length) < 12):
+        raise WebError("a request with a body tells its length (Content-Length)", 411)
+    if int(length) > MOST_BODY_BYTES:
+        raise WebError(f"a request of {int(length):,} bytes: at most {MOST_BODY_BYTES:,} are taken", 413)

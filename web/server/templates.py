@@ -1,0 +1,32 @@
+"""The templates: everything that is put into a page is escaped, for names and tags come from files of others."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from common.errors import counted
+from common.versions import version_of
+
+PAGES: Final = (("Sessions", "/sessions"),)
+"""The pages of the menu: name and address."""
+
+
+def _minutes(seconds: float) -> str:
+    """12 min 5 s as "12:05"; an hour and more as "1:02:05"."""
+    whole = round(seconds)
+    hours, minutes = whole // 3600, whole // 60 % 60
+    return f"{hours}:{minutes:02}:{whole % 60:02}" if hours else f"{minutes}:{whole % 60:02}"
+
+
+_environment = Environment(
+    loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+)
+_environment.globals.update(menu=PAGES, version=version_of())
+_environment.filters.update(minutes=_minutes, counted=counted)
+
+
+def render(name: str, **values: Any) -> str:
+    text: str = _environment.get_template(name).render(values)
+    return text

@@ -1,0 +1,63 @@
+"""The web server, in a thread: the main one waits for Ctrl-C."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable
+from typing import Final
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from common import UserError
+from common.interrupts import leave_signals_to_main_thread
+from recorder.errors import ListenError
+from recorder.server.listening_socket import listen
+
+_LAST_ANSWERS_S: Final = 2  # for those who are being answered when the server stops
+_TICK_S: Final = 0.2
+
+
+class WorkbenchServer:
+    """Serves an app on a socket that listens from the beginning, so that its port is known."""
+
+    def __init__(self, app: ASGIApp, host: str, port: int) -> None:
+        """Raises UserError where host:port cannot be listened on."""
+        try:
+            self._socket: socket.socket = listen(host, port, socket.socket)
+        except ListenError as error:
+            reason = str(error).partition("; end the bc-drive")[0]
+            raise UserError(f"{reason}; give another --port, or end the bc-web that is running there") from None
+        self.port: int = self._socket.getsockname()[1]
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                lifespan="off",
+                ws="none",
+                log_config=None,
+                access_log=False,
+                server_header=False,
+                proxy_headers=False,
+                timeout_graceful_shutdown=_LAST_ANSWERS_S,
+            )
+        )
+        self._thread = threading.Thread(target=self._run, name="web server")
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def serve_until(self, is_stopped: Callable[[float], bool]) -> None:
+        """Serve until `is_stopped`, which waits as long as it is told, says so; or the server ends by itself."""
+        while self._thread.is_alive() and not is_stopped(_TICK_S):
+            pass
+
+    def stop(self) -> None:
+        """End it; whoever is being answered gets a moment more."""
+        self._server.should_exit = True
+        self._thread.join()
+        self._socket.close()
+
+    def _run(self) -> None:
+        leave_signals_to_main_thread()
+        self._server.run(sockets=[self._socket])
