@@ -23,7 +23,8 @@ class OneDnnLayers(nn.Sequential):
     def forward(self, inputs: Tensor) -> Tensor:
         """(N, channels, height, width) to the same."""
         if not (self.training and torch.is_grad_enabled() and _is_faster(inputs)):
-            return super().forward(inputs)
+            outputs: Tensor = super().forward(inputs)  # type: ignore[no-untyped-call]
+            return outputs
         planes = inputs.to(torch.bfloat16).to_mkldnn()
         for layer in self:
             planes = _convolved(layer, planes) if isinstance(layer, nn.Conv2d) else layer(planes)
@@ -35,7 +36,7 @@ def _is_faster(inputs: Tensor) -> bool:
         inputs.device.type == "cpu"
         and torch.is_autocast_enabled("cpu")
         and torch.get_autocast_dtype("cpu") == torch.bfloat16
-        and torch.backends.mkldnn.is_available()
+        and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
         and bool(torch.cpu.get_capabilities().get("amx_bf16"))
         and "ONEDNN_MAX_CPU_ISA" not in os.environ  # with it somebody may have switched AMX off
     )

@@ -81,7 +81,7 @@ def test_bfloat16_learns_what_pytorchs_own_layers_and_optimizer_do_to_the_last_b
         training_step(network, optimizer, pictures, steering, dtype=torch.bfloat16, micro_batch=3)
         torch.manual_seed(step)
         its_own.zero_grad()
-        for some, theirs in zip(pictures.split(3), steering.split(3), strict=True):
+        for some, theirs in zip(torch.split(pictures, 3), torch.split(steering, 3), strict=True):
             with torch.autocast("cpu", dtype=torch.bfloat16):
                 predicted = plain(some)
             (functional.mse_loss(predicted.float(), theirs, reduction="sum") / 5).backward()  # type: ignore[no-untyped-call]
