@@ -70,7 +70,7 @@ class DriveSession:
         """The notice of how the car is stopped, once that has been sent."""
 
     def connected(self) -> None:
-        self._driver = Driver(self._pilot, self._config)
+        self._driver = Driver(self._pilot, self._config, reported_size=self._driver.reported_size)
         self._last_steer, self._last_telemetry_s, self._was_pushed = _NEUTRAL, time.monotonic(), False
         self.is_connected, self._is_stopping = True, False
         self.connections += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from driving import road_jpeg
 from model.cli import main as bc_train
 from other_logs import CAMERA, write_bag
 from recorder.cli import main as bc_record
+from repository import ROOT
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import call
 
@@ -43,22 +45,38 @@ def ros_2_bag(folder: Path) -> list[object]:
     return ["--from", bag, "--image", CAMERA, "--steering", "/cmd_vel.angular.z", "--steering-scale", -1]
 
 
-SOURCES: dict[str, Callable[[Path], list[object]]] = {"tub_1": tub_1, "tub_2": tub_2, "bag": ros_2_bag}
+def car_racing(folder: Path) -> list[object]:
+    actions = ["--gym-action", "steering,throttle,brake", "--gym-args", f'{{"max_episode_steps": {PICTURES}}}']
+    expert = ROOT / "examples" / "car_racing_expert.py"
+    return ["--gym", "CarRacing-v3", *actions, "--expert", f"{expert}:drive"]
 
 
-def test_tubs_of_both_versions_and_a_bag_are_trained_on(
+SOURCES: dict[str, Callable[[Path], list[object]]] = {
+    "tub_1": tub_1,
+    "tub_2": tub_2,
+    "bag": ros_2_bag,
+    "race": car_racing,
+}
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name, write in SOURCES.items():
         assert call(bc_record, name, *write(tmp_path / name)) == 0
         said = capsys.readouterr()
-        assert said.err == ""
+        assert re.fullmatch(
+            "" if name != "race" else r"1 episode driven to the end, with a reward of .*\n", said.err
+        )
         assert f"{PICTURES} rows, {PICTURES} pictures" in said.out
     # some seconds of driving: the usual blocks, and the margin around them, would leave nothing to train on
     assert call(bc_index, "--block-s", 1, "--gap-s", 0, "--no-balance", "--no-flip") == 0
     samples = pq.read_table(tmp_path / "index" / "samples.parquet")
     assert Counter(samples["session"].to_pylist()) == dict.fromkeys(SOURCES, PICTURES)
-    assert call(bc_train, "--epochs", 1, "--batch", 32, "--name", "first", "--threads", 1) == 0
+    assert (
+        call(bc_train, "--network", "small", "--epochs", 1, "--batch", 32, "--name", "first", "--threads", 1) == 0
+    )
     written = {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert written >= {"model.safetensors", "config.json", "metrics.jsonl"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -48,7 +49,9 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
         driven = log.vehicle()["steering"].to_pylist()
         episodes = json.loads(log.read_metadata("bc.gymnasium")["episodes"])
         assert log.metadata["simulator"] == "toy_environment:toy/Bar-v0"
+        events = Counter(event.message for _, event in log.decoded("/events"))
     assert len(sent) == 2 * STEPS
+    assert events["pictures of 64x48 pixels, not 320x160: driven on all the same"] == 1
     # What was sent is what the environment's car did when the next picture was taken.
     for start in (0, STEPS):
         assert driven[start] == 0.0

@@ -79,6 +79,12 @@ def centre(env: gymnasium.Env[Any, Any], observation: object) -> NDArray[np.floa
     return np.array([-0.5 * bar.place, 0.25])
 
 
+def to_and_fro(env: gymnasium.Env[Any, Any], observation: object) -> list[float]:
+    bar = env.unwrapped
+    assert isinstance(bar, Bar)
+    return [-0.5 if len(bar.actions) // 4 % 2 else 0.5, 0.25]
+
+
 def nan_later(env: gymnasium.Env[Any, Any], observation: object) -> list[float]:
     bar = env.unwrapped
     assert isinstance(bar, Bar)

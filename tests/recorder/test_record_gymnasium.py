@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -89,6 +90,17 @@ def test_a_wandering_hand_leads_elsewhere_but_what_is_recorded_is_what_the_exper
     seen = places("wanders")
     assert np.abs(np.subtract(seen, places("calm"))).max() > 0.1
     np.testing.assert_allclose(states("wanders")["steering"], [-0.5 * place for place in seen], atol=1 / 55)
+
+
+def test_what_an_expert_wanted_is_learnt_as_it_is_however_he_steers(capsys: pytest.CaptureFixture[str]) -> None:
+    """Steering in steps is smoothed and shifted where people press keys; but he is never late."""
+    expert = ("--expert", "toy_environment:to_and_fro")
+    assert call(bc_record, "steps", *BAR, *expert, "--episodes", 45, "--rate", 5) == 0
+    capsys.readouterr()
+    assert call(bc_log, "info", "sessions/steps.mcap", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["steering"]["kind"] == "steps"
+    assert told["labels"] == "as recorded (driven by an expert)"
 
 
 def test_left_may_be_positive_and_scales_may_differ() -> None:
