@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from common.stretches import stretches
 from dataset.config import IndexConfig
@@ -30,7 +31,7 @@ def odd_stretches(log: Log, states: States, index: Path) -> list[OddStretch]:
 
     A gap is a stretch of two rows: the last before it and the first after it.
     """
-    masks = dict[str, np.ndarray](row_flags(states))
+    masks: dict[str, NDArray[np.bool_]] = dict(row_flags(states).items())
     frames = frames_table(log, index, IndexConfig(), ())
     for flag in get_args(PictureFlag):
         rows = frames["row"].to_numpy()[lists_with(frames["flags"], flag)]
