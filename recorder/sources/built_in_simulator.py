@@ -17,6 +17,7 @@ from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.pose_message import pose_message
+from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
 from simulator.driving.recovery_driving import MOST_RECOVERY, drive_for_recording, steps_each
@@ -77,6 +78,7 @@ def record_simulated(
             f"drive.{name}": f"{getattr(drive, name):g}" for name in ("laps", "speed", "rate", "recovery", "noise")
         },
         "drive.seed": str(drive.seed),
+        **metadata_of(built_in()),
     }
     length_m = drive.laps * simulation.track.line.length_m
     rows = put_back = 0
