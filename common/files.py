@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import secrets
+import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -146,6 +147,46 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
                 part.unlink(missing_ok=True)
                 remove_empty(folders)
         raise
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder to fill; it becomes `folder` at the end, or vanishes if anything is raised.
+
+    Raises UserError if `folder` exists: what is in it is never replaced.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise UserError(f"{folder} exists already: choose another name, or remove it")
+    part = part_path(folder)
+    above = make_folder(folder.parent)
+    try:
+        part.mkdir()
+        yield part
+        with uninterrupted():
+            for path in part.rglob("*"):
+                _sync(path)
+            _name_folder(part, folder)
+            _sync_folder(folder.parent)
+    except BaseException:
+        with uninterrupted():
+            shutil.rmtree(part, ignore_errors=True)
+            remove_empty(above)
+        raise
+
+
+def _sync(path: Path) -> None:
+    if path.is_dir():
+        _sync_folder(path)
+    else:
+        with path.open("rb+") as stream:
+            os.fsync(stream.fileno())
+
+
+def _name_folder(part: Path, folder: Path) -> None:
+    try:
+        part.rename(folder)  # fails where somebody has made a folder of that name, unless it is empty
+    except OSError as error:
+        raise UserError(f"{folder} cannot get its name ({error.strerror}); nothing was kept of it") from None
 
 
 def short_path(path: Path) -> Path:

@@ -22,6 +22,7 @@ from recorder.log.log_info import describe
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.recover import recover, recovered_name
+from recorder.log_export_cli import ExportLogs
 from recorder.log_list_cli import ListLogs
 from recorder.log_report import print_checked, print_info, print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
@@ -227,6 +228,7 @@ Command = (
     | Annotated[Rewrite, tyro.conf.subcommand("rewrite")]
     | Annotated[Split, tyro.conf.subcommand("split")]
     | Annotated[NameRows, tyro.conf.subcommand("tag")]
+    | Annotated[ExportLogs, tyro.conf.subcommand("export")]
 )
 
 

@@ -59,6 +59,7 @@ SOURCES: dict[str, Callable[[Path], list[object]]] = {
 }
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,6 +75,8 @@ def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     assert call(bc_index, "--block-s", 1, "--gap-s", 0, "--no-balance", "--no-flip") == 0
     samples = pq.read_table(tmp_path / "index" / "samples.parquet")
     assert Counter(samples["session"].to_pylist()) == dict.fromkeys(SOURCES, PICTURES)
-    assert call(bc_train, "--epochs", 1, "--batch", 32, "--name", "first", "--threads", 1) == 0
+    assert (
+        call(bc_train, "--network", "small", "--epochs", 1, "--batch", 32, "--name", "first", "--threads", 1) == 0
+    )
     written = {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert written >= {"model.safetensors", "config.json", "metrics.jsonl"}

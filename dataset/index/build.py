@@ -57,7 +57,7 @@ from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
 from recorder.errors import RecordingError
-from recorder.log.log_info import driven_by, first_picture_sizes
+from recorder.log.log_info import driven_by, first_picture_sizes, set_speeds_mph
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.session_car import CAR_KEY, Car, car_of, max_steering_deg_of, metadata_of, told_car
 from recorder.log.tags import read_tags
@@ -288,6 +288,7 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
             notice=log.notice,
             has_crcs=log.has_crcs,
             driven_by=driven_by(log),
+            set_speeds_mph=set_speeds_mph(log),
             sizes_px=_sizes_px(log),
             max_steering_deg=max_steering_deg_of(log),
             car=metadata_of(told_car(log)).get(CAR_KEY, ""),

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from typing import Final
 
-from torch import Tensor, nn
+from torch import nn
 
-from model.network.picture_network import PictureNetwork, glorot_weights
+from model.network.picture_network import LayerChain, glorot_weights
 
 PARAMETERS: Final = 5_022_327
 
 
-class SteeringNetwork(PictureNetwork):
-    """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped."""
+class SteeringNetwork(LayerChain):
+    """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped;
+    or to targets (N, outputs)."""
 
-    def __init__(self, dropout: float = 0.5) -> None:
+    def __init__(self, dropout: float = 0.5, outputs: int = 1) -> None:
         super().__init__()
 
         def convolution(inputs: int, outputs: int, kernel: int, *, pool: bool) -> list[nn.Module]:
@@ -45,10 +46,6 @@ class SteeringNetwork(PictureNetwork):
             nn.ReLU(),
             nn.Linear(50, 10),
             nn.ReLU(),
-            nn.Linear(10, 1),
+            nn.Linear(10, outputs),
         )
         glorot_weights(self)
-
-    def answers(self, inputs: Tensor) -> Tensor:
-        steering: Tensor = self.head(self.features(inputs))
-        return steering

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -20,7 +21,7 @@ from recorder.log.pose_message import pose_message
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
-from simulator.driving.recovery_driving import MOST_RECOVERY, drive_for_recording, steps_each
+from simulator.driving.recovery_driving import MOST_RECOVERY, DriveStep, drive_for_recording, steps_each
 from simulator.driving.simulated_driver import DriverName, make_driver
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityWriter
@@ -28,6 +29,9 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 
 # Simulated time has no date. This one makes the same drive the same log, byte for byte.
 CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
+
+BACK_TO_START_S: Final = 2.0
+"""The gap in the times of a recording where the car is put back at the start, to be driven at another speed."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +44,9 @@ class SimulatedDrive:
     """Who drives: the expert, who steers smoothly and in time, or somebody like a person, late and only when
     the car strays: at a keyboard in short presses of a key, with a mouse by dragging it aside for a second."""
     laps: float = 1.0
-    """How far to drive; 0.5 records the first half of the track and nothing of the second."""
-    speed: float = 10.0
-    """Set speed in mph; the driver slows for bends."""
+    """How far to drive, at each speed; 0.5 records the first half of the track and nothing of the second."""
+    speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
+    """Set speeds in mph, driven one after the other, each from the start; the driver slows for bends."""
     rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
     """Recorded rows a second; it must divide 50."""
     recovery: float = 0.35
@@ -66,21 +70,19 @@ def record_simulated(
         simulation = Simulation(drive.track)
     except ValueError as error:
         raise RecordingError(f"--track {drive.track}: {error}") from None
-    driver = make_driver(drive.driver, simulation.track.line, drive.speed, drive.noise, drive.seed)
-    steps = drive_for_recording(simulation.course, driver, drive.laps, drive.rate, drive.recovery, drive.seed)
     metadata = {
         "source": "simulator",
         "simulator": "built-in",
         "track": simulation.track.name,
         "track_fingerprint": simulation.track.fingerprint(),
         "driver": drive.driver,
-        **{
-            f"drive.{name}": f"{getattr(drive, name):g}" for name in ("laps", "speed", "rate", "recovery", "noise")
-        },
+        "drive.laps": f"{drive.laps:g}",
+        "drive.speed": " ".join(f"{speed_mph:g}" for speed_mph in drive.speed),
+        **{f"drive.{name}": f"{getattr(drive, name):g}" for name in ("rate", "recovery", "noise")},
         "drive.seed": str(drive.seed),
         **metadata_of(built_in()),
     }
-    length_m = drive.laps * simulation.track.line.length_m
+    length_m = len(drive.speed) * drive.laps * simulation.track.line.length_m
     rows = put_back = 0
     with (
         UdacityWriter(udacity) if udacity is not None else contextlib.nullcontext() as folder,
@@ -88,8 +90,10 @@ def record_simulated(
         progress_bar() as bar,
     ):
         task = bar.add_task(f"recording {drive.track}", total=math.ceil(length_m), note="metres")
-        for step in steps:
+        for step, new_speed_mph in _drive_at_each_speed(simulation, drive):
             time_ns = CLOCK_START_NS + round(step.time_s * 1e9)
+            if new_speed_mph is not None and len(drive.speed) > 1:
+                writer.event(time_ns, f"from the start, at a set speed of {new_speed_mph:g} mph")
             jpegs = {camera: simulation.jpeg(camera, step.pose) for camera in MOUNT_LEFT_M}
             for camera, jpeg in jpegs.items():
                 writer.picture(camera, time_ns, rows, jpeg)
@@ -123,15 +127,34 @@ def record_simulated(
     return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), notices)
 
 
+def _drive_at_each_speed(
+    simulation: Simulation, drive: SimulatedDrive
+) -> Iterator[tuple[DriveStep, float | None]]:
+    """The steps of a recording, whose times and progress run on; with the first one at each speed, that speed."""
+    begin_s = 0.0
+    for number, speed_mph in enumerate(drive.speed):
+        seed = drive.seed + number  # the pushes are other ones each time
+        driver = make_driver(drive.driver, simulation.track.line, speed_mph, drive.noise, seed)
+        begin_m = number * drive.laps * simulation.track.line.length_m
+        new_speed_mph: float | None = speed_mph
+        for step in drive_for_recording(simulation.course, driver, drive.laps, drive.rate, drive.recovery, seed):
+            now_s = begin_s + step.time_s
+            yield replace(step, time_s=now_s, progress_m=begin_m + step.progress_m), new_speed_mph
+            new_speed_mph = None
+        begin_s = now_s + BACK_TO_START_S
+
+
 def check_drive(drive: SimulatedDrive) -> None:
     """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
     try:
         steps_each(drive.rate)
     except ValueError as error:
         raise RecordingError(str(error)) from None
+    if not drive.speed:
+        raise RecordingError("--speed: a set speed in mph was expected, or several")
     for flag, value, is_good, expected in (
         ("--laps", drive.laps, 0 < drive.laps < math.inf, "a number above 0"),
-        ("--speed", drive.speed, 0 < drive.speed < math.inf, "a set speed above 0 mph"),
+        *(("--speed", mph, 0 < mph < math.inf, "a set speed above 0 mph") for mph in drive.speed),
         ("--recovery", drive.recovery, 0 <= drive.recovery <= MOST_RECOVERY, f"a share of 0 .. {MOST_RECOVERY:g}"),
         ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),
         ("--seed", drive.seed, drive.seed >= 0, "a whole number from 0 on"),

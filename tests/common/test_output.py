@@ -28,7 +28,7 @@ from logs import write_log
 from model import train
 from model.cli import main as bc_train
 from repository import ROOT
-from toy import TINY, road, toy_index
+from toy import SMALL, road, toy_index
 from udacity import call
 from viz.cli import main as bc_play
 
@@ -225,12 +225,25 @@ def test_what_training_logs_is_a_message_in_every_command_that_loads_a_run(
     """A run of an earlier version, whose name nobody would give."""
     index = toy_index(tmp_path)
     run = tmp_path / "runs" / "a\x1b[2Jb\nc"
-    train(index, run, replace(TINY, epochs=1, batch=8), figures=False, show_progress=False)
+    train(index, run, replace(SMALL, epochs=1, batch=8), figures=False, show_progress=False)
     weights = run / "model.safetensors"
     with safe_open(weights, framework="np") as file:
         stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
     save_file(load_file(weights), weights, stored)
-    flags = ("--index", index, "--runs", tmp_path / "runs", "--epochs", 1, "--batch", 8, "--threads", 1)
+    flags = (
+        "--index",
+        index,
+        "--runs",
+        tmp_path / "runs",
+        "--network",
+        "small",
+        "--epochs",
+        1,
+        "--batch",
+        8,
+        "--threads",
+        1,
+    )
     commands: list[tuple[Callable[[], None], tuple[object, ...]]] = [
         (bc_eval, ("RUN", "--index", index)),
         (bc_play, (tmp_path / "toy.mcap", "--run", "RUN", "--write", tmp_path / "said.mcap")),

@@ -21,16 +21,21 @@ from udacity import call
 def trained(folder: Path, *flags: object) -> dict[str, Any]:
     """The settings of a training, and of the index that it has built."""
     places = ["--index", folder / "new", "--sessions", folder, "--runs", folder / "runs"]
-    assert call(bc_train, "--name", "run", "--epochs", 1, "--threads", 1, *flags, *places) in (0, 3)
+    assert call(
+        bc_train, "--name", "run", "--network", "small", "--epochs", 1, "--threads", 1, *flags, *places
+    ) in (0, 3)
     config: dict[str, Any] = json.loads((folder / "runs" / "run" / "config.json").read_text())
     return config
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("recipe", ["people", "original"])
 def test_the_recipe_is_that_of_the_training_and_of_the_index_that_it_builds(tmp_path: Path, recipe: Any) -> None:
     toy_index(tmp_path)
     config = trained(tmp_path, *(["--recipe", recipe] if recipe == "original" else []))
-    assert settings_from(TrainConfig, config["training"]) == replace(TrainConfig.of(recipe), epochs=1, threads=1)
+    assert settings_from(TrainConfig, config["training"]) == replace(
+        TrainConfig.of(recipe), network="small", epochs=1, threads=1
+    )
     assert settings_from(IndexConfig, config["data"]["settings"]) == IndexConfig.of(recipe)
 
 
@@ -49,6 +54,7 @@ def test_settings_of_earlier_versions_are_those_of_the_original_project() -> Non
         assert settings_from(kind, json.loads(json.dumps(stored))) == kind.of("original")
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_is_repeated_by_its_own_recipe_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_index(tmp_path)
     trained(tmp_path, "--recipe", "original")
@@ -65,6 +71,7 @@ def test_an_unknown_recipe_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "people" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_index(tmp_path)
     flags = ["--sessions", tmp_path, "--index", tmp_path / "new"]

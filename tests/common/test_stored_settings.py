@@ -14,7 +14,7 @@ from common.stored_settings import settings_from
 from dataset import IndexConfig
 from model import RunError, TrainConfig, load_pilot, train
 from model.cli import main
-from toy import TINY, toy_index
+from toy import SMALL, toy_index
 from udacity import call
 
 
@@ -69,9 +69,10 @@ def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], st
         settings_from(kind, stored)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_that_was_fine_tuned_is_repeated_with_the_weights_it_began_with(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
-    one = replace(TINY, epochs=1, batch=8)
+    one = replace(SMALL, epochs=1, batch=8)
     train(index, tmp_path / "base", one, figures=False)
     train(index, tmp_path / "tuned", one, init=tmp_path / "base", figures=False)
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path]

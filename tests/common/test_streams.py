@@ -203,7 +203,7 @@ def test_a_training_goes_on_when_its_reader_has_gone(tmp_path: Path) -> None:
 
 
 def toy_training(folder: Path) -> list[str]:
-    flags = ("--index", toy_index(folder), "--epochs", 1, "--batch", 8, "--threads", 1)
+    flags = ("--index", toy_index(folder), "--network", "small", "--epochs", 1, "--batch", 8, "--threads", 1)
     return command("bc-train", "--name", "toy", *flags)
 
 

@@ -126,8 +126,9 @@ def test_the_folder_it_writes_imports_to_the_same_session(
         SimulatedDrive(rate=0),
         SimulatedDrive(recovery=1),
         SimulatedDrive(seed=-1),
-        SimulatedDrive(speed=0),
-        SimulatedDrive(speed=float("nan")),
+        SimulatedDrive(speed=(10, 0)),
+        SimulatedDrive(speed=(float("nan"),)),
+        SimulatedDrive(speed=()),
     ],
     ids=str,
 )

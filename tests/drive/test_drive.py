@@ -32,7 +32,17 @@ from drive.cli import drive as drive_command
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.drive_server import MAX_SIMULATORS, DriveServer
-from driving import PATIENCE_S, DriveProcess, Process, one_line_in, one_line_of, road_jpeg, run, untrained_run
+from driving import (
+    PATIENCE_S,
+    DriveProcess,
+    Process,
+    call_drive,
+    one_line_in,
+    one_line_of,
+    road_jpeg,
+    run,
+    untrained_run,
+)
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -205,7 +215,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         bare.close()
 
         with contextlib.redirect_stderr(io.StringIO()) as refused:
-            assert call(drive_main, pilot_run, "--log", folder / "second.mcap", "--port", port) == 1
+            assert call_drive(pilot_run, "--log", folder / "second.mcap", "--port", port) == 1
         (done.second,) = refused.getvalue().splitlines()
 
         assert not log.exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import signal
@@ -18,10 +19,13 @@ import numpy as np
 import pytest
 import torch
 
+from dataset.prediction_targets import STEERING_ONLY, TargetName
+from drive.cli import main as drive_main
 from forked import Forked, ForkServer
 from model.network.original import SteeringNetwork
 from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
+from udacity import call
 from waiting import PATIENCE_S as PATIENCE_S
 
 COMMANDS = (
@@ -59,15 +63,15 @@ def environment() -> dict[str, str]:
 
 
 SERVER: Final = ForkServer(environment())
-_LOADING_PYTORCH = [command(name) for name in ("bc-train", "bc-drive", "bc-eval", "bc-demo")]
+_SLOW_TO_START = [command(name) for name in COMMANDS if name not in ("bc-play", "bc-sim")]
 
 
 def started(
     line: Sequence[str], cwd: Path | None = None, *, loads_pytorch: bool = False
 ) -> Forked | subprocess.Popen[str]:
-    """A program with pipes for its output. One that loads PyTorch is forked, where that is like a start: our
-    commands that do, and any `python -c` of which `loads_pytorch` says so."""
-    if (loads_pytorch or any(line[:3] == known for known in _LOADING_PYTORCH)) and SERVER.can_start(environment()):
+    """A program with pipes for its output; one that loads much is forked, where that is like a start: most of our
+    commands, and `python -c` of what `loads_pytorch`."""
+    if (loads_pytorch or any(line[:3] == known for known in _SLOW_TO_START)) and SERVER.can_start(environment()):
         return SERVER.start(line[2], line[3:], cwd, environment())
     pipe = subprocess.PIPE
     return subprocess.Popen(line, cwd=cwd, env=environment(), stdout=pipe, stderr=pipe, text=True)
@@ -94,6 +98,17 @@ def run_code(code: str, *flags: str, cwd: Path | None = None) -> subprocess.Comp
     return subprocess.run(
         line, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
+
+
+def call_drive(*arguments: object) -> int:
+    """Run `bc-drive` in this process, whose settings are as before then; its exit code."""
+    switch_s, threads = sys.getswitchinterval(), torch.get_num_threads()
+    try:
+        return call(drive_main, *arguments)
+    finally:
+        sys.setswitchinterval(switch_s)
+        torch.set_num_threads(threads)
+        gc.unfreeze()  # else nothing of what is loaded is collected at the end, and DuckDB lists it as leaked
 
 
 def one_line_of(done: subprocess.CompletedProcess[str]) -> str:
@@ -127,14 +142,14 @@ def road_jpeg(number: int) -> bytes:
     return encoded.tobytes()
 
 
-def untrained_run(folder: Path, seed: int = 0) -> Path:
+def untrained_run(folder: Path, seed: int = 0, targets: Sequence[TargetName] = STEERING_ONLY) -> Path:
     """A run whose network was never trained, but steers differently for every picture."""
     torch.manual_seed(seed)
-    network = SteeringNetwork()
+    network = SteeringNetwork(outputs=len(targets))
     for parameter in network.parameters():
         if parameter.dim() > 1:
             torch.nn.init.kaiming_uniform_(parameter, nonlinearity="relu")
-    create_run(folder, {"seed": seed})
+    create_run(folder, {"seed": seed, "targets": targets})
     save_weights(folder, network.state_dict(), epoch=0)
     return folder
 

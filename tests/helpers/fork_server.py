@@ -20,6 +20,7 @@ from typing import Any
 LOADED = (
     *("torch", "cv2", "pyarrow.compute", "pyarrow.parquet", "tyro", "rich.progress"),
     *("model.cli", "model.pilot", "model.training.trainer", "dataset.cli", "drive.cli"),
+    *("recorder.cli", "recorder.log_cli"),
 )
 LOADED_IF_INSTALLED = ("pandas", "matplotlib.figure", "matplotlib.backends.backend_agg")  # by pyarrow; for figures
 

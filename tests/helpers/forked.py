@@ -1,7 +1,7 @@
 """Commands that are forked from a process that has PyTorch loaded (fork_server.py) instead of started.
 
-A start costs two seconds of processor time, nearly all of it for imports. What a fork does not show: the order of
-sets and imports is the same in all forks of one process."""
+A start costs one or two seconds of processor time, nearly all of it for imports. What a fork does not show: the
+order of sets and imports is the same in all forks of one process."""
 
 from __future__ import annotations
 

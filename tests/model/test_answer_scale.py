@@ -17,16 +17,17 @@ from dataset import IndexConfig, Loader, Samples, build_index
 from dataset.picture_spec import ORIGINAL
 from logs import write_log
 from model import RunError, evaluate, load_pilot, train
+from model.network.small import SmallNetwork
 from model.onnx_export import export_onnx
 from model.runs.answer_scale import LEAST_SCALE, MOST_CURVE, MOST_SCALE, AnswerScale
 from model.runs.checksums import save_checksummed
 from model.runs.history import read_history
 from model.runs.run_folder import load_answer_scale
 from model.training.natural_frequency import NaturalFrames
-from toy import STEERING, TINY, road, toy_index
+from toy import SMALL, STEERING, road, toy_index
 
 NEARLY_A_QUARTER = 1 / (1 + 3**0.75)  # of two kinds of frames, one thrice as many: three quarters of the way
-NATURAL = replace(TINY, epochs=2, answers="natural")
+NATURAL = replace(SMALL, epochs=2, answers="natural")
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +110,9 @@ def test_the_run_answers_so_whatever_asks_it(natural: Path, as_learnt: Path, ind
         assert found.as_learnt.rmse_deg == pytest.approx(learnt.measures.network.rmse_deg, abs=1e-3)
         assert export_onnx(natural / part, tmp_path / f"{part}.onnx") < 1e-5
     with Samples(index) as samples:
-        [batch, *_] = Loader(samples, samples.driving_view("validation"), batch=1).in_order()
+        [batch, *_] = Loader(
+            samples, samples.driving_view("validation"), batch=1, seen=SmallNetwork.PICTURE
+        ).in_order()
     pilots = [load_pilot(run, "float32").predict(batch.pictures[0]) for run in (natural, as_learnt)]
     expected = by_hand(load_answer_scale(natural), np.array(pilots[1]))
     assert pilots[0] == pytest.approx(float(expected), abs=1e-5)
@@ -133,9 +136,9 @@ def test_a_run_whose_scale_is_in_its_last_layer_drives_as_it_did(
     shutil.copytree(as_learnt, tmp_path / "run")
     path = tmp_path / "run" / "model.safetensors"
     weights = load_tensors(path)
-    weights["head.11.weight"], weights["head.11.bias"] = (
-        0.5 * weights["head.11.weight"],
-        0.5 * weights["head.11.bias"] + 0.1,
+    weights["head.5.weight"], weights["head.5.bias"] = (
+        0.5 * weights["head.5.weight"],
+        0.5 * weights["head.5.bias"] + 0.1,
     )
     save_checksummed(path, weights, {"epoch": "1", "answer_scale": "0.5", "answer_offset": "0.1"})
     found, learnt = (evaluate(run, index).frames["predicted"].to_numpy() for run in (tmp_path / "run", as_learnt))

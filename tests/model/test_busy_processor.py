@@ -11,7 +11,7 @@ import torch
 
 from model import train
 from model.training.busy_processor import busy_notice
-from toy import TINY, toy_index
+from toy import SMALL, toy_index
 
 
 def test_a_step_much_slower_than_it_computes_is_noticed() -> None:
@@ -31,8 +31,14 @@ def test_a_clock_that_is_too_coarse_for_a_step_breaks_nothing() -> None:
     assert "many times" in busy_notice(threads=4, wall_s=0.01, cpu_s=0.0)
 
 
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
 @pytest.mark.parametrize(("threads", "computes", "times"), [(2, False, 1), (2, True, 0), (1, False, 0)])
 def test_a_training_says_it_once(
+    index: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -44,8 +50,8 @@ def test_a_training_says_it_once(
     monkeypatch.setattr(time, "thread_time", lambda: 10 * time.perf_counter() if computes else 0.0)
     before = torch.get_num_threads()
     try:
-        config = replace(TINY, epochs=2, batch=26, threads=threads)
-        train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
+        config = replace(SMALL, epochs=2, batch=26, threads=threads)
+        train(index, tmp_path / "run", config, figures=False, show_progress=False)
     finally:
         torch.set_num_threads(before)
     assert [record.getMessage().startswith("the processor is busy") for record in caplog.records] == [True] * times

@@ -30,7 +30,7 @@ from model.evaluation.evaluate import evaluate, evaluate_sessions
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.edit import rewrite
-from toy import STEERING, TINY, road
+from toy import SMALL, STEERING, road
 from udacity import call
 
 STEP_NS = 300_000_000
@@ -59,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_log(folder / "sessions" / "b.mcap", LEFT, left_road, cameras=["center", "left"], step_ns=STEP_NS),
     ]
     index = build_index(logs, folder / "index", SPLIT).path
-    config = replace(TINY, epochs=2, batch=8)
+    config = replace(SMALL, epochs=2, batch=8)
     train(index, folder / "runs" / "toy", config, figures=False, show_progress=False)
     write_log(folder / "sessions" / "new.mcap", STEERING[::-1], road, step_ns=STEP_NS + 1)
     return folder

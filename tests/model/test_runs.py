@@ -19,13 +19,13 @@ from driving import run_code
 from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate_sessions
 from model.runs.run_folder import create_run, find_any_run
-from toy import TINY, road, toy_index
+from toy import SMALL, road, toy_index
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "toy"
-    one = replace(TINY, epochs=1, batch=8)
+    one = replace(SMALL, epochs=1, batch=8)
     train(toy_index(tmp_path_factory.mktemp("toy")), run, one, figures=False)
     return run
 
@@ -53,7 +53,7 @@ def other_weights(run: Path) -> None:
 
 def one_other_shape(run: Path) -> None:
     weights = load_file(run / "model.safetensors")
-    name = next(name for name, tensor in weights.items() if tensor.shape == (1, 10))
+    name = next(name for name, tensor in weights.items() if tensor.shape == (1, 16))
     save_file({**weights, name: np.zeros((1, 11), np.float32)}, run / "model.safetensors")
 
 
@@ -125,7 +125,7 @@ def test_a_pilot_says_the_same_of_the_same_picture_and_which_weights_it_has(
 
 def test_places_may_be_given_as_text(trained: Path, tmp_path: Path) -> None:
     index = toy_index(tmp_path)
-    one = replace(TINY, epochs=1, batch=8)
+    one = replace(SMALL, epochs=1, batch=8)
     run = str(train(str(index), str(tmp_path / "run"), one, init=str(trained), figures=False).run)
     train(str(index), run, replace(one, epochs=2), resume=True, figures=False)
     assert evaluate(run, str(index)).measures.frames == evaluate(Path(run), index).measures.frames

@@ -131,7 +131,7 @@ def test_other_data_has_another_fingerprint(
 
     log = write_log(tmp_path / "toy.mcap", STEERING[:4], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation_share=0.0)).path
-    config = TrainConfig(epochs=1, batch=4, precision="float32", threads=1)
+    config = TrainConfig(network="small", epochs=1, batch=4, precision="float32", threads=1)
     [epoch] = train(other, tmp_path / "run", config, figures=False).epochs
     assert math.isnan(epoch.measures.network.mae_deg)  # nothing was held out
     assert fingerprint(tmp_path / "run") != fingerprint(trained[0])
@@ -164,6 +164,7 @@ def test_bc_train_builds_the_index_and_prints_each_epoch(
     assert "no index yet" in told.err
     assert "no frame is held out, so nothing tells how good the network is" in told.err
     assert find_run(None, tmp_path / "runs") == tmp_path / "runs" / "first"
+    assert {"curves.png", "steering.png"} <= {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert call(main, *line, *flags) == 1
     assert "first: exists already" in capsys.readouterr().err
 
@@ -190,6 +191,7 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
         assert (pilot.crop(decode(jpeg)) == picture).all()
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -202,7 +204,7 @@ def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_s
     assert call(bc_index) == 3
     expected = capsys.readouterr().err.splitlines()
     shutil.rmtree("index")
-    flags = ["--name", "first", "--epochs", 1, "--batch", 64, "--threads", 1]
+    flags = ["--name", "first", "--network", "small", "--epochs", 1, "--batch", 64, "--threads", 1]
     assert call(main, *flags) == 3
     told = capsys.readouterr().err.splitlines()
     assert any("bad.mcap: not an MCAP log" in line for line in expected)
@@ -211,6 +213,7 @@ def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_s
     assert json.loads(Path("runs/first/config.json").read_text())["data"]["logs"].keys() == {"good"}
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -221,7 +224,7 @@ def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
     log.write_bytes(whole.read_bytes()[:-40])  # its end
     assert call(bc_index, "--block-s", 0.5, "--gap-s", 0) == 3
     notice = next(line for line in capsys.readouterr().err.splitlines() if "cut.mcap" in line)
-    flags = ["--epochs", 1, "--batch", 64, "--threads", 1]
+    flags = ["--network", "small", "--epochs", 1, "--batch", 64, "--threads", 1]
     assert call(main, "--name", "first", *flags) == 0  # it was said when the index was built
     shutil.rmtree("index")
     capsys.readouterr()

@@ -23,10 +23,10 @@ from disk import files_of_at_most
 from logs import write_log
 from model import RunError, TrainConfig, load_pilot, train
 from model.cli import main
-from toy import STEERING, TINY, road, toy_index
+from toy import SMALL, STEERING, road, toy_index
 from udacity import call
 
-ONE = replace(TINY, epochs=1, batch=8)
+ONE = replace(SMALL, epochs=1, batch=8)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_a_loss_that_is_not_finite_ends_the_training_and_names_the_way_out(index
     with pytest.raises(
         RunError, match=r"no longer finite in epoch 1; train anew with a --rate smaller than 1e\+30"
     ):
-        train(index, tmp_path / "run", replace(TINY, rate=1e30), figures=False)
+        train(index, tmp_path / "run", replace(SMALL, rate=1e30), figures=False)
     assert not (tmp_path / "run").exists()  # nothing was learnt: the name is free
 
 
@@ -87,13 +87,14 @@ def broken_at(*rows: int) -> Callable[[Camera, int], bytes]:
     return lambda camera, row: b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9" if row in rows else road(camera, row)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_pictures_that_do_not_decode_are_left_out_named_and_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = write_log(tmp_path / "toy.mcap", STEERING, broken_at(2, 3), cameras=["center"])
     index = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0)).path
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]
-    assert call(main, "--name", "run", "--epochs", 2, "--batch", 8, *places) == 3
+    assert call(main, "--name", "run", "--network", "small", "--epochs", 2, "--batch", 8, *places) == 3
     said = capsys.readouterr().err
     assert "skipped pictures that do not decode: 2 (toy row 2 center, toy row 3 center)" in said
     assert load_pilot(tmp_path / "runs" / "run")
@@ -239,14 +240,15 @@ def test_bad_usage_names_the_flag(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_disk_that_is_full_names_the_file_and_the_way_on(
     index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
-    flags = ["--batch", 8, "--threads", 1, "--precision", "float32"]
+    flags = ["--network", "small", "--batch", 8, "--threads", 1, "--precision", "float32"]
     assert call(main, "--name", "first", "--epochs", 1, *flags, *places) == 0
     capsys.readouterr()
-    with files_of_at_most(30_000_000):
+    with files_of_at_most(800_000):
         assert call(main, "--resume", "first", "--epochs", 2, "--runs", tmp_path) == 1
     hint, error = capsys.readouterr().err.splitlines()
     path = tmp_path / "first" / "last" / "checkpoint.safetensors"

@@ -18,7 +18,7 @@ from logs import START_NS, STEP_NS
 from model import Epoch, train
 from model.runs.history import read_history
 from rrd import contents, view_names
-from toy import STEERING, TINY, road, toy_index
+from toy import SMALL, STEERING, TINY, road, toy_index
 from udacity import call
 from viz.cli import main
 
@@ -106,15 +106,15 @@ def test_a_picture_that_does_not_decode_moves_no_other_picture(
 def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     for epochs in (1, 2):
-        config = replace(CONFIG, epochs=epochs)
+        config = replace(SMALL, epochs=epochs, batch=16)
         train(index, tmp_path / "run", config, resume=epochs > 1, figures=False, show_progress=False)
     assert [line["epoch"] for line in lines(tmp_path / "run")] == [1, 2]
 
 
 def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`read_history` takes no file of any size."""
-    monkeypatch.setattr("model.training.run_writer.MOST_WORST_BYTES", 20_000)
-    config = replace(CONFIG, epochs=6)
+    monkeypatch.setattr("model.training.run_writer.MOST_WORST_BYTES", 10_000)
+    config = replace(SMALL, epochs=6, batch=16)
     train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
     history, skipped = read_history(tmp_path / "run")
     assert len(skipped) == 0
@@ -122,7 +122,7 @@ def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkey
     kept = [worst.epoch for worst in history.worst]
     assert kept == list(range(kept[0], 7))
     assert 1 < kept[0] < 6
-    assert (tmp_path / "run" / "worst.jsonl").stat().st_size < 2 * 20_000
+    assert (tmp_path / "run" / "worst.jsonl").stat().st_size < 2 * 10_000
 
 
 def test_lines_that_no_training_writes_are_skipped_and_named(here: Path, tmp_path: Path) -> None:

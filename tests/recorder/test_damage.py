@@ -212,15 +212,16 @@ def test_a_killed_recording_of_which_any_byte_is_broken_loses_one_chunk_at_most(
     chunk_starts = {chunk.start for chunk in original.chunks}
     data = whole.read_bytes()[:end]
     killed = whole.with_name("killed.mcap")
+    killed.write_bytes(data)
     complaints = []
     for position in range(MAGIC_BYTES, end):
-        damaged = bytearray(data)
-        damaged[position] ^= MASKS[position % 2] if position not in chunk_starts else CHUNK_TO_MESSAGE
-        killed.write_bytes(damaged)
+        mask = MASKS[position % 2] if position not in chunk_starts else CHUNK_TO_MESSAGE
+        overwrite(killed, position, data[position] ^ mask)
         hit = [message for c in original.chunks if c.start <= position < c.end for message in c.messages]
         undescribed = {topic for topic, message in first.items() if message in hit}
         least = [m for m in original.messages if m not in hit and m.topic not in undescribed]
         found = given_out(killed)
+        overwrite(killed, position, data[position])
         if not recorded_in(least) <= found <= recorded_in(original.messages):
             complaints.append(f"byte {position}: gave out {found}, whole are {least}")
     assert complaints == []

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from safetensors.numpy import load_file, save_file
 
 from common import UserError
 from common.car import Camera
 from dataset import decode
-from drive.cli import main as drive_main
-from driving import road_jpeg, untrained_run
+from driving import call_drive, road_jpeg, untrained_run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
@@ -124,9 +122,7 @@ def test_how_far_each_run_is_off_is_printed(here: Path, shown: Path, said: dict[
 def test_the_network_that_drove_says_again_what_it_said_then(here: Path, tmp_path: Path) -> None:
     log = tmp_path / "drive.mcap"
     flags = ("--simulator", "lake", "--laps", 0.01, "--precision", "float32", "--log", log)
-    threads = torch.get_num_threads()
-    assert call(drive_main, "first", *flags) == 0
-    torch.set_num_threads(threads)  # a pilot drives on one
+    assert call_drive("first", *flags) == 0
     found = predict_log(log, [here / "runs" / "first"])
     commands = read_messages(log)["/pilot/command"]
     assert len(commands) > 20

@@ -1,0 +1,1 @@
+"""LeRobot datasets that are made of logs."""

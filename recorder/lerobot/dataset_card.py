@@ -1,0 +1,123 @@
+"""The card of a dataset, its README.md: what it is, who drove, how it was made, and under which licence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from common.errors import counted, printable
+from common.versions import version_of
+
+CARD_PATH: Final = "README.md"
+NO_LICENCE: Final = "not stated: ask whoever recorded it before you use it"
+
+
+@dataclass(frozen=True)
+class CardSession:
+    """What the card says of one log."""
+
+    name: str
+    fingerprint: str
+    session: Mapping[str, str]  # where the log comes from, as its metadata says
+    rows: int
+    episodes: int
+    excluded: int
+
+
+def card(
+    info: Mapping[str, Any],
+    sessions: Sequence[CardSession],
+    *,
+    task: str,
+    licence: str | None,
+    picture: str,
+    rate_hz: float,
+) -> str:
+    """The text of a card. `picture`: the file name of an example."""
+    is_video = info["video_path"] is not None
+    header = [
+        "---",
+        *([f"license: {json.dumps(licence)}"] if licence else []),
+        "task_categories:",
+        "- robotics",
+        "tags:",
+        "- LeRobot",
+        "- imitation-learning",
+        "- driving",
+        "configs:",
+        "- config_name: default",
+        "  data_files: data/*/*.parquet",
+        "---",
+    ]
+    frames, episodes = info["total_frames"], info["total_episodes"]
+    names = ", ".join(name for name in info["features"] if name.startswith("observation.images."))
+    pictures = (
+        f"Pictures ({names}): videos in H.264, encoded anew from the camera's pictures, which are not in here."
+        if is_video
+        else f"Pictures ({names}): in the parquet files, byte for byte as the camera or simulator made them."
+    )
+    rows = [
+        f"| {_cell(each.name)} | {_cell(_origin(each.session))} | {each.rows:,} | {each.episodes:,} |"
+        f" {each.excluded:,} | `{each.fingerprint[:16]}` |"
+        for each in sessions
+    ]
+    lines = [
+        *header,
+        "",
+        "# Driving, for behavioural cloning",
+        "",
+        f"![A picture of it]({picture})",
+        "",
+        f"{counted(frames, 'frame')} of driving in {counted(episodes, 'episode')}, about {rate_hz:.3g} a second."
+        f" Task: {_cell(task)}",
+        "",
+        "## What is in it",
+        "",
+        f"- {pictures}",
+        "- `action`: `steering` from -1 (left) to 1 (right), where 1 is 25 degrees; `throttle`, `brake`, 0 to 1.",
+        *(
+            ["- `observation.state`: `speed_mph`, miles an hour (1 is 0.44704 m/s)."]
+            if "observation.state" in info["features"]
+            else ["- No `observation.state`: not every session knows its speed."]
+        ),
+        f"- `timestamp` is `frame_index / {info['fps']}`, as the format has it. The true time of each frame is"
+        " `log_time_ns`, nanoseconds since 1970 where the session knew the date.",
+        "- `log_fingerprint`, `log_row`: the log and the row that a frame comes from. `log_vehicle`: steering,"
+        " throttle, brake and speed with all the digits of the log.",
+        "- An episode is a drive without a pause of more than a second.",
+        "",
+        "## Who drove, and what was left out",
+        "",
+        "| session | where it comes from | frames | episodes | rows excluded by hand | fingerprint |",
+        "|---|---|---|---|---|---|",
+        *rows,
+        "",
+        "## How it was made",
+        "",
+        f"Exported by behavioural-cloning-toolkit {version_of()} (`bc-log export --lerobot`) in the format"
+        f" {info['codebase_version']} of [LeRobot](https://github.com/huggingface/lerobot);"
+        " `bc-record NAME --from FOLDER` makes a log of it again.",
+        "",
+        "## Licence",
+        "",
+        licence or NO_LICENCE.capitalize() + ".",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _origin(session: Mapping[str, str]) -> str:
+    told = [
+        f"{name}: {session[name]}"
+        for name in ("source", "track", "driver", "run", "recording")
+        if session.get(name)
+    ]
+    return ", ".join(told) or "unknown"
+
+
+def _cell(text: str) -> str:
+    """Somebody else's text, as one that neither ends its cell nor becomes a link or a tag."""
+    safe = printable(text)
+    return "".join(f"\\{character}" if character in "\\|<>[]`*_!&" else character for character in safe)

@@ -1,0 +1,110 @@
+"""The files of a dataset, written episode by episode, and in the end those that tell what the episodes are."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from recorder.lerobot import dataset_format as form
+from recorder.lerobot.data_files import DataFiles
+from recorder.lerobot.row_pictures import Sizes
+from recorder.lerobot.video_files import VideoFiles
+
+_EPISODES_AT_ONCE: Final = 64  # are kept until they are written to meta/episodes
+
+
+class DatasetFiles:
+    """As a context manager it ends its files."""
+
+    def __init__(self, root: Path, fps: int, *, has_speed: bool, is_video: bool) -> None:
+        self.root = root
+        self.is_video = is_video
+        self._fps = fps
+        self._has_speed = has_speed
+        self._schema = pa.schema([])
+        self._data: DataFiles | None = None
+        self._videos: list[VideoFiles] = []
+        self._episodes: list[dict[str, Any]] = []
+        self._episodes_writer: pq.ParquetWriter | None = None
+
+    def begin_episode(self, sizes: Sizes) -> None:
+        """To be called before anything is added of an episode."""
+        if self._data is None:
+            columns = form.features(sizes, has_speed=self._has_speed, is_video=self.is_video)
+            self._schema = form.data_schema(columns)
+            self._data = DataFiles(self.root, self._schema)
+            cameras = sizes.items() if self.is_video else ()
+            self._videos = [VideoFiles(self.root, form.image_key(camera), self._fps, s) for camera, s in cameras]
+        for video in self._videos:
+            video.begin_episode()
+
+    def add_to_videos(self, pictures: Sequence[NDArray[np.uint8]]) -> None:
+        """One decoded picture (height, width, 3) BGR of each camera."""
+        for video, picture in zip(self._videos, pictures, strict=True):
+            video.add(picture)
+
+    def write(self, columns: Mapping[str, pa.Array | pa.ChunkedArray], size: int, about: dict[str, Any]) -> None:
+        """Write an episode's columns, whose pictures have `size` bytes, and what meta/episodes has about it."""
+        if self._data is None:
+            raise ValueError("no episode was begun")
+        table = pa.table([columns[name] for name in self._schema.names], schema=self._schema)
+        number = self._data.write(table, size)
+        places: dict[str, Any] = {"data/chunk_index": number.chunk, "data/file_index": number.file}
+        for video in self._videos:
+            places |= video.episode_columns()
+        self._episodes.append({**about, **places, "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
+        if len(self._episodes) >= _EPISODES_AT_ONCE:
+            self._write_episodes()
+
+    def close(self) -> None:
+        for files in (self._data, *self._videos):
+            if files is not None:
+                files.close()
+        self._write_episodes()
+        if self._episodes_writer is not None:
+            self._episodes_writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.close()
+            return
+        with contextlib.suppress(Exception):  # what was raised says why; nothing of the folder stays
+            self.close()
+
+    def _write_episodes(self) -> None:
+        if not self._episodes:
+            return
+        table = pa.Table.from_pylist(self._episodes)
+        if self._episodes_writer is None:
+            path = self.root / form.FileNumber().path(form.EPISODES_PATH)
+            path.parent.mkdir(parents=True)
+            self._episodes_writer = pq.ParquetWriter(path, table.schema, write_page_checksum=True)
+        self._episodes_writer.write_table(table)
+        self._episodes = []
+
+
+def write_json(path: Path, content: object) -> None:
+    path.write_text(json.dumps(content, indent=4, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_tasks(root: Path, task: str) -> None:
+    """As pandas writes a table with an index, which is how LeRobot finds a task by its words."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
+        for name, (kind, numpy_kind) in kinds.items()
+    ]
+    pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
+    pq.write_table(tasks.replace_schema_metadata({"pandas": json.dumps(pandas)}), root / form.TASKS_PATH)

@@ -1,0 +1,269 @@
+"""Logs as a LeRobot dataset: a folder that appears whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from common import Skipped, UserError
+from common.car import Camera
+from common.files import new_folder
+from common.progress import progress_bar
+from recorder.errors import LogError
+from recorder.lerobot import dataset_format as form
+from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
+from recorder.lerobot.dataset_files import DatasetFiles, write_json, write_tasks
+from recorder.lerobot.export_plan import ExportPlan, plan_export
+from recorder.lerobot.feature_statistics import (
+    DatasetStatistics,
+    PictureStatistics,
+    Statistics,
+    as_json,
+    number_statistics,
+    sampled,
+)
+from recorder.lerobot.log_episodes import LogEpisodes, log_episodes
+from recorder.lerobot.picture_spool import PictureSpool
+from recorder.lerobot.row_pictures import RowPictures, Sizes
+from recorder.lerobot.video_files import require_av, video_info
+from recorder.log.reader import Log
+from recorder.log.row_quality import States
+from recorder.pictures.picture_size import PNG_START, can_be_decoded
+
+TASK: Final = "Drive along the road."
+ROBOT: Final = "car"
+
+Columns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A dataset that was written, and what of its logs is not in it."""
+
+    folder: Path
+    episodes: int
+    frames: int
+    pictures: int
+    size_bytes: int
+    excluded: int
+    """Rows that are tagged `exclude`."""
+    skipped: Skipped
+    notices: Sequence[str]
+
+
+def export_lerobot(
+    paths: Sequence[Path], folder: Path, *, task: str = TASK, licence: str | None = None, is_video: bool = False
+) -> Exported:
+    """Write the logs at `paths` as the new LeRobot dataset `folder`, an episode for each drive.
+
+    Pictures are in its parquet files byte for byte, or, with `is_video`, encoded anew in videos.
+    Raises LogError if a log cannot be read or nothing in it can be used, and UserError if `folder` exists or
+    cannot be written.
+    """
+    if is_video:
+        require_av()
+    with new_folder(folder) as part, _refused(folder):
+        plan = plan_export(paths)
+        with (
+            DatasetFiles(part, plan.fps, has_speed=plan.has_speed, is_video=is_video) as files,
+            progress_bar() as progress,
+        ):
+            bar = progress.add_task(f"exporting to {folder.name}", total=plan.rows, note="")
+            export = _Export(plan, files, task, lambda: progress.advance(bar))
+            for path in paths:
+                with Log(path) as log:
+                    export.add(log)
+        if not export.episodes:
+            raise LogError(f"{', '.join(map(str, paths))}: no row can be exported{export.skipped.error_suffix()}")
+        export.write_rest(licence)
+        size_bytes = sum(path.stat().st_size for path in part.rglob("*") if path.is_file())
+    return Exported(
+        folder,
+        export.episodes,
+        export.frames,
+        export.frames * len(plan.cameras),
+        size_bytes,
+        sum(session.excluded for session in export.sessions),
+        export.skipped,
+        plan.notices,
+    )
+
+
+class _Export:
+    """The episodes that were written until now, and what is known of them."""
+
+    def __init__(self, plan: ExportPlan, files: DatasetFiles, task: str, advance: Callable[[], object]) -> None:
+        """`advance` is called for every row."""
+        self._plan, self._files, self._task, self._advance = plan, files, task, advance
+        self.skipped = Skipped()
+        self.episodes = self.frames = 0
+        self.sessions: list[CardSession] = []
+        self._sizes = Sizes()
+        self._statistics = DatasetStatistics()
+        self._example = b""
+
+    def add(self, log: Log) -> None:
+        """Write the episodes of a log. Raises LogError where it is damaged."""
+        if log.notice:
+            self.skipped.add("parts of logs that are not finished", log.notice)
+        taken = log_episodes(log, self._plan.cameras, self.skipped)
+        frames_before, episodes_before = self.frames, self.episodes
+        pictures = RowPictures(log, taken, self._sizes, self.skipped)
+        for episode in taken.episodes:
+            self._add_episode(log, taken, range(episode.start, episode.stop), pictures)
+        self.sessions.append(
+            CardSession(
+                _name(log),
+                log.fingerprint,
+                log.metadata,
+                self.frames - frames_before,
+                self.episodes - episodes_before,
+                taken.excluded,
+            )
+        )
+
+    def _add_episode(self, log: Log, taken: LogEpisodes, rows: range, pictures: RowPictures) -> None:
+        cameras = () if self._files.is_video else self._plan.cameras
+        with PictureSpool(self._files.root, len(cameras)) as spool:
+            kept, looked = self._gather(rows, pictures, spool)
+            if not kept:
+                return
+            states = States(*(getattr(taken.states, name)[kept] for name in vars(taken.states)))
+            numbers = self._numbers(states)
+            statistics = _statistics(numbers, looked)
+            columns: dict[str, pa.Array | pa.ChunkedArray] = {
+                **{name: _arrow(values) for name, values in numbers.items()},
+                form.LOG_FINGERPRINT: pa.array([log.fingerprint] * len(kept)),
+                **dict(zip(map(form.image_key, cameras), spool.columns(), strict=True)),
+            }
+            self._files.write(columns, spool.size_bytes, self._about(log, statistics, len(kept)))
+            del columns  # they are views of the spool's files
+        self._statistics.add(statistics)
+        self.episodes += 1
+        self.frames += len(kept)
+
+    def _gather(
+        self, rows: range, pictures: RowPictures, spool: PictureSpool
+    ) -> tuple[list[int], dict[Camera, PictureStatistics]]:
+        """Bring the pictures of rows to the spool, or to the videos; returns those rows that can be used."""
+        is_video = self._files.is_video
+        looked = {camera: PictureStatistics() for camera in self._plan.cameras}
+        looked_at = set((sampled(len(rows)) + rows.start).tolist())
+        kept: list[int] = []
+        for number in rows:
+            self._advance()
+            found = pictures.read(number)
+            if found is None:
+                continue
+            # also of an episode whose first pictures cannot be used, something must be looked at
+            is_looked_at = number in looked_at or not kept
+            decoded = [_decoded(picture) for picture in found] if is_video or is_looked_at else []
+            sound = [picture for picture in decoded if picture is not None]
+            if len(sound) != len(decoded):
+                pictures.skip("rows with a picture that does not decode", number)
+                continue
+            if not kept:
+                self._files.begin_episode(self._sizes)
+                self._example = self._example or found[0]
+            if is_looked_at:
+                for statistics, picture in zip(looked.values(), sound, strict=True):
+                    statistics.add(picture)
+            if is_video:
+                self._files.add_to_videos(sound)
+            else:
+                spool.add(found)
+            kept.append(number)
+        return kept, looked
+
+    def _numbers(self, states: States) -> Columns:
+        """The columns of an episode that are numbers."""
+        count = len(states.row)
+        frame = np.arange(count)
+        vehicle = np.stack([states.steering, states.throttle, states.brake, states.speed_mph], axis=1)
+        return {
+            **({form.STATE: states.speed_mph.astype(np.float32)} if self._plan.has_speed else {}),
+            form.ACTION: vehicle[:, :3].astype(np.float32),
+            "timestamp": (frame / self._plan.fps).astype(np.float32),
+            "frame_index": frame,
+            "episode_index": np.full(count, self.episodes),
+            "index": frame + self.frames,
+            "task_index": np.zeros(count, np.int64),
+            form.LOG_TIME: states.time_ns,
+            form.LOG_ROW: states.row,
+            form.LOG_VEHICLE: vehicle,
+        }
+
+    def _about(self, log: Log, statistics: dict[str, Statistics], frames: int) -> dict[str, Any]:
+        return {
+            "episode_index": self.episodes,
+            "tasks": [self._task],
+            "length": frames,
+            "dataset_from_index": self.frames,
+            "dataset_to_index": self.frames + frames,
+            "log_name": _name(log),
+            **{
+                f"stats/{feature}/{name}": values
+                for feature, of in as_json(statistics).items()
+                for name, values in of.items()
+            },
+        }
+
+    def write_rest(self, licence: str | None) -> None:
+        """Write what tells what the episodes are, now that all of them are there."""
+        plan, root, is_video = self._plan, self._files.root, self._files.is_video
+        columns = form.features(self._sizes, has_speed=plan.has_speed, is_video=is_video)
+        info = form.info(
+            columns, fps=plan.fps, episodes=self.episodes, frames=self.frames, robot=ROBOT, is_video=is_video
+        )
+        if is_video:
+            for camera, size in self._sizes.items():
+                info["features"][form.image_key(camera)]["info"] = video_info(plan.fps, size)
+        write_json(root / form.INFO_PATH, info)
+        write_json(root / form.STATS_PATH, as_json(self._statistics.statistics()))
+        write_tasks(root, self._task)
+        picture = "picture.png" if self._example.startswith(PNG_START) else "picture.jpg"
+        (root / picture).write_bytes(self._example)
+        text = card(info, self.sessions, task=self._task, licence=licence, picture=picture, rate_hz=plan.rate_hz)
+        (root / CARD_PATH).write_text(text, encoding="utf-8")
+
+
+def _statistics(numbers: Columns, looked: dict[Camera, PictureStatistics]) -> dict[str, Statistics]:
+    """Without those of our own columns: nothing learns from them, and a speed may be unknown."""
+    of_pictures = {form.image_key(camera): found.statistics() for camera, found in looked.items()}
+    own = {form.LOG_TIME, form.LOG_ROW, form.LOG_VEHICLE}
+    return of_pictures | {name: number_statistics(values) for name, values in numbers.items() if name not in own}
+
+
+def _arrow(values: NDArray[Any]) -> pa.Array:
+    if values.ndim == 1:
+        return pa.array(values)
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+
+def _decoded(picture: bytes) -> NDArray[np.uint8] | None:
+    if not can_be_decoded(picture):
+        return None
+    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    return None if found is None else found.astype(np.uint8, copy=False)
+
+
+def _name(log: Log) -> str:
+    return log.path.name.removesuffix(".mcap")
+
+
+@contextlib.contextmanager
+def _refused(folder: Path) -> Iterator[None]:
+    """Turn what a full or failing disk raises into one line."""
+    try:
+        yield
+    except (OSError, pa.ArrowException) as error:
+        why = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+        raise UserError(f"{folder}: cannot be written ({why}); nothing was kept of it") from None

@@ -1,0 +1,87 @@
+"""What is the same for all frames of a dataset, found out before anything is written: cameras, rate, speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from common import Skipped
+from common.car import CAMERAS, Camera
+from common.errors import counted
+from recorder.errors import LogError
+from recorder.lerobot.dataset_format import LOG_TIME, LOG_VEHICLE, STATE
+from recorder.lerobot.log_episodes import log_episodes
+from recorder.log.reader import Log
+from recorder.log.topics import camera_topic
+
+RATES_DIFFER: Final = 1.2
+"""Rates of sessions that are so many times as high as others are told: the format has one for all."""
+
+
+@dataclass(frozen=True)
+class ExportPlan:
+    cameras: tuple[Camera, ...]
+    has_speed: bool
+    """Every row has one."""
+    rate_hz: float
+    rows: int
+    """At most so many frames."""
+    notices: tuple[str, ...]
+
+    @property
+    def fps(self) -> int:
+        """A whole number, as the format wants it."""
+        return max(1, round(self.rate_hz))
+
+
+def plan_export(paths: Sequence[Path]) -> ExportPlan:
+    """The plan for the logs at `paths`. Raises LogError if one cannot be read, or if no camera is in all."""
+    cameras, notices = _cameras(paths)
+    steps, rates, row_count, known = [np.zeros(0, np.int64)], {}, 0, []
+    for path in paths:
+        with Log(path, shows_progress=True) as log:
+            taken = log_episodes(log, cameras, Skipped())
+        row_count += len(taken.states.row)
+        its_steps = taken.steps_ns[taken.steps_ns > 0]
+        if len(its_steps):
+            steps.append(its_steps)
+            rates[path.name] = _rate_hz(its_steps)
+        if len(taken.states.row):
+            known.append(bool(np.isfinite(taken.states.speed_mph).all()))
+    rate_hz = _rate_hz(np.concatenate(steps)) if rates else 1.0
+    if rates and max(rates.values()) > RATES_DIFFER * min(rates.values()):
+        told = ", ".join(f"{rate:.1f} in {name}" for name, rate in rates.items())
+        notices.append(f"rows a second differ ({told}); the dataset says {rate_hz:.0f}, its {LOG_TIME} are right")
+    if any(known) and not all(known):
+        notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is left out")
+    return ExportPlan(cameras, bool(known) and all(known), rate_hz, row_count, tuple(notices))
+
+
+def _cameras(paths: Sequence[Path]) -> tuple[tuple[Camera, ...], list[str]]:
+    """The cameras whose pictures each of the logs has, and lines about the others."""
+    having: dict[Camera, list[str]] = {camera: [] for camera in CAMERAS}
+    for path in paths:
+        with Log(path) as log:
+            for camera in CAMERAS:
+                if log.counts.get(camera_topic(camera)):
+                    having[camera].append(path.name)
+    cameras = tuple(camera for camera in CAMERAS if len(having[camera]) == len(paths))
+    if not cameras:
+        raise LogError(
+            f"{', '.join(map(str, paths))}: no camera of which each log has pictures; export them one by one"
+        )
+    notices = [
+        f"the {camera} camera is left out: {', '.join(names)} {'has' if len(names) == 1 else 'have'} its pictures,"
+        f" {counted(len(paths) - len(names), 'other log')} not, and every frame of a dataset needs them"
+        for camera, names in having.items()
+        if names and camera not in cameras
+    ]
+    return cameras, notices
+
+
+def _rate_hz(steps_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> float:
+    return 1e9 / float(np.median(steps_ns))

@@ -1,0 +1,127 @@
+"""Statistics of a dataset's features: of each episode, and of all episodes together.
+
+As lerobot's `datasets/compute_stats.py` has them: images as shares of 255, one number a channel, from pictures
+that are spread over the episode; quantiles of a dataset are the means of its episodes', by their counts. Where
+LeRobot estimates an episode's quantiles from histograms, here they are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+LEAST_PICTURES: Final = 10
+PICTURE_SHARE: Final = 0.1
+"""At most this share of an episode's pictures is looked at: decoding is by far the dearest part of an export.
+LeRobot looks at N ** 0.75 of them, and at least at 100."""
+
+Values = NDArray[np.float64]
+Statistics = dict[str, Values]
+"""By name (min, max, mean, std, count, q01 ...): an array of the feature's shape; `count` has one number."""
+
+
+def sampled(count: int) -> NDArray[np.int64]:
+    """The positions of the pictures that are looked at, of an episode of so many."""
+    wanted = min(int(count**0.75), round(count * PICTURE_SHARE))
+    chosen = np.linspace(0, count - 1, max(min(LEAST_PICTURES, count), wanted))
+    return np.unique(np.rint(chosen).astype(np.int64))
+
+
+def number_statistics(values: NDArray[np.number]) -> Statistics:
+    """Of numbers (N, width), or (N,) for one a frame; N > 0."""
+    columns = values.reshape(len(values), -1).astype(np.float64)
+    return {
+        "min": columns.min(axis=0),
+        "max": columns.max(axis=0),
+        "mean": columns.mean(axis=0),
+        "std": columns.std(axis=0),
+        "count": np.array([len(columns)], np.float64),
+        **dict(zip(QUANTILES, np.quantile(columns, list(QUANTILES.values()), axis=0), strict=True)),
+    }
+
+
+class PictureStatistics:
+    """Statistics of pictures, as they come: 256 counts for each channel."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._counts = np.zeros((3, 256), np.int64)  # red, green, blue
+
+    def add(self, bgr: NDArray[np.uint8]) -> None:
+        """A picture (height, width, 3)."""
+        self.count += 1
+        for channel in range(3):
+            found = cv2.calcHist([bgr], [channel], None, [256], [0, 256])
+            self._counts[2 - channel] += found.ravel().astype(np.int64)
+
+    def statistics(self) -> Statistics:
+        """Of the pictures until now, of which there must be one; each of shape (3, 1, 1)."""
+        level = np.arange(256) / 255
+        share = self._counts / self._counts.sum(axis=1, keepdims=True)
+        below = np.cumsum(share, axis=1)
+        mean = share @ level
+        found = {
+            "min": level[np.argmax(self._counts > 0, axis=1)],
+            "max": level[255 - np.argmax(self._counts[:, ::-1] > 0, axis=1)],
+            "mean": mean,
+            "std": np.sqrt(np.maximum(share @ level**2 - mean**2, 0.0)),
+            # the rounding of the sum must not take the first level of a share that is just reached
+            **{
+                name: level[np.argmax(below >= share_below - 1e-12, axis=1)]
+                for name, share_below in QUANTILES.items()
+            },
+        }
+        shaped = {name: values.reshape(3, 1, 1) for name, values in found.items()}
+        return shaped | {"count": np.array([self.count], np.float64)}
+
+
+class DatasetStatistics:
+    """The statistics of all episodes of a dataset, from those of each."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, Statistics] = {}
+
+    def add(self, episode: Mapping[str, Statistics]) -> None:
+        for feature, of in episode.items():
+            count = of["count"][0]
+            weighted = {name: of[name] * count for name in ("mean", *QUANTILES)}
+            weighted["square"] = (of["std"] ** 2 + of["mean"] ** 2) * count
+            sums = self._sums.setdefault(
+                feature, {name: np.zeros_like(values) for name, values in weighted.items()}
+            )
+            for name, values in weighted.items():
+                sums[name] = sums[name] + values
+            sums["count"] = sums.get("count", np.zeros(1)) + of["count"]
+            sums["min"] = np.minimum(sums.get("min", of["min"]), of["min"])
+            sums["max"] = np.maximum(sums.get("max", of["max"]), of["max"])
+
+    def statistics(self) -> dict[str, Statistics]:
+        found = {}
+        for feature, sums in self._sums.items():
+            count = sums["count"][0]
+            mean = sums["mean"] / count
+            found[feature] = {
+                "min": sums["min"],
+                "max": sums["max"],
+                "mean": mean,
+                "std": np.sqrt(np.maximum(sums["square"] / count - mean**2, 0.0)),
+                "count": sums["count"],
+                **{name: sums[name] / count for name in QUANTILES},
+            }
+        return found
+
+
+def as_json(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, list[object]]]:
+    """Statistics as lists of numbers; counts are whole."""
+    return {
+        feature: {
+            name: values.astype(np.int64).tolist() if name == "count" else values.tolist()
+            for name, values in of.items()
+        }
+        for feature, of in statistics.items()
+    }

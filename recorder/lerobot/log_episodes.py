@@ -1,0 +1,83 @@
+"""The rows of a log that become frames of a dataset, and the episodes that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common import Skipped
+from common.car import Camera
+from recorder.log.reader import Log, Pictures
+from recorder.log.row_quality import States, drive_numbers, row_flags
+from recorder.log.tags import EXCLUDE, read_tags
+from recorder.log.topics import camera_topic
+
+
+@dataclass(frozen=True)
+class LogEpisodes:
+    """What is taken of a log."""
+
+    states: States  # (N,) of the rows that are taken
+    places: dict[Camera, NDArray[np.int64]]  # (N,) for each camera: which of `pictures` belongs to the row
+    pictures: dict[Camera, Pictures]
+    episodes: list[slice]
+    excluded: int  # rows that somebody has tagged so
+
+    @property
+    def steps_ns(self) -> NDArray[np.int64]:
+        """The time from row to row, within the episodes."""
+        steps = [np.diff(self.states.time_ns[episode]) for episode in self.episodes]
+        return np.concatenate([np.zeros(0, np.int64), *steps])
+
+
+def log_episodes(log: Log, cameras: Sequence[Camera], skipped: Skipped) -> LogEpisodes:
+    """The rows of a log with a picture of each of `cameras`, and steering and pedals in their ranges.
+
+    A new episode begins as a drive does: after more than a second without a row that is taken, or where time goes
+    back. Rows tagged `exclude` are left out and counted; others that are left out are skipped.
+    Raises LogError for a damaged log, or damaged tags.
+    """
+    states = States.of(log.vehicle())
+    name = log.path.name
+    is_excluded = _is_tagged(states.row, log)
+    taken = ~is_excluded
+    out_of_range = row_flags(states)["out_of_range"] & taken
+    _skip(skipped, f"rows of {name} with steering, pedals or speed out of range", states.row[out_of_range])
+    taken &= ~out_of_range
+    pictures = {camera: log.pictures(camera_topic(camera)) for camera in cameras}
+    places = {camera: _first_of_each(found.sequence, states.row) for camera, found in pictures.items()}
+    for camera, place in places.items():
+        is_missing = (place < 0) & taken
+        _skip(skipped, f"rows of {name} without a picture of the {camera} camera", states.row[is_missing])
+        taken &= ~is_missing
+    kept = States(*(getattr(states, field)[taken] for field in vars(states)))
+    starts = np.flatnonzero(np.diff(drive_numbers(kept.time_ns), prepend=-1)).tolist()
+    episodes = [slice(*ends) for ends in pairwise([*starts, len(kept.row)])]
+    of_rows = {camera: place[taken] for camera, place in places.items()}
+    return LogEpisodes(kept, of_rows, pictures, episodes, int(is_excluded.sum()))
+
+
+def _is_tagged(rows: NDArray[np.int64], log: Log) -> NDArray[np.bool_]:
+    mask = np.zeros(len(rows), np.bool_)
+    for tag in read_tags(log.path, log.fingerprint):
+        if tag.name == EXCLUDE:
+            mask |= (rows >= tag.first_row) & (rows <= tag.last_row)
+    return mask
+
+
+def _first_of_each(of: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each of `rows` the first position of its number in `of`; -1 where it is not there."""
+    numbers, first = np.unique(of, return_index=True)
+    if not len(numbers):
+        return np.full(len(rows), -1, np.int64)
+    at = np.searchsorted(numbers, rows).clip(max=len(numbers) - 1)
+    return np.where(numbers[at] == rows, first[at], -1)
+
+
+def _skip(skipped: Skipped, reason: str, rows: Iterable[np.int64]) -> None:
+    for row in rows:
+        skipped.add(reason, f"row {row}")

@@ -1,0 +1,58 @@
+"""`bc-log export`: logs in the format of another toolkit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from common.command import warn_skipped
+from common.errors import UsageError, counted
+from common.output import print_message, print_result
+
+
+@dataclass(frozen=True)
+class ExportLogs:
+    """Write logs as a LeRobot dataset (v3.0), an episode a drive: the original JPEGs, steering, times. Rows tagged
+    `exclude` stay out."""
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    """The logs to export."""
+    lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """The new folder of the dataset."""
+    task: str = "Drive along the road."
+    """What was done, in words: LeRobot gives it to networks that read."""
+    license: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Licence of the recordings, as Hugging Face names it (cc-by-4.0); without one, the card says to ask you."""
+    video: bool = False
+    """Encode the pictures anew, as videos: a third smaller, and no longer the original pictures. Needs PyAV."""
+
+    def run(self) -> int:
+        from recorder.lerobot.export import export_lerobot  # OpenCV and Arrow
+
+        if not self.logs:
+            raise UsageError("give at least 1 log, such as sessions/lake.mcap")
+        for name, text in (("--task", self.task), ("--license", self.license)):
+            if text is not None and (not text.strip() or not text.isprintable()):
+                raise UsageError(f"{name} {text!r}: a line of text was expected")
+        done = export_lerobot(self.logs, self.lerobot, task=self.task, licence=self.license, is_video=self.video)
+        code = warn_skipped(done.skipped)
+        for notice in done.notices:
+            print_message(notice)
+        if done.excluded:
+            print_message(f"{counted(done.excluded, 'row')} tagged exclude left out")
+        if self.video:
+            print_message("the videos are encoded anew: the original pictures are not in the dataset")
+        if self.license is None:
+            print_message(
+                "no licence is stated: before you publish it, give --license, or write it into"
+                f" {done.folder / 'README.md'}"
+            )
+        size_mb = done.size_bytes / 1e6
+        print_result(
+            f"{done.folder}: {counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')},"
+            f" {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
+        )
+        return code

@@ -1,0 +1,85 @@
+"""`bc-record --speed 10 30` drives the same road at each speed, one after the other, into one session."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from driving import one_line_in
+from recorder import Log
+from recorder.cli import main as record_main
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from simulator.roads.track import load_track
+from udacity import call
+
+LAPS = 0.012
+
+
+def rows(path: Path) -> list[tuple[int, float, float]]:
+    """Time in ns, steering and speed in mph of each row."""
+    with Log(path) as log:
+        return [(message.log_time_ns, state.steering, state.speed_mph) for message, state in log.vehicle_states()]
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("speeds")
+    arguments = ("--laps", LAPS, "--seed", 5, "--speed", 10, 30, "--sessions", folder)
+    assert call(record_main, "both", *arguments) == 0
+    return folder / "both.mcap"
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("slow") / "slow.mcap"
+    return record_simulated(SimulatedDrive(laps=LAPS, speed=(10.0,), seed=5), path).path
+
+
+def test_the_first_speed_is_driven_as_if_it_were_the_only_one(both: Path, slow: Path) -> None:
+    alone = rows(slow)
+    assert rows(both)[: len(alone)] == alone
+    assert max(speed_mph for _, _, speed_mph in alone) < 10.5
+
+
+def test_the_next_one_begins_at_rest_at_the_start_after_a_gap(both: Path, slow: Path) -> None:
+    begin = len(rows(slow))
+    times_ns, _, speeds_mph = zip(*rows(both), strict=True)
+    assert all(before < after for before, after in pairwise(times_ns))
+    assert times_ns[begin] - times_ns[begin - 1] >= 1_000_000_000  # as long as any other: nothing is learnt across
+    assert speeds_mph[begin] == 0.0
+    assert max(speeds_mph[begin:]) > 15.0
+    line = load_track("lake").line
+    with Log(both) as log:
+        places = [pose.pose.position for _, pose in log.decoded("/pose")]
+    arcs_m = [line.project(place.x, place.y)[0] for place in places]
+    behind_start_m = line.length_m - 3.0  # the pose is that of the rear axle
+    assert arcs_m[begin] > behind_start_m
+    assert all(arc_m <= LAPS * line.length_m or arc_m > behind_start_m for arc_m in arcs_m)
+
+
+def test_the_session_tells_its_speeds_and_where_each_begins(both: Path, slow: Path) -> None:
+    begin = len(rows(slow))
+    with Log(both) as log:
+        assert log.metadata["drive.speed"] == "10 30"
+        events = [(message.log_time_ns, event.message) for message, event in log.decoded("/events")]
+    assert events == [
+        (rows(both)[0][0], "from the start, at a set speed of 10 mph"),
+        (rows(both)[begin][0], "from the start, at a set speed of 30 mph"),
+    ]
+
+
+def test_one_speed_is_recorded_as_ever(slow: Path) -> None:
+    with Log(slow) as log:
+        assert log.metadata["drive.speed"] == "10"
+        assert log.counts.get("/events", 0) == 0
+
+
+@pytest.mark.parametrize(("speeds", "said"), [((10, 0), "--speed 0"), (("nan",), "--speed nan"), ((), "--speed")])
+def test_speeds_that_nobody_drives_are_refused(
+    speeds: tuple[object, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(record_main, "x", "--sessions", tmp_path, "--speed", *speeds) == 2
+    assert said in one_line_in(capsys)
+    assert list(tmp_path.iterdir()) == []
