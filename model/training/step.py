@@ -41,13 +41,16 @@ def training_step(
     squared_error = torch.zeros((), device=labels.device)
     scale = ranks / (batch or len(labels))
     parts = list(zip(torch.split(pictures, micro_batch), torch.split(labels, micro_batch), strict=True))
-    for number, (some_pictures, some_labels) in enumerate(parts, 1):
-        with _gradient_exchange(network, is_last=number == len(parts)):
-            with torch.autocast(labels.device.type, dtype=dtype, enabled=dtype != torch.float32):
+    kind = labels.device.type
+    # around all parts: the weights are cast once for all of them
+    with torch.autocast(kind, dtype=dtype, enabled=dtype != torch.float32):
+        for number, (some_pictures, some_labels) in enumerate(parts, 1):
+            with _gradient_exchange(network, is_last=number == len(parts)):
                 predicted = network(some_pictures)
-            loss = _squared_error(predicted.float(), some_labels, weights)
-            (loss * scale).backward()  # type: ignore[no-untyped-call]
-        squared_error += loss.detach()
+                with torch.autocast(kind, enabled=False):
+                    loss = _squared_error(predicted.float(), some_labels, weights)
+                    (loss * scale).backward()  # type: ignore[no-untyped-call]
+            squared_error += loss.detach()
     optimizer.step()
     return squared_error
 
