@@ -162,15 +162,12 @@ def drive(config: Drive) -> int:
 
 def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
     """The settings of a drive, with the car that is driven, where it is known."""
-    from model.runs.car_of_run import max_steering_deg_of_run, own_car_of_run
-    from recorder.log.session_car import UDACITY, built_in, named_car
+    from drive.driven_car import driven_car, other_steering
+    from recorder.log.session_car import built_in
 
-    car = named_car(config.car) if config.car is not None else own_car_of_run(run)
-    if config.simulator is not None:
-        car = built_in()
-    learnt_deg, driven_deg = max_steering_deg_of_run(run), (car or UDACITY).max_steering_deg
-    if learnt_deg != driven_deg:
-        _notify(f"the run's steering 1 is {learnt_deg:g} degrees, this car's {driven_deg:g}: it is sent as it is")
+    car = driven_car(run, config.car) if config.simulator is None else built_in()
+    if line := other_steering(run, car):
+        _notify(line)
     return replace(settings, car=car)
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from common import UserError
-from common.car import MAX_STEERING_DEG
 from common.command import (
     DONE,
     DONE_BUT_SKIPPED,
@@ -345,15 +344,12 @@ def _driven(
     config: Eval, run: Path, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]], logs: Path
 ) -> Iterator[DriveResult]:
     """The results of a run's drives, as they come."""
+    from drive.driven_car import other_steering
     from drive.evaluation.closed_loop import evaluate as evaluate_run
     from model import load_pilot
-    from model.runs.car_of_run import max_steering_deg_of_run
 
-    if (learnt_deg := max_steering_deg_of_run(run)) != MAX_STEERING_DEG:
-        print_message(
-            f"bc-eval: {run}'s steering 1 is {learnt_deg:g} degrees, the built-in simulator's"
-            f" {MAX_STEERING_DEG:g}: it is sent as it is"
-        )
+    if line := other_steering(run, None):
+        print_message(f"bc-eval: {line}")
     pilot = load_pilot(run, config.precision or "auto")
     pilot.warm_up()
     yield from evaluate_run(

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from common.car import MAX_STEERING_DEG
-from common.stored_settings import settings_from
 from model.errors import RunError
 from model.runs.run_folder import load_config
-from recorder.log.session_car import CAR_KEY, UDACITY, Car, built_in
 
 
 def max_steering_deg_of_run(run: Path) -> float:
@@ -20,18 +18,11 @@ def max_steering_deg_of_run(run: Path) -> float:
     return found if 0 < found < 90 else MAX_STEERING_DEG
 
 
-def own_car_of_run(run: Path) -> Car | None:
-    """The car of all sessions of the run, where their logs tell one that is neither Udacity's nor the built-in
-    simulator's; None where they do not. Raises RunError as `load_config` does, and for settings of no car."""
-    cars = [log.get(CAR_KEY) for log in _logs(run).values()]
-    if cars and cars[0] is not None and all(each == cars[0] for each in cars):
-        try:
-            car = settings_from(Car, cars[0])
-        except ValueError as error:
-            raise RunError(f"{run}: what its config tells of its car cannot be used ({error})") from None
-        return car if car not in (UDACITY, built_in()) else None
-    degrees = max_steering_deg_of_run(run)
-    return Car(max_steering_deg=degrees) if degrees != MAX_STEERING_DEG else None
+def car_settings_of_run(run: Path) -> object:
+    """The settings of the car of all sessions of the run, where their logs tell one and the same, else None:
+    JSON that nobody has checked. Raises RunError as `load_config` does."""
+    cars = [log.get("car") for log in _logs(run).values()]
+    return cars[0] if cars and all(each == cars[0] for each in cars) else None
 
 
 def refuse_other_steering(run: Path, max_steering_deg: float, whose: str) -> None:

@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 from dataset.cli import main as bc_index
+from drive.driven_car import driven_car
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import one_line_in, road_jpeg
 from logs import START_NS
 from model.cli import main as bc_train
-from model.runs.car_of_run import max_steering_deg_of_run, own_car_of_run
+from model.runs.car_of_run import max_steering_deg_of_run
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.session_car import Car, metadata_of
@@ -53,9 +54,9 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(
         assert index(name) == 0
         assert call(bc_train, "--index", f"index-{name}", "--name", name, *SMALL) == 0
     assert max_steering_deg_of_run(Path("runs/own")) == 30
-    assert own_car_of_run(Path("runs/own")) == OWN
+    assert driven_car(Path("runs/own"), None) == OWN
     assert max_steering_deg_of_run(Path("runs/plain")) == 25
-    assert own_car_of_run(Path("runs/plain")) is None
+    assert driven_car(Path("runs/plain"), None) is None
     config = json.loads(Path("runs/own/config.json").read_text())
     assert config["data"]["logs"]["own"]["car"]["wheelbase_m"] == 2.4
 
