@@ -11,6 +11,7 @@ from tyro.conf import arg
 from common.car import Camera
 from common.recipe import Recipe
 from dataset.augment import Alteration
+from dataset.prediction_targets import MOST_AHEAD_S
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
 """The side correction's sign in the label of each camera that is trained on unless others are asked for."""
@@ -49,6 +50,8 @@ class IndexConfig:
     """For all sessions: the mean of the steering over so many seconds around the frame; 0: no smoothing."""
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
     """For all sessions: the steering so many seconds later, because people react late; 0: at the frame itself."""
+    speed_ahead_s: Annotated[float, arg(name="speed-ahead", metavar="SECONDS")] = 0.5
+    """The speed to be learnt, where that is a target of a training, is the one that was driven so much later."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""
     viewpoints: int = 0
@@ -102,6 +105,12 @@ class IndexConfig:
             ("--side-correction", self.side_correction, abs(self.side_correction) <= 2, "-2 to 2"),
             ("--label-smooth", self.label_smooth_s, 0 <= (self.label_smooth_s or 0) <= 60, "0 to 60 seconds"),
             ("--label-shift", self.label_shift_s, abs(self.label_shift_s or 0) <= 10, "-10 to 10 seconds"),
+            (
+                "--speed-ahead",
+                self.speed_ahead_s,
+                0 <= self.speed_ahead_s <= MOST_AHEAD_S,
+                f"0 to {MOST_AHEAD_S:g} seconds",
+            ),
             (
                 "--alter",
                 " ".join(self.alter),

@@ -84,7 +84,7 @@ def train(config: Train) -> int:
         network = choose_network(settings)
         picture = chosen_picture(settings, network)
         if init is not None:
-            refuse_other_network(init, network, picture)
+            refuse_other_network(init, network, picture, settings.targets)
     else:
         if is_own(settings.network):
             load_code(settings.network)

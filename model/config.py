@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 from common.recipe import Recipe
+from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.network.names import check_network_name
 
 Device = Literal["auto", "cpu", "cuda"]
@@ -46,6 +47,11 @@ class TrainConfig:
     """original, pilotnet, small, resnet18, or one of your own: FILE.py:CLASS or package.module:CLASS."""
     network_args: tuple[str, ...] = ()
     """What a network of your own is made with: NAME=VALUE."""
+    targets: tuple[TargetName, ...] = STEERING_ONLY
+    """What the network learns to answer: steering; and speed, which is then driven, never above bc-drive's
+    --speed, or throttle, which is sent as it is."""
+    target_weights: tuple[float, ...] = ()
+    """How much the squared error of each target counts; by default, each 1. 1 of speed is 30 mph."""
     picture_px: tuple[int, int] | None = None
     """Width and height of what the network sees; by default, what it says itself: 128 128 for the original."""
     crop_rows: tuple[int, int] | None = None
@@ -98,6 +104,17 @@ class TrainConfig:
         check_network_name(self.network)
         if bad := [each for each in self.network_args if not each.partition("=")[0].isidentifier()]:
             raise ValueError(f"--network-args {bad[0]}: NAME=VALUE was expected")
+        try:
+            check_targets(self.targets)
+        except ValueError as error:
+            raise ValueError(f"--{error}") from None
+        if self.target_weights and len(self.target_weights) != len(self.targets):
+            raise ValueError(
+                f"--target-weights {' '.join(f'{each:g}' for each in self.target_weights)}: one for each of"
+                f" {', '.join(self.targets)} was expected"
+            )
+        if not all(0 <= each < math.inf for each in self.target_weights) or sum(self.target_weights or (1,)) <= 0:
+            raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
         if self.keep == "last" and self.patience:
             raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
         if not 0 < self.rate < math.inf:

@@ -38,6 +38,8 @@ class EpochPrinter:
             f"epoch {epoch.epoch:>2}: loss {epoch.training_loss:.4f},{validation}"
             f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
         )
+        for target in epoch.targets:
+            print_result(f"          {target}")
 
     def close(self) -> None:
         """Nothing to close."""

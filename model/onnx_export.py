@@ -9,6 +9,7 @@ ONNX and ONNX Runtime are an extra (`pip install "behavioural-cloning-toolkit[on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -22,18 +23,29 @@ from common.files import refuse_existing
 from common.versions import TOOLKIT, version_of
 from dataset import MAX_STEERING_DEG
 from dataset.picture_spec import PictureSpec, metadata_of
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork
 from model.onnx_graph import onnx_graph
-from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import run_write_errors
-from model.runs.run_folder import load_answer_scale, load_network, picture_of_run, run_name, weights_checksum
+from model.runs.run_folder import (
+    load_answer_scale,
+    load_network,
+    picture_of_run,
+    run_name,
+    targets_of_run,
+    weights_checksum,
+)
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
 OPSET, IR_VERSION = 13, 7  # of ONNX 1.8 (2020), which whatever reads ONNX today can read
+_ABOUT: Final = {
+    "speed": "the speed in mph that it wants to be driven a little later, not clamped",
+    "throttle": "-1 (full brake) .. 1 (full throttle), not clamped",
+}
 MOST_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
 
 
@@ -42,7 +54,8 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     PyTorch on a few pictures.
 
     In: "pictures", uint8 (N, height, width, 3), in the network's order of colours. Out: "steering", float32 (N,),
-    not clamped, -1 (left) .. 1 (right). The file's metadata tell how to use it. Same run: the same bytes.
+    not clamped, -1 (left) .. 1 (right); of other targets "speed_mph" and "throttle". The file's metadata tell how
+    to use it. Same run: the same bytes.
 
     Raises RunError if the run is incomplete, damaged or of another version, if its network cannot be written or
     its steering differs, if ONNX or ONNX Runtime is not installed, or if the disk is full; UserError if `path`
@@ -58,10 +71,11 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     run, path = Path(run), Path(path)
     refuse_existing(path, overwrite)
     picture, network = picture_of_run(run), load_network(run)
-    model = _model(run, network, load_answer_scale(run), picture)
+    targets = targets_of_run(run)
+    model = _model(run, network, picture, targets)
     with run_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
-        difference = _largest_difference(part, network, picture)
+        difference = _largest_difference(part, network, picture, targets)
         if not difference < MOST_DIFFERENCE:  # not a number, too
             raise RunError(
                 f"{path}: not written: ONNX Runtime steers {difference:.1g} off PyTorch, less than"
@@ -70,8 +84,8 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     return difference
 
 
-def description(run: Path, picture: PictureSpec) -> dict[str, str]:
-    """The metadata of the file: its input, its output, and the run it is of."""
+def description(run: Path, picture: PictureSpec, targets: Sequence[TargetName] = STEERING_ONLY) -> dict[str, str]:
+    """The metadata of the file: its input, its outputs, and the run it is of."""
     top, bottom = picture.description["crop_top"], picture.description["crop_bottom"]
     size = f"{picture.width_px}x{picture.height_px}"
     colours = "" if picture.channels == "BGR" else f" Then from BGR to {picture.channels} (cv2.cvtColor)."
@@ -85,6 +99,7 @@ def description(run: Path, picture: PictureSpec) -> dict[str, str]:
         **metadata_of(picture),
         "steering": f"-1 (left) .. 1 (right), not clamped; 1 is {MAX_STEERING_DEG:g} degrees",
         "steering.degrees_per_unit": f"{MAX_STEERING_DEG:g}",
+        **{TARGETS[name].answer_name: _ABOUT[name] for name in targets[1:]},
         "example": (
             "import sys\n"
             "import cv2, onnxruntime\n"
@@ -103,11 +118,11 @@ def description(run: Path, picture: PictureSpec) -> dict[str, str]:
     }
 
 
-def _model(run: Path, network: PictureNetwork, answers: AnswerScale, picture: PictureSpec) -> ModelProto:
+def _model(run: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName]) -> ModelProto:
     from onnx import checker, helper
 
     try:
-        graph = onnx_graph(network, answers, picture)
+        graph = onnx_graph(network, load_answer_scale(run), picture, targets)
     except RunError as error:
         raise RunError(f"{run}: {error}") from None
     model = helper.make_model(
@@ -117,13 +132,15 @@ def _model(run: Path, network: PictureNetwork, answers: AnswerScale, picture: Pi
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    helper.set_model_props(model, description(run, picture))
+    helper.set_model_props(model, description(run, picture, targets))
     checker.check_model(model, full_check=True)
     return model
 
 
 @torch.inference_mode()
-def _largest_difference(path: Path, network: PictureNetwork, picture: PictureSpec) -> float:
+def _largest_difference(
+    path: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName]
+) -> float:
     """Between the file in ONNX Runtime and the network in PyTorch, in a batch of one picture and one of seven."""
     import onnxruntime
 
@@ -132,8 +149,10 @@ def _largest_difference(path: Path, network: PictureNetwork, picture: PictureSpe
     session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
     pictures = _pictures(picture)
     batches = [pictures[:1], pictures[1:]]
-    exported = np.concatenate([session.run(["steering"], {"pictures": batch})[0] for batch in batches])
-    expected = np.concatenate([network(as_input(batch)).numpy() for batch in batches])
+    names = [TARGETS[name].answer_name for name in targets]
+    exported = np.concatenate([np.stack(session.run(names, {"pictures": batch}), axis=1) for batch in batches])
+    exported /= [1.0 if name == "steering" else TARGETS[name].per_unit for name in targets]
+    expected = np.concatenate([network(as_input(batch)).numpy() for batch in batches]).reshape(exported.shape)
     with np.errstate(invalid="ignore"):  # weights that are no numbers: the difference is none either
         return float(np.abs(exported - expected).max())
 

@@ -7,6 +7,7 @@ ONNX is imported only here and in onnx_export.py.
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,6 +18,7 @@ from torch.nn import functional
 
 from common.named_function import in_one_line
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
@@ -49,9 +51,14 @@ _FLATTEN: Final[tuple[Any, ...]] = (torch.flatten, "flatten")
 _RESHAPE: Final = ("view", "reshape")  # (N, -1) is flattening
 
 
-def onnx_graph(network: PictureNetwork, answers: AnswerScale, picture: PictureSpec) -> GraphProto:
-    """In: "pictures", uint8 (N, height, width, 3); out: "steering", float32 (N,). Raises RunError for a network
-    that has no graph."""
+def onnx_graph(
+    network: PictureNetwork,
+    answers: AnswerScale,
+    picture: PictureSpec,
+    targets: Sequence[TargetName] = STEERING_ONLY,
+) -> GraphProto:
+    """In: "pictures", uint8 (N, height, width, 3); out, each float32 (N,): "steering", and other targets in their
+    unit. Raises RunError for a network that has no graph."""
     from onnx import TensorProto, helper, numpy_helper
 
     graph = _Graph(network)
@@ -60,6 +67,11 @@ def onnx_graph(network: PictureNetwork, answers: AnswerScale, picture: PictureSp
     value = graph.add("Div", "halves", value, graph.constant("half_of_levels", np.array(127.5, np.float32)))
     value = graph.add("Sub", "scaled", value, graph.constant("one", np.array(1, np.float32)))
     value = graph.follow(value)
+    for at, target in enumerate([TARGETS[name] for name in targets[1:]], 1):
+        per_unit = graph.constant(f"{target.name}_per_unit", np.array(target.per_unit, np.float32))
+        graph.add("Mul", target.answer_name, graph.column(f"{target.name}_learnt", value, at), per_unit)
+    if len(targets) > 1:
+        value = graph.column("steering_learnt", value, 0)
     if answers != AnswerScale():
         scale, curve, offset = (
             graph.constant(name, np.array(getattr(answers, name), np.float32))
@@ -68,7 +80,7 @@ def onnx_graph(network: PictureNetwork, answers: AnswerScale, picture: PictureSp
         size = graph.add("Abs", "size_of_answer", value)
         factor = graph.add("Add", "factor", graph.add("Mul", "bent", size, curve), scale)
         value = graph.add("Add", "natural", graph.add("Mul", "scaled_answer", value, factor), offset)
-    if _answers_in_columns(network, picture):
+    if len(targets) == 1 and _answers_in_columns(network, picture):
         graph.add("Squeeze", "steering", value, graph.constant("axis", np.array([1], np.int64)))
     else:
         graph.add("Identity", "steering", value)
@@ -77,7 +89,7 @@ def onnx_graph(network: PictureNetwork, answers: AnswerScale, picture: PictureSp
         graph.nodes,
         "steering",
         [helper.make_tensor_value_info("pictures", TensorProto.UINT8, ["N", height, width, 3])],
-        [helper.make_tensor_value_info("steering", TensorProto.FLOAT, ["N"])],
+        [helper.make_tensor_value_info(TARGETS[name].answer_name, TensorProto.FLOAT, ["N"]) for name in targets],
         [numpy_helper.from_array(array, name) for name, array in graph.constants.items()],
     )
 
@@ -99,6 +111,11 @@ class _Graph:
     def constant(self, name: str, array: NDArray[Any]) -> str:
         self.constants[name] = array
         return name
+
+    def column(self, output: str, value: str, number: int) -> str:
+        """(N,) out of (N, K)."""
+        at = self.constant(f"{output}_column", np.array(number, np.int64))
+        return self.add("Gather", output, value, at, axis=1)
 
     def follow(self, inputs: str) -> str:
         """Add the network's own nodes, from its scaled inputs to its answers."""

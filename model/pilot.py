@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 
 from common.memory_allocator import keep_freed_memory
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from dataset.preprocess import Image, crop_of, in_channels
 from model.config import Precision
 from model.device import training_dtype
@@ -21,11 +23,31 @@ from model.network.layer_swap import swap_layers
 from model.network.packing import pack_weights
 from model.network.picture_network import PictureNetwork
 from model.network.pooling import sliced_max_pool
-from model.runs.run_folder import load_network, picture_of_run, run_name, weights_checksum
+from model.runs.run_folder import (
+    load_network,
+    picture_of_run,
+    run_name,
+    speed_ahead_s_of_run,
+    targets_of_run,
+    weights_checksum,
+)
 
 WARM_UP_PREDICTIONS = 20
 
 _ROUNDING: Final = 0.02  # of bfloat16, added up in another order
+
+
+class NetworkAnswer(NamedTuple):
+    """What a network answers to a picture; NaN or infinite if its weights are such."""
+
+    steering: float  # -1 (left) .. 1 (right), not clamped
+    speed_mph: float | None = None  # that it wants; None: it says nothing of the speed
+    throttle: float | None = None  # -1 .. 1, not clamped; None: it says nothing of it
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether it can be driven by."""
+        return all(value is None or math.isfinite(value) for value in self)
 
 
 class Pilot:
@@ -38,16 +60,21 @@ class Pilot:
         weights_sha256: str = "",
         dtype: torch.dtype = torch.float32,
         picture: PictureSpec | None = None,
+        targets: Sequence[TargetName] = STEERING_ONLY,
+        speed_ahead_s: float = 0.0,
     ) -> None:
         """Takes the network over: its weights are rounded to `dtype`, float32 or bfloat16, once and for all.
 
-        `picture` is what it sees, if that is not what it says itself.
+        `picture` is what it sees, if that is not what it says itself, `targets` what it answers; `speed_ahead_s`
+        is how much later the speed is to be driven that it answers.
         """
         self.run = run
         self.weights_sha256 = weights_sha256
         self.arithmetic = str(dtype).removeprefix("torch.")
         """The arithmetic it calculates in: "float32" or "bfloat16"."""
         self.picture = picture or network.PICTURE
+        self.targets = tuple(targets)
+        self.speed_ahead_s = speed_ahead_s
         network.input_dtype = dtype
         self._network = network.eval().to(dtype=dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._swap_where_the_same(lambda: swap_layers(network, sliced_max_pool))
@@ -59,11 +86,18 @@ class Pilot:
         return crop_of(picture, self.picture)
 
     @torch.inference_mode()
-    def predict(self, crop: Image) -> float:
-        """Steering for a crop (`picture.shape`) BGR uint8: -1 (left) .. 1 (right), not clamped; NaN or infinite if
-        the weights are such."""
+    def answer(self, crop: Image) -> NetworkAnswer:
+        """All that the network answers to a crop (`picture.shape`) BGR uint8."""
         seen = np.ascontiguousarray(in_channels(crop, self.picture))
-        return float(self._network(as_input(seen[None])).item())
+        values = self._network(as_input(seen[None])).flatten().tolist()
+        found = {TARGETS[name].answer_name: value for name, value in zip(self.targets, values, strict=True)}
+        if "speed_mph" in found:
+            found["speed_mph"] *= TARGETS["speed"].per_unit
+        return NetworkAnswer(**found)
+
+    def predict(self, crop: Image) -> float:
+        """The steering of `answer`."""
+        return self.answer(crop).steering
 
     def warm_up(self) -> None:
         """Prepare this process for driving: the first predictions are slow, and should not fall into a drive.
@@ -82,15 +116,16 @@ class Pilot:
         """Put faster layers in the place of the network's, unless it answers otherwise with them: somebody's own
         may do with its layers what cannot be seen from outside."""
         noise = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
-        before = self.predict(noise)
+        before = self.answer(noise)
         if (undo := swap()) is None:
             return
         try:
-            after = self.predict(noise)
+            after = self.answer(noise)
         except Exception:
             undo()
             return
-        if not np.isclose(after, before, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
+        slow, fast = ([each for each in answer if each is not None] for answer in (before, after))
+        if not np.allclose(fast, slow, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
             undo()
 
 
@@ -109,10 +144,11 @@ def load_pilot(run: Path | str, precision: Precision = "auto") -> Pilot:
     run = Path(run)
     picture, network = picture_of_run(run), load_network(run)
     about = run_name(run), weights_checksum(run)
+    answers = targets_of_run(run), speed_ahead_s_of_run(run)
     dtype = training_dtype(precision, torch.device("cpu"))
     try:
-        return Pilot(network, *about, dtype, picture)
+        return Pilot(network, *about, dtype, picture, *answers)
     except RuntimeError as error:  # of types that do not go together
         if precision == "bfloat16":
             raise RunError(f"{run}: its network does not work in bfloat16 ({error}); give float32") from None
-        return Pilot(load_network(run), *about, torch.float32, picture)
+        return Pilot(load_network(run), *about, torch.float32, picture, *answers)

@@ -18,7 +18,7 @@ class VehicleState(_message.Message):
     def __init__(self, steering: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., speed_mph: _Optional[float] = ...) -> None: ...
 
 class PilotCommand(_message.Message):
-    __slots__ = ("predicted_steering", "steering", "throttle", "driver", "set_speed_mph", "decode_ms", "network_ms", "total_ms", "parse_ms", "expert_steering")
+    __slots__ = ("predicted_steering", "steering", "throttle", "driver", "set_speed_mph", "decode_ms", "network_ms", "total_ms", "parse_ms", "expert_steering", "predicted_speed_mph", "predicted_throttle")
     class Driver(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNKNOWN: _ClassVar[PilotCommand.Driver]
@@ -41,6 +41,8 @@ class PilotCommand(_message.Message):
     TOTAL_MS_FIELD_NUMBER: _ClassVar[int]
     PARSE_MS_FIELD_NUMBER: _ClassVar[int]
     EXPERT_STEERING_FIELD_NUMBER: _ClassVar[int]
+    PREDICTED_SPEED_MPH_FIELD_NUMBER: _ClassVar[int]
+    PREDICTED_THROTTLE_FIELD_NUMBER: _ClassVar[int]
     predicted_steering: float
     steering: float
     throttle: float
@@ -51,7 +53,9 @@ class PilotCommand(_message.Message):
     total_ms: float
     parse_ms: float
     expert_steering: float
-    def __init__(self, predicted_steering: _Optional[float] = ..., steering: _Optional[float] = ..., throttle: _Optional[float] = ..., driver: _Optional[_Union[PilotCommand.Driver, str]] = ..., set_speed_mph: _Optional[float] = ..., decode_ms: _Optional[float] = ..., network_ms: _Optional[float] = ..., total_ms: _Optional[float] = ..., parse_ms: _Optional[float] = ..., expert_steering: _Optional[float] = ...) -> None: ...
+    predicted_speed_mph: float
+    predicted_throttle: float
+    def __init__(self, predicted_steering: _Optional[float] = ..., steering: _Optional[float] = ..., throttle: _Optional[float] = ..., driver: _Optional[_Union[PilotCommand.Driver, str]] = ..., set_speed_mph: _Optional[float] = ..., decode_ms: _Optional[float] = ..., network_ms: _Optional[float] = ..., total_ms: _Optional[float] = ..., parse_ms: _Optional[float] = ..., expert_steering: _Optional[float] = ..., predicted_speed_mph: _Optional[float] = ..., predicted_throttle: _Optional[float] = ...) -> None: ...
 
 class Prediction(_message.Message):
     __slots__ = ("steering", "recorded_steering")

@@ -39,7 +39,7 @@ class Record:
     """Name of the session: a plain name, without folders or ending."""
     source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
     """What has been recorded: a folder of the Udacity simulator (driving_log.csv and IMG/), a DonkeyCar tub,
-    another program's log (.mcap), or a ROS 2 bag."""
+    another program's log (.mcap), a ROS 2 bag, or a LeRobot dataset."""
     watch: bool = False
     """Follow the folder given to --from while the simulator writes it, also if it is not there yet."""
     listen: bool = False
@@ -166,7 +166,7 @@ def _refuse_contradictions(config: Record) -> None:
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
         raise UsageError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
-        raise UsageError("--image and --steering go with --from other.mcap")
+        raise UsageError("--image, --steering and --steering-scale go with --from other.mcap or a LeRobot dataset")
     if config.all_catalogs and (config.source is None or config.watch):
         raise UsageError("--all-catalogs goes with --from ~/mycar/data")
     if config.idle is not None and not 0 <= config.idle < math.inf:

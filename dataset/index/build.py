@@ -58,7 +58,7 @@ from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
 from recorder.errors import RecordingError
 from recorder.log.car_geometry import geometry_of
-from recorder.log.log_info import driven_by, first_picture_sizes
+from recorder.log.log_info import driven_by, first_picture_sizes, set_speeds_mph
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.tags import read_tags
 from recorder.log.topics import camera_topic
@@ -272,6 +272,7 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
             notice=log.notice,
             has_crcs=log.has_crcs,
             driven_by=driven_by(log),
+            set_speeds_mph=set_speeds_mph(log),
             sizes_px=_sizes_px(log),
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"

@@ -34,6 +34,7 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     notice: str = ""  # what to tell a person
     has_crcs: bool = True
     driven_by: str = ""  # the machine that drove it
+    set_speeds_mph: tuple[float, ...] | None = None  # of its driver; None in what earlier versions have written
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
 
 

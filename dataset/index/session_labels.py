@@ -23,6 +23,7 @@ from dataset.index.build_state import BuiltLog
 from dataset.samples.samples_format import SessionLabels
 from recorder import Log
 from recorder.log.label_plan import AS_RECORDED, goes_by_lag, plan_labels
+from recorder.log.log_info import set_speeds_mph
 from recorder.log.row_quality import States
 from recorder.log.steering_habits import SteeringHabits, SteeringLag, steering_habits
 from recorder.log.topics import VEHICLE_COLUMNS
@@ -52,7 +53,20 @@ def labels_of_sessions(
             measured = _Stored(1, built[name].fingerprint, measure_lag(log))
             write_findings(_path(index, name), measured)
             lags[name] = measured
-    return {name: _labels(config, habits[name], lags.get(name), built[name].driven_by) for name in frames}
+    return {
+        name: replace(
+            _labels(config, habits[name], lags.get(name), built[name].driven_by),
+            set_speeds_mph=_set_speeds_mph(logs[name], built[name]),
+        )
+        for name in frames
+    }
+
+
+def _set_speeds_mph(log: Path, built: BuiltLog) -> tuple[float, ...]:
+    if built.set_speeds_mph is not None:
+        return built.set_speeds_mph
+    with Log(log) as opened:
+        return set_speeds_mph(opened)
 
 
 def _labels(config: IndexConfig, habits: SteeringHabits, known: _Stored | None, driver: str) -> SessionLabels:

@@ -14,7 +14,7 @@ smaller, and named in `Loader.skipped`.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -29,9 +29,10 @@ from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
-from dataset.samples.samples_reader import LOADED, Samples, Split
+from dataset.samples.samples_reader import Samples, Split, loaded_columns
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 
@@ -41,7 +42,12 @@ _AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more f
 @dataclass(frozen=True)
 class Batch:
     pictures: Image  # (N, height, width, 3), by default (N, 128, 128, 3) BGR
-    steering: NDArray[np.float32]  # (N,), -1..1
+    labels: NDArray[np.float32]  # (N,) steering -1..1, or (N, K): see dataset.prediction_targets
+
+    @property
+    def steering(self) -> NDArray[np.float32]:
+        """(N,), -1..1."""
+        return self.labels if self.labels.ndim == 1 else self.labels[:, 0]
 
 
 class Loader(Closeable):
@@ -59,6 +65,7 @@ class Loader(Closeable):
         budget_bytes: int = DEFAULT_BUDGET_BYTES,
         threads: int = 0,
         seen: PictureSpec = ORIGINAL,
+        targets: Sequence[TargetName] = STEERING_ONLY,
     ) -> None:
         """``rows`` are of ``samples``, which `close()` closes. For the rest see `load`."""
         if batch < 1 or threads < 0 or seed < 0 or budget_bytes < 0:
@@ -74,7 +81,7 @@ class Loader(Closeable):
         self.ranks = ranks
         self.threads = threads or os.cpu_count() or 1
         self.seen = seen
-        self.rows: Rows = samples.rows(rows)
+        self.rows: Rows = samples.rows(rows, targets)
         self.skipped = Skipped()  # each picture once, however often it was wanted
         self._samples = samples
         self._undecoded: set[int] = set()  # the pictures in `skipped`
@@ -174,17 +181,19 @@ def load(
     threads: int = 0,
     driving_view: bool = False,
     seen: PictureSpec = ORIGINAL,
+    targets: Sequence[TargetName] = STEERING_ONLY,
 ) -> Loader:
     """The samples of a split of `index`, in batches of `batch` over all `ranks`, of which this process is `rank`:
     whatever their number, batch k is the same, and each takes its part of it (one may be empty in the last).
 
     `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
-    `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees.
-    Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
+    `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees,
+    `targets` what it learns. Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
     """
     samples = Samples(Path(index))
     try:
-        rows = samples.driving_view(split) if driving_view else samples.of_split(split, LOADED)
+        samples.refuse_missing(targets)
+        rows = samples.driving_view(split) if driving_view else samples.of_split(split, loaded_columns(targets))
         return Loader(
             samples,
             rows,
@@ -195,6 +204,7 @@ def load(
             budget_bytes=budget_bytes,
             threads=threads,
             seen=seen,
+            targets=targets,
         )
     except BaseException:
         samples.close()

@@ -9,26 +9,35 @@ DataLoader asks of a data set is a length and items.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, SupportsIndex
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocess import Image
-from dataset.samples.samples_reader import LOADED, Samples, Split, open_logs
+from dataset.samples.samples_reader import Samples, Split, loaded_columns, open_logs
 
 
 class SamplesDataset:
     """A split of an index: item i is (picture (`seen.shape`) uint8, steering -1..1 float32), mirrored and altered
-    as the index says.
+    as the index says. With other targets, the second is (K,): see dataset.prediction_targets.
 
     It may be pickled and used after a fork: a worker process opens the logs for itself, and raises DatasetError if
     they have changed. An item whose picture does not decode raises DatasetError: a data set cannot be without it.
     """
 
-    def __init__(self, index: Path | str, split: Split = "train", seen: PictureSpec = ORIGINAL) -> None:
+    def __init__(
+        self,
+        index: Path | str,
+        split: Split = "train",
+        seen: PictureSpec = ORIGINAL,
+        targets: Sequence[TargetName] = STEERING_ONLY,
+    ) -> None:
         """Raises DatasetError if there is no index, if it is damaged or does not fit its logs."""
         self._index = Path(index).absolute()  # a worker may run elsewhere
         self._seen = seen
@@ -36,7 +45,8 @@ class SamplesDataset:
         self._logs = samples.logs
         try:
             self._sources = samples.sources
-            self._rows = samples.rows(samples.of_split(split, LOADED))
+            samples.refuse_missing(targets)
+            self._rows = samples.rows(samples.of_split(split, loaded_columns(targets)), targets)
             self._crops = Crops(self._rows, self._logs, 0, self._seen)
         except BaseException:
             self.close()
@@ -50,7 +60,7 @@ class SamplesDataset:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def __getitem__(self, at: SupportsIndex) -> tuple[Image, np.float32]:
+    def __getitem__(self, at: SupportsIndex) -> tuple[Image, np.float32 | NDArray[np.float32]]:
         if self._process != os.getpid():
             self._open()
         sample = at.__index__()

@@ -6,6 +6,7 @@ calls for.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,10 +19,13 @@ from dataset.frames.drivers import DRIVERS
 from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
 from dataset.frames.frames_file import SPLITS, codes
 from recorder.log.label_plan import LabelPlan
-from recorder.log.row_quality import GAP_S
+from recorder.log.row_quality import GAP_S, SPEED_RANGE_MPH
 
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, no rounding carries over from stretch to stretch."""
+
+HELD_MPH: Final = 1.0
+"""A driver who is so near to his set speed keeps to it."""
 
 Steering = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -34,10 +38,44 @@ def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray
     No label depends on another driver's steering, on the other side of the split, on frames that cannot be used or
     are tagged `exclude`, or on a crash that is left out.
     """
-    is_crashed = lists_with(frames["flags"], "crash") & plan.without_crashes
-    side = codes(frames["split"], SPLITS) + 4 * codes(frames["driver"], DRIVERS) + 16 * is_crashed.astype(np.int8)
-    is_good = ~is_unusable(frames) & ~is_excluded(frames)
-    return labels_of(frames, is_good, side, plan.smooth_s, plan.shift_s), is_crashed
+    is_crashed = _is_crashed(frames, plan)
+    return labels_of(frames, _is_good(frames), _side(frames, is_crashed), plan.smooth_s, plan.shift_s), is_crashed
+
+
+def planned_speed_mph(
+    frames: pa.Table, plan: LabelPlan, ahead_s: float, slower_mph: Sequence[float] = ()
+) -> NDArray[np.float64]:
+    """The speed to be learnt of each of a session's frames (N,), as `later_speed_mph` gives it; as for
+    `planned_labels`, none depends on anything but its own stretch.
+
+    `slower_mph` are set speeds of this session's driver, where others were set a higher one: who keeps to such a
+    speed tells nothing of what the road allows but that it is more. There is no label then. (The mean of all that
+    was driven at a place would be too slow on straights.)
+    """
+    speed_mph = later_speed_mph(frames, _is_good(frames), _side(frames, _is_crashed(frames, plan)), ahead_s)
+    for set_mph in slower_mph:
+        speed_mph[np.abs(speed_mph - set_mph) < HELD_MPH] = np.nan
+    return speed_mph
+
+
+def recorded_throttle(frames: pa.Table) -> NDArray[np.float64]:
+    """The throttle less the brake of each frame (N,), -1..1; NaN where they are no such numbers."""
+    throttle: NDArray[np.float64] = frames["throttle"].to_numpy() - frames["brake"].to_numpy()
+    return np.where(np.abs(throttle) <= 1, throttle, np.nan)
+
+
+def _is_good(frames: pa.Table) -> NDArray[np.bool_]:
+    return ~is_unusable(frames) & ~is_excluded(frames)
+
+
+def _is_crashed(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
+    return lists_with(frames["flags"], "crash") & plan.without_crashes
+
+
+def _side(frames: pa.Table, is_crashed: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """Of the split, of who drives, and of crashes: labels do not look from one to another."""
+    side: NDArray[np.int8] = codes(frames["split"], SPLITS) + 4 * codes(frames["driver"], DRIVERS)
+    return side + 16 * is_crashed.astype(np.int8)
 
 
 def labels_of(
@@ -55,27 +93,55 @@ def labels_of(
     steering: Steering = frames["steering"].to_numpy()
     if (smooth_s == 0 and shift_s == 0) or not len(frames):
         return steering
-    # the cameras' frames share a row; a log that was still growing may hold late pictures behind others
+    rows = _rows_of(frames, is_usable, split)
+    found = np.where(rows.is_usable, steering[rows.frame], 0.0)  # an unusable row is a stretch of its own
+    if smooth_s:
+        found = _smoothed(found, rows.stretches, round(smooth_s * 1e9 / 2))
+    if shift_s:
+        found = _shifted(found, rows.stretches, round(shift_s * 1e9))
+    found[~rows.is_usable] = np.nan
+    return found[rows.of_frame]
+
+
+def later_speed_mph(
+    frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8], ahead_s: float
+) -> NDArray[np.float64]:
+    """The speed that was driven `ahead_s` after each of a session's frames (N,); NaN where that lies behind a
+    border, which is as for `labels_of`, or where nobody knows a speed."""
+    speed_mph: NDArray[np.float64] = frames["speed_mph"].to_numpy()
+    is_speed = (speed_mph >= SPEED_RANGE_MPH[0]) & (speed_mph <= SPEED_RANGE_MPH[1])  # False for NaN
+    speed_mph = np.where(is_speed, speed_mph, np.nan)
+    if not len(frames):
+        return speed_mph
+    rows = _rows_of(frames, is_usable & is_speed, split)
+    found = np.where(rows.is_usable, speed_mph[rows.frame], np.nan)
+    return _shifted(found, rows.stretches, round(ahead_s * 1e9))[rows.of_frame]
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The rows of a session's frames: the frames of its cameras share one."""
+
+    of_frame: NDArray[np.int32]  # of each frame: its row
+    frame: NDArray[np.int64]  # of each row: one of its frames
+    is_usable: NDArray[np.bool_]
+    stretches: _Stretches
+
+
+def _rows_of(frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8]) -> _Rows:
+    # a log that was still growing may hold late pictures behind others
     number, rows = number_distinct(*(frames[name].to_numpy() for name in ("log_time_ns", "row")))
     row_is_usable = np.bincount(number, is_usable, len(rows)) > 0
-    steering, split = steering[rows], split[rows]
     drive = frames["drive"].to_numpy()[rows]
     step_ns = np.diff(frames["log_time_ns"].to_numpy()[rows])
     is_border = (
         (step_ns < 0)
         | (step_ns > GAP_S * 1e9)
         | (np.diff(drive) != 0)
-        | (np.diff(split) != 0)
+        | (np.diff(split[rows]) != 0)
         | ~(row_is_usable[1:] & row_is_usable[:-1])
     )
-    stretches = _Stretches.between(step_ns, is_border)
-    found = np.where(row_is_usable, steering, 0.0)  # an unusable row is a stretch of its own; it may be NaN
-    if smooth_s:
-        found = _smoothed(found, stretches, round(smooth_s * 1e9 / 2))
-    if shift_s:
-        found = _shifted(found, stretches, round(shift_s * 1e9))
-    found[~row_is_usable] = np.nan
-    return found[number]
+    return _Rows(number, rows, row_is_usable, _Stretches.between(step_ns, is_border))
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from dataset.augment import ALTERATIONS
 from dataset.drawn_views import VIEWPOINT
 from dataset.frames.distinct_rows import number_distinct
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Rows:
     flip: NDArray[np.bool_]
     alteration: NDArray[np.uint8]  # which of `alterations`
     seed: NDArray[np.int64]  # of the alteration
-    label: NDArray[np.float32]  # steering, -1..1
+    label: NDArray[np.float32]  # steering, -1..1; with other targets (N, K), NaN where a label is not known
     session: NDArray[np.int32]  # of each picture: which of `sessions`
     offset: NDArray[np.int64]  # of each picture: for Log.read, as the next two
     length: NDArray[np.int32]
@@ -35,7 +37,7 @@ class Rows:
         return len(self.label)
 
 
-def rows_of(table: pa.Table, sources: Mapping[str, object]) -> Rows:
+def rows_of(table: pa.Table, sources: Mapping[str, object], targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
     """Raises ValueError, TypeError or KeyError for values that do not make sense."""
     session, sessions = words_as_numbers(table["session"])
     alteration, alterations = words_as_numbers(table["alteration"])
@@ -56,7 +58,7 @@ def rows_of(table: pa.Table, sources: Mapping[str, object]) -> Rows:
         numbers(table["flip"], np.bool_),
         alteration.astype(np.uint8),
         seed,
-        label.astype(np.float32),
+        _labels(table, label, targets),
         session[first],
         offset[first],
         length[first].astype(np.int32),
@@ -64,6 +66,19 @@ def rows_of(table: pa.Table, sources: Mapping[str, object]) -> Rows:
         alterations,
         sessions,
     )
+
+
+def _labels(table: pa.Table, steering: NDArray[np.float64], targets: Sequence[TargetName]) -> NDArray[np.float32]:
+    """(N,) for steering alone, otherwise (N, K)."""
+    if len(targets) == 1:
+        return steering.astype(np.float32)
+    others = (target_labels(table, name) / TARGETS[name].per_unit for name in targets[1:])
+    return np.stack([steering, *others], axis=1).astype(np.float32)
+
+
+def target_labels(table: pa.Table, target: TargetName) -> NDArray[np.float64]:
+    """The labels (N,) of a target besides steering, in its unit; NaN where they are not known."""
+    return numbers(pc.fill_null(table[TARGETS[target].label_column], np.nan), np.float64)
 
 
 def words_as_numbers(column: pa.ChunkedArray) -> tuple[NDArray[np.int32], tuple[str, ...]]:

@@ -15,7 +15,9 @@ from recorder.log.steering_habits import SteeringHabits, SteeringLag
 
 SAMPLES_NAME: Final = "samples.parquet"
 
-SAMPLES_FORMAT: Final = 4
+SAMPLES_FORMAT: Final = 5
+READABLE_FORMATS: Final = (4, 5)
+"""4 has no labels of other targets than steering."""
 
 SAMPLES_SCHEMA: Final = pa.schema(
     [
@@ -34,6 +36,10 @@ SAMPLES_SCHEMA: Final = pa.schema(
         pa.field("bin", pa.int64()),
         pa.field("split", pa.string()),
         pa.field("copy", pa.bool_()),  # added: to fill up its bin, or as a view from beside the line
+        pa.field(
+            "later_speed_mph", pa.float64()
+        ),  # that was driven --speed-ahead seconds later; null: nobody knows
+        pa.field("throttle", pa.float64()),  # less the brake: -1..1; null: nobody knows
     ]
 )
 
@@ -83,3 +89,4 @@ class SessionLabels:
     habits: SteeringHabits
     lag: SteeringLag | None  # None: not measured, or nothing to measure it by
     plan: LabelPlan
+    set_speeds_mph: tuple[float, ...] = ()  # that the driver was to keep where bends allow; of people, none

@@ -22,8 +22,9 @@ from common.files import short_path
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.parquet_file import METADATA_KEY
-from dataset.samples.sample_rows import Rows, numbers, rows_of, words_as_numbers
-from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
+from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
 from recorder import Log, LogError
 
 Split = Literal["train", "validation"]
@@ -35,6 +36,12 @@ FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
 """The columns that training and validation depend on."""
 
 _CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offset", "chunk")))
+
+
+def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, ...]:
+    """The columns that a loader needs for these targets."""
+    return (*LOADED, *(TARGETS[name].label_column for name in targets if name not in STEERING_ONLY))
+
 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
 
@@ -83,13 +90,20 @@ class Samples(Closeable):
             raise DatasetError(f"{self.path}: no index; build it with `bc-index`") from None
         except _UNREADABLE as error:
             raise self._damaged(error) from None
-        if version != SAMPLES_FORMAT:
+        if version not in READABLE_FORMATS:
             raise DatasetError(f"{self.path}: of format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
         self.logs = open_logs(index, self.sources)
 
     def close(self) -> None:
         for log in self.logs.values():
             log.close()
+
+    @cached_property
+    def _columns(self) -> list[str]:
+        try:
+            return list(pq.read_schema(self.path).names)
+        except _UNREADABLE as error:
+            raise self._damaged(error) from None
 
     @cached_property
     def table(self) -> pa.Table:
@@ -146,10 +160,36 @@ class Samples(Closeable):
             raise self._damaged(error) from None
         return {name: digest.hexdigest() for name, digest in digests.items()}
 
-    def rows(self, table: pa.Table) -> Rows:
-        """Samples of this index as arrays. Raises DatasetError for what no index holds."""
+    @property
+    def has_targets(self) -> bool:
+        """Whether there are labels of all targets, as in every index but those of earlier versions."""
+        return all(target.label_column in self._columns for target in TARGETS.values())
+
+    def refuse_missing(self, targets: Sequence[TargetName]) -> None:
+        """Raise DatasetError if this index has no labels of these targets."""
+        missing = [name for name in targets if TARGETS[name].label_column not in self._columns]
+        if missing:
+            raise DatasetError(
+                f"{self.path}: of format {self.metadata['format']}, which has no labels of {', '.join(missing)};"
+                " run `bc-index` again"
+            )
+
+    def targets_fingerprint(self, targets: Sequence[TargetName]) -> str:
+        """SHA-256, in hex, of the labels of the targets besides steering; empty where there are none of them."""
+        others = [name for name in targets if name not in STEERING_ONLY]
+        if not others:
+            return ""
+        table = self._table([TARGETS[name].label_column for name in others])
+        digest = hashlib.sha256()
+        for name in others:
+            digest.update(target_labels(table, name).tobytes())
+        return digest.hexdigest()
+
+    def rows(self, table: pa.Table, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
+        """Samples of this index as arrays, `table` with the columns of these targets' labels. Raises DatasetError
+        for what no index holds."""
         try:
-            return rows_of(table, self.sources)
+            return rows_of(table, self.sources, targets)
         except _UNREADABLE as error:
             raise self._damaged(error) from None
 

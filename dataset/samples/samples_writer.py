@@ -7,7 +7,7 @@ written session by session.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -27,7 +27,7 @@ from dataset.frames.frame_flags import is_excluded, is_unusable
 from dataset.frames.frames_file import SPLITS, codes, read_frames
 from dataset.parquet_file import METADATA_KEY
 from dataset.samples.filter import Condition
-from dataset.samples.labels import planned_labels
+from dataset.samples.labels import planned_labels, planned_speed_mph, recorded_throttle
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.samples.viewpoint_labels import has_way_back, label_back
@@ -47,6 +47,8 @@ class _Session:
     recorded: NDArray[np.float64]  # the same as it was driven
     view: NDArray[np.int64]  # from beside the line, by its number; -1: the picture as it is
     is_training: NDArray[np.bool_]
+    later_speed_mph: NDArray[np.float64]
+    throttle: NDArray[np.float64]  # less the brake
 
     def taken(self, frame: NDArray[np.int64]) -> _Session:
         """Some of the frames, perhaps more than once."""
@@ -68,9 +70,12 @@ def write_samples(
     condition = Condition(config.where) if config.where is not None else None
     sessions: list[_Session] = []
     counts: dict[str, SessionCounts] = {}
+    fastest_mph = max((mph for of_session in labels.values() for mph in of_session.set_speeds_mph), default=0.0)
     random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
-        session, counts[name] = _usable(read_frames(file), config, labels[name].plan, condition, random)
+        slower_mph = [mph for mph in labels[name].set_speeds_mph if mph < fastest_mph]
+        plan = labels[name].plan
+        session, counts[name] = _usable(read_frames(file), config, plan, slower_mph, condition, random)
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
@@ -118,6 +123,7 @@ def _usable(
     frames: pa.Table,
     config: IndexConfig,
     plan: LabelPlan,
+    slower_mph: Sequence[float],
     condition: Condition | None,
     random: np.random.Generator,
 ) -> tuple[_Session, SessionCounts]:
@@ -152,7 +158,15 @@ def _usable(
         not_taken_over=int((is_asked_for & ~is_wanted).sum()),
     )
     view = np.full(len(at), -1)
-    session = _Session(at.astype(np.int32), label, recorded, view, split[at] == 0)
+    session = _Session(
+        at.astype(np.int32),
+        label,
+        recorded,
+        view,
+        split[at] == 0,
+        planned_speed_mph(frames, plan, config.speed_ahead_s, slower_mph)[at],
+        recorded_throttle(frames)[at],
+    )
     if config.viewpoints:
         speed_mph = frames["speed_mph"].to_numpy()[at]
         is_seen = session.is_training & (camera[at] == CAMERAS.index("center")) & has_way_back(speed_mph)
@@ -211,5 +225,7 @@ def _table(
         "recorded": recorded,
         "bin": bin_of(label, config.bins),
         "copy": chosen.is_copy | is_view,
+        "later_speed_mph": pa.array(session.later_speed_mph, from_pandas=True),  # NaN to null
+        "throttle": pa.array(session.throttle, from_pandas=True),
     }
     return pa.table({field.name: columns[field.name] for field in SAMPLES_SCHEMA}).cast(SAMPLES_SCHEMA)

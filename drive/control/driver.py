@@ -18,11 +18,16 @@ from drive.control.steering_filter import SteeringFilter
 from drive.control.takeover import Takeover
 from drive.control.telemetry_picture import camera_picture
 from model import Pilot
+from model.pilot import NetworkAnswer
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.server.world import World, WorldNotices
 
 USUAL_SIZE: Final = (160, 320)  # height, width
+LEAST_AHEAD_S: Final = 0.5
+"""A car does not change its speed at once, also where the network answers the one that was driven at the
+picture."""
+
 UNUSABLE_S: Final = 1.0
 """While nothing usable comes, the car rolls on for so long, steered as before; then it is braked."""
 
@@ -47,10 +52,12 @@ class Decision:
     picture_size: tuple[int, int] | None = None  # width, height; None where the telemetry could not be used
     crop: Image | None = None
     predicted_steering: float = 0.0  # the network's, whoever drives; not clamped, NaN if it gave no number
+    predicted_speed_mph: float | None = None  # the same; None: it says nothing of the speed
+    predicted_throttle: float | None = None
     parse_ms: float = 0.0  # from the telemetry's last byte until its numbers are read
     decode_ms: float = 0.0  # JPEG and crop
     network_ms: float = 0.0
-    set_speed_mph: float = 0.0  # lower than the configured one in a curve, if that is configured
+    set_speed_mph: float = 0.0  # lower than the configured one where the network, or a curve, wants less
     problem: str = ""
     kind: str = ""  # of problem: equal for all that differ only in their values
     events: tuple[str, ...] = ()  # that happened with this telemetry
@@ -65,7 +72,8 @@ class Driver:
         self._pilot = pilot
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
-        self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves)
+        ahead_s = max(pilot.speed_ahead_s, LEAST_AHEAD_S)
+        self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves, ahead_s)
         self._brake = EmergencyBrake()
         self._last_brake: EmergencyBrake | None = None
         self._takeover = Takeover() if config.takeover else None
@@ -140,13 +148,11 @@ class Driver:
             return self._answer_unusable(error, time_s)
         crop = self._pilot.crop(picture)
         decoded_s = time.perf_counter()
-        predicted = self._pilot.predict(crop)
+        answer = self._pilot.answer(crop)
         predicted_s = time.perf_counter()
 
         decision = (
-            self._drive(telemetry, predicted, time_s)
-            if math.isfinite(predicted)
-            else self._answer_without_number(time_s)
+            self._drive(telemetry, answer, time_s) if answer.is_finite else self._answer_without_number(time_s)
         )
         events = decision.events
         if picture.shape[:2] != USUAL_SIZE and not self.reported_size:
@@ -158,19 +164,21 @@ class Driver:
             telemetry=telemetry,
             picture_size=size,
             crop=crop,
-            predicted_steering=predicted,
+            predicted_steering=answer.steering,
+            predicted_speed_mph=answer.speed_mph,
+            predicted_throttle=answer.throttle,
             decode_ms=(decoded_s - parsed_s) * 1e3,
             network_ms=(predicted_s - decoded_s) * 1e3,
             events=events,
         )
 
-    def _drive(self, telemetry: Telemetry, predicted: float, time_s: float) -> Decision:
+    def _drive(self, telemetry: Telemetry, answer: NetworkAnswer, time_s: float) -> Decision:
         events = []
         if self._brake.is_on:
             events.append("the brakes are released")
         self._brake.release()
         self._unusable_since_s, self._gave_number = None, True
-        wanted = min(max(predicted, -1.0), 1.0)
+        wanted = min(max(answer.steering, -1.0), 1.0)
         if self._takeover is not None:
             events += self._takeover.update(time_s, telemetry.world, wanted)
         expert = None if telemetry.world is None else telemetry.world.expert
@@ -179,13 +187,22 @@ class Driver:
             self._filter.override(time_s, steering)
         else:
             steering = self._filter.apply(time_s, wanted)
-            throttle = self._throttle(telemetry, steering)
-        return self._decision(steering, throttle, events=events)
+            throttle = self._throttle(telemetry, answer, steering, time_s)
+        return self._decision(steering, throttle, events=events, target_mph=_target_mph(answer))
 
-    def _throttle(self, telemetry: Telemetry, steering: float) -> float:
-        """By the speed; where that is unknown, the expert's, if the simulator tells of one."""
-        if math.isfinite(telemetry.speed_mph):
-            return self._speed.throttle(telemetry.speed_mph, steering)
+    def _throttle(self, telemetry: Telemetry, answer: NetworkAnswer, steering: float, time_s: float) -> float:
+        """By the speed; where that is unknown, the expert's, if the simulator tells of one.
+
+        The network's own throttle is sent as it is while it does not bring the car above the set speed.
+        """
+        speed_mph = telemetry.speed_mph
+        if math.isfinite(speed_mph):
+            if answer.speed_mph is not None:
+                return self._speed.follow(time_s, speed_mph, answer.speed_mph, steering)
+            if answer.throttle is not None:
+                most = self._speed.follow(time_s, speed_mph, math.inf, steering)
+                return max(min(answer.throttle, most), -1.0 if speed_mph > WALKING_MPH else 0.0)
+            return self._speed.throttle(speed_mph, steering)
         expert = None if telemetry.world is None else telemetry.world.expert
         return 0.0 if expert is None else expert[1]
 
@@ -212,7 +229,13 @@ class Driver:
         return replace(self._decision(self._steering, throttle, problem, kind, events), driver="brake")
 
     def _decision(
-        self, steering: float, throttle: float, problem: str = "", kind: str = "", events: list[str] | None = None
+        self,
+        steering: float,
+        throttle: float,
+        problem: str = "",
+        kind: str = "",
+        events: list[str] | None = None,
+        target_mph: float = math.inf,
     ) -> Decision:
         is_expert = self._takeover is not None and self._takeover.expert_drives
         return Decision(
@@ -220,11 +243,16 @@ class Driver:
             throttle,
             self._decimal_separator or POINT,
             driver="expert" if is_expert else "pilot",
-            set_speed_mph=self._speed.set_speed_for(steering),
+            set_speed_mph=self._speed.set_speed_for(steering, target_mph),
             problem=problem,
             kind=kind,
             events=tuple(events or ()),
         )
+
+
+def _target_mph(answer: NetworkAnswer) -> float:
+    """The speed that the network wants; without bound where it says nothing of it."""
+    return math.inf if answer.speed_mph is None else answer.speed_mph
 
 
 def _braking_text(speed_mph: float | None) -> str:

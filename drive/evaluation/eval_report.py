@@ -14,12 +14,14 @@ from rich.table import Table
 from common.errors import counted, printable
 from common.files import short_path
 from common.output import print_result, print_table
+from dataset.prediction_targets import TARGETS
 from model.evaluation.evaluate import Evaluation
 from model.evaluation.recorded_drive import RecordedDrive
 from model.metrics import Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import run_name
+from model.target_metrics import TargetErrors
 from model.worst_moments import WorstFrame
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ BAR_CELLS = 16  # so that a line fits 80 columns
 def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> None:
     """Print the tables; then the commands that show the `worst` frames."""
     tables = [_measures_table(evaluation), _bins_table(evaluation.measures)]
+    if evaluation.other_targets:
+        tables.insert(1, _targets_table(evaluation.other_targets))
     if len(evaluation.sessions) > 1:
         tables.append(_sessions_table(evaluation.sessions))
     if worst:
@@ -115,6 +119,16 @@ def _measures_table(evaluation: Evaluation) -> Table:
         table.add_row(heading, *(_number(each.rmse_deg) for each in (others.network, others.zero, others.mean)))
     if is_scaled:
         table.caption = f"answers: {evaluation.answers}"
+    return table
+
+
+def _targets_table(targets: Sequence[TargetErrors]) -> Table:
+    headings = ("other targets", "frames", "MAE", "RMSE", "always the mean", "bias", "correlation")
+    table = _table("what else it answers, and what was recorded", *headings)
+    for of in targets:
+        unit = TARGETS[of.target].unit
+        numbers = (of.mae, of.rmse, of.mean_rmse, of.bias, of.correlation)
+        table.add_row(f"{of.target}{f', {unit}' if unit else ''}", f"{of.frames:,}", *map(_number, numbers))
     return table
 
 

@@ -150,6 +150,10 @@ class DriveLog(Closeable):
             network_ms=decision.network_ms,
             total_ms=total_ms,
         )
+        if decision.predicted_speed_mph is not None:
+            command.predicted_speed_mph = decision.predicted_speed_mph
+        if decision.predicted_throttle is not None:
+            command.predicted_throttle = decision.predicted_throttle
         if telemetry.world is not None and telemetry.world.expert_steering is not None:
             command.expert_steering = telemetry.world.expert_steering
         self._writer.command(time_ns, row, command)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from typing import TYPE_CHECKING, Final, Literal
@@ -65,6 +66,8 @@ class DriveSummary:
         self.driver: Literal["pilot", "expert", "human"] = "pilot"
         self.is_braked = False
         self.steering = 0.0
+        self.wanted_mph: tuple[float, float] | None = None
+        """The least and the most speed that the network has wanted; None where it says nothing of it."""
         self.total_ms = 0.0
         """The sum of all telemetries' times to their answers."""
         self.last_ms = 0.0
@@ -88,6 +91,9 @@ class DriveSummary:
             return
         if not self.is_braked:
             self.driven_s += passed_s
+        if (wanted_mph := decision.predicted_speed_mph) is not None and math.isfinite(wanted_mph):
+            least, most = self.wanted_mph or (wanted_mph, wanted_mph)
+            self.wanted_mph = min(least, wanted_mph), max(most, wanted_mph)
         self.frames += 1
         self.without_number += bool(decision.problem)
         for stage, ms in zip(
@@ -180,6 +186,8 @@ class DriveSummary:
             "mean_speed_mph": self.mean_speed_mph,
             "autonomy_percent": self.autonomy_percent,
             "laps": self.laps,
+            "wanted_least_mph": self.wanted_mph and self.wanted_mph[0],
+            "wanted_most_mph": self.wanted_mph and self.wanted_mph[1],
         }
         for stage, latency in self.latency.items():
             numbers[f"{stage}_p50_ms"] = latency.percentile_ms(50)

@@ -26,6 +26,9 @@ def summary_lines(summary: DriveSummary) -> list[str]:
         f"{counted(summary.frames, 'frame')} in {summary.elapsed_s:,.1f} s{_clock(summary)}: {far}",
         f"autonomy {_autonomy(summary)}, {_interventions(summary)}{_unknown_interventions(summary)}",
     ]
+    if summary.wanted_mph is not None:
+        least, most = summary.wanted_mph
+        lines.append(f"the network wanted {least:.1f} to {most:.1f} mph")
     if summary.frames:
         stages = (f"{stage} {latency}" for stage, latency in summary.latency.items())
         lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}")

@@ -23,14 +23,23 @@ from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
 from dataset.preprocess import Image
+from dataset.samples.sample_rows import target_labels
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import without_nan
-from model.runs.run_folder import load_answer_scale, load_config, run_name
+from model.runs.run_folder import (
+    load_answer_scale,
+    load_config,
+    run_name,
+    speed_ahead_s_of_run,
+    targets_of_run,
+)
 from model.runs.trained_on import by_session, count_trained_on
+from model.target_metrics import TargetErrors, target_errors
 
 _FROM_INDEX: Final = pa.schema(
     [
@@ -48,7 +57,9 @@ class Evaluation:
     """Predictions of a run's network for some frames, and their errors."""
 
     run: Path
-    frames: pa.Table  # session, row, camera, log_time_ns, crash; recorded and predicted: steering, -1..1
+    frames: pa.Table
+    """session, row, camera, log_time_ns, crash; recorded and predicted: steering, -1..1; recorded_NAME and
+    predicted_NAME: other targets, in their unit."""
     logs: dict[str, Path]  # of the sessions
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
     trained_on: int | None  # number of the frames that the run was trained on; None where its config does not say
@@ -56,10 +67,19 @@ class Evaluation:
     notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
+    targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have
 
     @cached_property
     def measures(self) -> Measures:
         return _measure(self.frames)
+
+    @cached_property
+    def other_targets(self) -> tuple[TargetErrors, ...]:
+        """The errors of the targets besides steering."""
+        return tuple(
+            target_errors(name, *(self.frames[column].to_numpy() for column in target_columns(name)))
+            for name in self.targets[1:]
+        )
 
     @cached_property
     def crashes(self) -> int:
@@ -103,6 +123,9 @@ class Evaluation:
             **found,
             "answers": asdict(self.answers),
             "as_learnt": without_nan(asdict(self.as_learnt)),
+            **(
+                {"targets": [without_nan(of.as_dict()) for of in self.other_targets]} if self.other_targets else {}
+            ),
             "crashes": self.crashes,
             "without_crashes": _as_dict(self.without_crashes) if self.without_crashes else None,
             "sessions": {
@@ -110,6 +133,13 @@ class Evaluation:
                 for session, measures in self.sessions.items()
             },
         }
+
+
+def target_columns(target: TargetName) -> tuple[str, str]:
+    """The columns of an evaluation's frames that hold what was predicted of a target besides steering, and what
+    was recorded."""
+    name = TARGETS[target].answer_name
+    return f"predicted_{name}", f"recorded_{name}"
 
 
 def evaluate(run: Path | str, index: Path | str, split: Split = "validation") -> Evaluation:
@@ -146,7 +176,13 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
 def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | str]) -> list[Evaluation]:
     """As `evaluate_sessions`, for several runs at once: each picture is decoded once, all have the same frames."""
     paths = {session_name(log): log for log in map(Path, logs)}
-    config = IndexConfig(validation=tuple(paths), balance=False, flip=False, labels="as-recorded")
+    config = IndexConfig(
+        validation=tuple(paths),
+        balance=False,
+        flip=False,
+        labels="as-recorded",
+        speed_ahead_s=max(speed_ahead_s_of_run(Path(run)) for run in runs),  # 0 of those that have no speed
+    )
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
         indexed = build_index(list(paths.values()), Path(folder), config)
         found = evaluate_runs(runs, folder)
@@ -168,7 +204,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
         loaders.append(Loader(samples, seen, batch=BATCH, budget_bytes=0, seen=picture))
         return loaders[-1].crops(np.arange(len(seen)))
 
-    steering, is_decoded = predict_crops(runs, batches, len(seen))
+    answers, is_decoded = predict_crops(runs, batches, len(seen))
     skipped = loaders[0].skipped  # for each network the same
     if not is_decoded.any():
         _, name = next(iter(skipped))
@@ -178,18 +214,32 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
     frames = _from_index(seen, samples)
     frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
     sessions = by_session(frames.filter(pa.array(is_decoded)))
+    targets = [targets_of_run(run) if samples.has_targets else STEERING_ONLY for run in runs]
     return [
         Evaluation(
             run,
-            frames.append_column("predicted", pa.array(predicted)).filter(pa.array(is_decoded)),
+            _with_answers(frames, seen, predicted, of_run).filter(pa.array(is_decoded)),
             {session: log.path.resolve() for session, log in samples.logs.items()},
             {session: log.time_range_ns[0] for session, log in samples.logs.items()},
             count_trained_on(sessions, samples, config),
             skipped,
             answers=load_answer_scale(run),
+            targets=of_run,
         )
-        for run, predicted, config in zip(runs, steering, configs, strict=True)
+        for run, predicted, config, of_run in zip(runs, answers, configs, targets, strict=True)
     ]
+
+
+def _with_answers(
+    frames: pa.Table, seen: pa.Table, answers: NDArray[np.float64], targets: Sequence[TargetName]
+) -> pa.Table:
+    """The frames, with what a network answers to each (N,) or (N, K), and what was recorded of it."""
+    frames = frames.append_column("predicted", pa.array(steering_in(answers)))
+    for at, name in enumerate(targets[1:], 1):
+        predicted, recorded = target_columns(name)
+        frames = frames.append_column(predicted, pa.array(answers[:, at] * TARGETS[name].per_unit))
+        frames = frames.append_column(recorded, pa.array(target_labels(seen, name)))
+    return frames
 
 
 def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:

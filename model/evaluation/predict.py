@@ -34,15 +34,16 @@ BatchesOf = Callable[[PictureSpec], Iterable[tuple[NDArray[np.int64], Image]]]
 def predict(
     network: PictureNetwork, loader: Loader, advance: Callable[[int], object] = lambda samples: None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The network's steering and the recorded one, each (N,), for a loader's samples in their order; float32
-    arithmetic on the network's device. `advance` gets the number of samples done since the last call."""
+    """The network's answers and what was recorded, steering (N,) or targets (N, K), for a loader's samples in
+    their order; float32 arithmetic on the network's device. `advance` gets the number of samples done since the
+    last call."""
     network.eval()
     device = next(network.parameters()).device
-    predicted, recorded = [np.zeros(0)], [np.zeros(0)]
+    predicted, recorded = [np.zeros((0, *answer_shape(network)))], [np.zeros((0, *loader.rows.label.shape[1:]))]
     for batch in loader.in_order():
         predicted.append(network(as_input(batch.pictures).to(device)).cpu().numpy().astype(np.float64))
-        recorded.append(batch.steering.astype(np.float64))
-        advance(len(batch.steering))
+        recorded.append(batch.labels.astype(np.float64))
+        advance(len(batch.labels))
     return np.concatenate(predicted), np.concatenate(recorded)
 
 
@@ -53,17 +54,18 @@ def predict_crops(
     count: int,
     on_attention: AttentionCallback | None = None,
     on_batch: Callable[[], object] = lambda: None,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The steering of each run's network for `count` pictures, (runs, count), and of which pictures there was a
-    crop (count,); with a progress bar. Networks that see the same share its decoding. `on_batch` is called after
-    each of the `batches`, and may raise what ends it.
+) -> tuple[list[NDArray[np.float64]], NDArray[np.bool_]]:
+    """The answers of each run's network for `count` pictures, steering (count,) or targets (count, K), and of
+    which pictures there was a crop (count,); with a progress bar. Networks that see the same share its decoding.
+    `on_batch` is called after each of the `batches`, and may raise what ends it.
 
     Raises RunError if a run is incomplete or damaged, or its network gives no number.
     """
     pictures = [picture_of_run(run) for run in runs]
     networks = [load_network(run).to(memory_format=torch.channels_last) for run in runs]  # type: ignore[call-overload]
     keep_freed_memory()
-    predicted, is_decoded = np.zeros((len(runs), count)), np.zeros(count, np.bool_)
+    predicted = [np.zeros((count, *answer_shape(network))) for network in networks]
+    is_decoded = np.zeros(count, np.bool_)
     different = list(dict.fromkeys(pictures))
     with open_bar(is_shown=True) as bar, progress_task(bar, "frames", count * len(different)) as advance:
         for picture in different:
@@ -73,19 +75,24 @@ def predict_crops(
                 for at in seeing:
                     try:
                         if on_attention is None:
-                            steering = networks[at](as_input(crops))
+                            answers = networks[at](as_input(crops))
                         else:
-                            steering, maps = predict_with_attention(networks[at], as_input(crops))
+                            answers, maps = predict_with_attention(networks[at], as_input(crops))
                             shown = np.stack([as_bgr(crop, picture) for crop in crops]) if len(crops) else crops
                             on_attention(at, numbers, shown, maps.numpy())
                     except RunError as error:
                         raise RunError(f"{runs[at]}: {error}") from None
-                    if not steering.isfinite().all():
+                    if not answers.isfinite().all():
                         raise RunError(f"{runs[at]}: its network predicts what is no number; train it again")
-                    predicted[at, numbers] = steering.numpy()
+                    predicted[at][numbers] = answers.numpy()
                 advance(len(numbers))
                 on_batch()
     return predicted, is_decoded
+
+
+def answer_shape(network: PictureNetwork) -> tuple[int, ...]:
+    """The shape of the answer to a picture."""
+    return () if network.outputs == 1 else (network.outputs,)
 
 
 def as_input(pictures: NDArray[np.uint8]) -> torch.Tensor:

@@ -15,6 +15,7 @@ from common.errors import counted
 from dataset.errors import DatasetError
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import metadata_of
+from dataset.prediction_targets import steering_in
 from dataset.preprocess import Image
 from model.errors import RunError
 from model.evaluation.log_predictions import LogPredictions
@@ -79,7 +80,7 @@ def predict_log(
             crops.row[is_decoded],
             crops.log_time_ns[is_decoded],
             crops.recorded[is_decoded],
-            {name: values[is_decoded] for name, values in zip(names, predicted, strict=True)},
+            {name: steering_in(values)[is_decoded] for name, values in zip(names, predicted, strict=True)},
             {
                 "log": log.name,
                 "log_fingerprint": crops.fingerprint,

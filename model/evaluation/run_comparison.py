@@ -5,6 +5,7 @@ bc-eval --compare A B
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 
 from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
+from dataset.prediction_targets import TARGETS, TargetName
 from dataset.steering_bins import bin_of
 from model.evaluation.block_bootstrap import Floats
 from model.evaluation.differences import CONFIDENCE, Difference, Measure, compare_sums, overall
-from model.evaluation.evaluate import Evaluation
+from model.evaluation.evaluate import Evaluation, target_columns
 from model.metrics import BINS, TURNING
 from model.runs.run_folder import run_name
 
@@ -68,8 +70,13 @@ class Comparison:
 
     @cached_property
     def differences(self) -> tuple[Difference, ...]:
-        a, b = (sums_of_blocks(each.frames, self.unit) for each in (self.a, self.b))
-        return compare_sums(a, b, MEASURES, measures_of_sums, self.tolerance)
+        targets = [name for name in self.a.targets[1:] if name in self.b.targets]
+        measures = (*MEASURES, *map(_rmse_of, targets))
+        a, b = (
+            np.hstack([sums_of_blocks(each.frames, self.unit), *_sums_of_targets(each.frames, self.unit, targets)])
+            for each in (self.a, self.b)
+        )
+        return compare_sums(a, b, measures, measures_of_sums, self.tolerance)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -117,19 +124,40 @@ def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64]) -> Floats:
             in_bin * np.square(off_deg)[:, None],
         ]
     )
+    return _summed(per_frame, unit)
+
+
+def _sums_of_targets(frames: pa.Table, unit: NDArray[np.int64], targets: Sequence[TargetName]) -> Iterator[Floats]:
+    """For each target the sums of each block, (blocks, 2): frames of which it is known, and its squared errors."""
+    for target in targets:
+        predicted, recorded = (frames[column].to_numpy() for column in target_columns(target))
+        off = predicted - recorded
+        is_known = np.isfinite(off)
+        yield _summed(np.column_stack([is_known, np.square(np.where(is_known, off, 0.0))]), unit)
+
+
+def _rmse_of(target: TargetName) -> Measure:
+    found = TARGETS[target]
+    return Measure(f"{found.answer_name}_rmse", f"RMSE of {target}{f' ({found.unit})' if found.unit else ''}")
+
+
+def _summed(per_frame: Floats, unit: NDArray[np.int64]) -> Floats:
+    """The sums over the frames of each block: (frames, K) to (blocks, K)."""
     sums = np.zeros((int(unit.max()) + 1, per_frame.shape[1]))
     np.add.at(sums, unit, per_frame)
     return sums
 
 
 def measures_of_sums(sums: Floats) -> Floats:
-    """`MEASURES` of such sums, (..., K) to (..., 4); NaN where there are no such frames.
+    """`MEASURES` of such sums, and the RMSE of each further target: (..., K) to (..., 4 and more); NaN where there
+    are no such frames.
 
     A network that answers the same to everything has the correlation 0 here: it is worse than any that follows the
     road. Where the recorded steering is constant there is none.
     """
     count, squares, turns, turn_errors, p, r, pp, rr, pr = np.moveaxis(sums[..., :9], -1, 0)
-    in_bin, bin_squares = sums[..., 9 : 9 + BINS], sums[..., 9 + BINS :]
+    in_bin, bin_squares = sums[..., 9 : 9 + BINS], sums[..., 9 + BINS : 9 + 2 * BINS]
+    of_targets = sums[..., 9 + 2 * BINS :]
     with np.errstate(divide="ignore", invalid="ignore"):
         bin_means = np.where(in_bin > 0, bin_squares / in_bin, 0.0)
         covariance, variance_p, variance_r = pr - p * r / count, pp - p * p / count, rr - r * r / count
@@ -143,6 +171,7 @@ def measures_of_sums(sums: Floats) -> Floats:
                 turn_errors / turns,
                 np.sqrt(bin_means.sum(axis=-1) / (in_bin > 0).sum(axis=-1)),
                 correlation,
+                *np.moveaxis(np.sqrt(of_targets[..., 1::2] / of_targets[..., ::2]), -1, 0),
             ],
             axis=-1,
         )

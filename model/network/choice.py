@@ -46,6 +46,7 @@ class NetworkChoice:
     arguments: Mapping[str, Any]
     make: Callable[..., Any] = field(repr=False)
     code: OwnCode | None = None
+    outputs: int = 1  # how many targets it is to answer
 
     @property
     def description(self) -> dict[str, Any]:
@@ -61,8 +62,10 @@ class NetworkChoice:
 
     def build(self) -> PictureNetwork:
         """A new network, with random weights. Raises RunError where that fails."""
+        # one target needs no word; one's own network may have as many answers as it likes without being told
+        outputs = {"outputs": self.outputs} if self.outputs > 1 and _takes(self.make, "outputs") else {}
         try:
-            made = self.make(**self.arguments)
+            made = self.make(**{**outputs, **self.arguments})
         except RunError:
             raise
         except Exception as error:
@@ -70,14 +73,16 @@ class NetworkChoice:
             raise RunError(f"{self._label}({printable(given)}) fails ({_why(error)})") from None
         if not isinstance(made, nn.Module):
             raise RunError(f"{self._label} gives a {type(made).__name__}: a torch.nn.Module was expected")
-        return made if isinstance(made, PictureNetwork) else OwnNetwork(made)
+        network = made if isinstance(made, PictureNetwork) else OwnNetwork(made)
+        network.outputs = self.outputs
+        return network
 
     def try_out(self, picture: PictureSpec, device: torch.device) -> int:
         """Make one, show it pictures, and forget it; the number of its parameters.
 
-        Raises RunError for what cannot be trained: another shape than one number a picture, answers that are no
-        numbers, weights that cannot be kept. Not on PyTorch's meta device, which computes nothing: a first answer
-        there takes a second of imports, a real one of the toolkit's own networks a twentieth of that.
+        Raises RunError for what cannot be trained: another shape than one number a picture and target, answers
+        that are no numbers, weights that cannot be kept. Not on PyTorch's meta device, which computes nothing: a
+        first answer there takes a second of imports, a real one of the original network a twentieth of that.
         """
         with torch.random.fork_rng(devices=[]):
             network = self.build()
@@ -141,7 +146,8 @@ def choose_network(config: TrainConfig) -> NetworkChoice:
         choice = NetworkChoice(code.label, given, code.make, code)
     else:
         choice = built_in(config.network, given)
-    if _takes_dropout(choice.make):
+    choice = replace(choice, outputs=len(config.targets))
+    if _takes(choice.make, "dropout"):
         return replace(choice, arguments={"dropout": config.dropout, **given})
     if config.dropout not in (0.0, TrainConfig.dropout):
         raise UsageError(
@@ -183,9 +189,9 @@ def _parsed(arguments: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def _takes_dropout(make: Callable[..., Any]) -> bool:
+def _takes(make: Callable[..., Any], argument: str) -> bool:
     try:
-        return "dropout" in inspect.signature(make).parameters
+        return argument in inspect.signature(make).parameters
     except (TypeError, ValueError):  # of what is not written in Python
         return False
 

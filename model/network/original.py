@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from typing import Final
 
-from torch import Tensor, nn
+from torch import nn
 
-from model.network.picture_network import PictureNetwork, glorot_weights
+from model.network.onednn_layers import OneDnnLayers
+from model.network.picture_network import LayerChain, glorot_weights
 
 PARAMETERS: Final = 5_022_327
 
 
-class SteeringNetwork(PictureNetwork):
-    """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped."""
+class SteeringNetwork(LayerChain):
+    """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped;
+    or to targets (N, outputs)."""
 
-    def __init__(self, dropout: float = 0.5) -> None:
+    def __init__(self, dropout: float = 0.5, outputs: int = 1) -> None:
         super().__init__()
 
         def convolution(inputs: int, outputs: int, kernel: int, *, pool: bool) -> list[nn.Module]:
@@ -26,7 +28,7 @@ class SteeringNetwork(PictureNetwork):
             pooling: list[nn.Module] = [nn.MaxPool2d(2)] if pool else []
             return [nn.Conv2d(inputs, outputs, kernel), *pooling, nn.ReLU()]
 
-        self.features = nn.Sequential(
+        self.features = OneDnnLayers(
             *convolution(3, 24, 5, pool=True),  # 128 -> 124 -> 62
             *convolution(24, 36, 5, pool=True),  # 62 -> 58 -> 29
             *convolution(36, 48, 5, pool=True),  # 29 -> 25 -> 12
@@ -45,10 +47,6 @@ class SteeringNetwork(PictureNetwork):
             nn.ReLU(),
             nn.Linear(50, 10),
             nn.ReLU(),
-            nn.Linear(10, 1),
+            nn.Linear(10, outputs),
         )
         glorot_weights(self)
-
-    def answers(self, inputs: Tensor) -> Tensor:
-        steering: Tensor = self.head(self.features(inputs))
-        return steering

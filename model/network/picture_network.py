@@ -1,4 +1,7 @@
-"""What every network here is: pictures in, steering out. Scaling and the answers' shape are in this one place."""
+"""What every network here is: pictures in, steering and perhaps other targets out.
+
+Scaling and the answers' shape are in this one place.
+"""
 
 from __future__ import annotations
 
@@ -14,24 +17,47 @@ from model.errors import RunError
 
 
 class PictureNetwork(nn.Module):
-    """Pictures (N, 3, height, width), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped."""
+    """Pictures (N, 3, height, width), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped.
+
+    Of several targets the answers are (N, outputs), steering first (`dataset.prediction_targets`).
+    """
 
     PICTURE: ClassVar[PictureSpec] = ORIGINAL
     """What it sees, unless the run says otherwise."""
 
+    outputs: int = 1
+    """How many targets it answers."""
+
     natural: Callable[[Tensor], Tensor] | None = None
-    """From what was learnt to the network's answer; None while it learns, and where both are the same."""
+    """From the steering that was learnt to the network's answer; None while it learns, and where both are the
+    same."""
 
     input_dtype = torch.float32
     """What its layers are given. Scaling is always done in float32."""
 
     def answers(self, inputs: Tensor) -> Tensor:
-        """(N, 1) or (N,) for pictures (N, 3, height, width) that are scaled to -1..1."""
+        """(N, outputs), or (N,) of one, for pictures (N, 3, height, width) that are scaled to -1..1."""
         raise NotImplementedError
 
     def forward(self, pictures: Tensor) -> Tensor:
-        learnt = steering_of(self.answers(scaled(pictures).to(self.input_dtype)), len(pictures))
-        return learnt if self.natural is None else self.natural(learnt.float())
+        learnt = targets_of(self.answers(scaled(pictures).to(self.input_dtype)), len(pictures), self.outputs)
+        if self.natural is None:
+            return learnt
+        if self.outputs == 1:
+            return self.natural(learnt.float())
+        learnt = learnt.float()
+        return torch.cat([self.natural(learnt[:, :1]), learnt[:, 1:]], dim=1)
+
+
+class LayerChain(PictureNetwork):
+    """Convolutions, and a head on what they give."""
+
+    features: nn.Sequential
+    head: nn.Sequential
+
+    def answers(self, inputs: Tensor) -> Tensor:
+        answers: Tensor = self.head(self.features(inputs))
+        return answers
 
 
 def scaled(pictures: Tensor) -> Tensor:
@@ -39,19 +65,21 @@ def scaled(pictures: Tensor) -> Tensor:
     return pictures.to(torch.float32) / 127.5 - 1.0
 
 
-def steering_of(answers: Tensor, pictures: int) -> Tensor:
-    """The steering (N,) in what a network answers to so many pictures. Raises RunError for what is none."""
+def targets_of(answers: Tensor, pictures: int, outputs: int = 1) -> Tensor:
+    """The steering (N,), or the targets (N, outputs), in what a network answers to so many pictures. Raises
+    RunError for what is none."""
     if isinstance(answers, Tensor) and answers.is_floating_point():
-        if answers.shape == (pictures, 1):
-            return answers.squeeze(1)
-        if answers.shape == (pictures,):
+        if answers.shape == (pictures, outputs):
+            return answers.squeeze(1) if outputs == 1 else answers
+        if answers.shape == (pictures,) and outputs == 1:
             return answers
     given = tuple(answers.shape) if isinstance(answers, Tensor) else type(answers).__name__
     kind = f" of {answers.dtype}" if isinstance(answers, Tensor) else ""
-    raise RunError(
-        f"the network answers {given}{kind} to {counted(pictures, 'picture')}: one number for each was expected,"
-        f" ({pictures}, 1) or ({pictures},)"
-    )
+    if outputs == 1:
+        expected = f"one number for each was expected, ({pictures}, 1) or ({pictures},)"
+    else:
+        expected = f"one number for each and each target was expected, ({pictures}, {outputs})"
+    raise RunError(f"the network answers {given}{kind} to {counted(pictures, 'picture')}: {expected}")
 
 
 def glorot_weights(network: nn.Module) -> None:

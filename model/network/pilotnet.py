@@ -7,18 +7,18 @@ initial weights are not told there; they are as in the original project's networ
 
 from __future__ import annotations
 
-from torch import Tensor, nn
+from torch import nn
 
 from dataset.picture_spec import PictureSpec
-from model.network.picture_network import PictureNetwork, glorot_weights
+from model.network.picture_network import LayerChain, glorot_weights
 
 
-class PilotNet(PictureNetwork):
-    """YUV pictures (N, 3, 66, 200) to steering (N,)."""
+class PilotNet(LayerChain):
+    """YUV pictures (N, 3, 66, 200) to steering (N,), or (N, outputs)."""
 
     PICTURE = PictureSpec(width_px=200, height_px=66, channels="YUV")
 
-    def __init__(self) -> None:
+    def __init__(self, outputs: int = 1) -> None:
         super().__init__()
         self.features = nn.Sequential(
             *(nn.Conv2d(3, 24, 5, stride=2), nn.ReLU()),  # 66 x 200 -> 31 x 98
@@ -32,10 +32,6 @@ class PilotNet(PictureNetwork):
             *(nn.Linear(64 * 1 * 18, 100), nn.ReLU()),
             *(nn.Linear(100, 50), nn.ReLU()),
             *(nn.Linear(50, 10), nn.ReLU()),
-            nn.Linear(10, 1),
+            nn.Linear(10, outputs),
         )
         glorot_weights(self)
-
-    def answers(self, inputs: Tensor) -> Tensor:
-        steering: Tensor = self.head(self.features(inputs))
-        return steering

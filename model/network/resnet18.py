@@ -29,13 +29,13 @@ class ResNet18(PictureNetwork):
 
     PICTURE = PictureSpec(channels="RGB")
 
-    def __init__(self) -> None:
+    def __init__(self, outputs: int = 1) -> None:
         super().__init__()
-        self.network = _torchvision_resnet18()(num_classes=1)
+        self.network = _torchvision_resnet18()(num_classes=outputs)
 
     def answers(self, inputs: Tensor) -> Tensor:
-        steering: Tensor = self.network(inputs)
-        return steering
+        answers: Tensor = self.network(inputs)
+        return answers
 
 
 def _torchvision_resnet18() -> Callable[..., nn.Module]:

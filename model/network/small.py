@@ -6,18 +6,18 @@ convolutions in place of pooling.
 
 from __future__ import annotations
 
-from torch import Tensor, nn
+from torch import nn
 
 from dataset.picture_spec import PictureSpec
-from model.network.picture_network import PictureNetwork, glorot_weights
+from model.network.picture_network import LayerChain, glorot_weights
 
 
-class SmallNetwork(PictureNetwork):
-    """BGR pictures (N, 3, 48, 96) to steering (N,)."""
+class SmallNetwork(LayerChain):
+    """BGR pictures (N, 3, 48, 96) to steering (N,), or (N, outputs)."""
 
     PICTURE = PictureSpec(width_px=96, height_px=48)
 
-    def __init__(self) -> None:
+    def __init__(self, outputs: int = 1) -> None:
         super().__init__()
         self.features = nn.Sequential(
             *(nn.Conv2d(3, 16, 5, stride=2), nn.ReLU()),  # 48 x 96 -> 22 x 46
@@ -29,10 +29,6 @@ class SmallNetwork(PictureNetwork):
             nn.Flatten(),
             *(nn.Linear(48 * 2 * 8, 64), nn.ReLU()),
             *(nn.Linear(64, 16), nn.ReLU()),
-            nn.Linear(16, 1),
+            nn.Linear(16, outputs),
         )
         glorot_weights(self)
-
-    def answers(self, inputs: Tensor) -> Tensor:
-        steering: Tensor = self.head(self.features(inputs))
-        return steering

@@ -30,8 +30,8 @@ Side = int | tuple[int, ...]
 
 @torch.inference_mode()
 def predict_with_attention(network: PictureNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """The network's steering (N,) for pictures (N, 3, height, width), the same as of calling it, and where it
-    looks: (N, height, width) float32, 0 nowhere .. 1 most of that picture. One pass gives both.
+    """The network's answers for pictures (N, 3, height, width), the same as of calling it, and where it looks:
+    (N, height, width) float32, 0 nowhere .. 1 most of that picture. One pass gives both.
 
     Raises RunError for a network without an `nn.ReLU` after a convolution.
     """

@@ -11,11 +11,13 @@ import json
 import math
 from typing import Any, Final
 
+from dataset.prediction_targets import TARGETS
 from dataset.preprocess import decode, may_be_crop
 from model.metrics import BinErrors, Errors, Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step
 from model.runs.worst_pictures import WORST_COUNT, WorstPictures
+from model.target_metrics import TargetErrors
 from model.worst_moments import WorstFrame
 
 _LARGEST_COUNT: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever trained
@@ -39,6 +41,7 @@ def parse_epoch(line: bytes) -> Epoch:
         _number(values["samples_per_s"]),
         AnswerScale() if answers is None else _answers(answers),
         None if learnt is None else _errors(learnt),
+        tuple(_target_errors(each) for each in values.get("targets", ())),
     )
 
 
@@ -74,6 +77,13 @@ def _answers(values: Any) -> AnswerScale:
 
 def _errors(values: Any) -> Errors:
     return Errors(*(_number(values[name]) for name in ("mae_deg", "rmse_deg", "turning_mae_deg", "correlation")))
+
+
+def _target_errors(values: Any) -> TargetErrors:
+    if values["target"] not in TARGETS:
+        raise ValueError("no target of a run")
+    numbers = (_number(values[name]) for name in ("mae", "rmse", "bias", "correlation", "mean_rmse"))
+    return TargetErrors(values["target"], _count(values["frames"]), *numbers)
 
 
 def _bin_errors(values: Any) -> BinErrors:

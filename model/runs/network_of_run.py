@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ import msgspec
 
 from common.errors import UsageError, printable
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.errors import RunError
 from model.network.choice import NetworkChoice, built_in
 from model.network.names import BUILT_IN, check_network_name, is_file, is_own
@@ -44,6 +46,16 @@ def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
     return found
 
 
+def stored_targets(config: dict[str, Any], folder: Path) -> tuple[TargetName, ...]:
+    """The targets that the network of the run in `folder` answers. Raises RunError for what are none."""
+    try:
+        names = msgspec.convert(config.get("targets", STEERING_ONLY), tuple[TargetName, ...])
+        check_targets(names)
+    except ValueError as error:
+        raise RunError(f"{folder}: its targets cannot be told ({printable(str(error))}); train it again") from None
+    return names
+
+
 def picture_of(config: dict[str, Any], folder: Path) -> PictureSpec:
     """What the network of the run in `folder` sees. Raises RunError for what this toolkit does not do."""
     try:
@@ -60,12 +72,12 @@ def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
 
     Raises RunError for somebody's own that was not named in this process (`load_code`), or is not what it was.
     """
-    stored = stored_network(config, folder)
+    stored, outputs = stored_network(config, folder), len(stored_targets(config, folder))
     if not is_own(stored.name):
-        return built_in(stored.name, stored.arguments)
+        return replace(built_in(stored.name, stored.arguments), outputs=outputs)
     code = named_code(stored.name, stored.file_sha256)
     if code is not None:
-        return NetworkChoice(stored.name, stored.arguments, code.make, code)
+        return NetworkChoice(stored.name, stored.arguments, code.make, code, outputs)
     name = printable(stored.name)
     if (other := named_otherwise(stored.name)) is not None and is_file(stored.name):
         raise RunError(

@@ -18,6 +18,7 @@ from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
 from model.network.choice import NetworkChoice
+from model.runs.network_of_run import stored_targets
 from model.runs.run_folder import load_config, run_name, weights_checksum
 from model.runs.run_inputs import relative_place
 
@@ -41,12 +42,14 @@ def provenance(
     """The part of a run's config.json that is about its training."""
     return {
         "network": network.description,
+        "targets": list(config.targets),
         "parameters": parameters,
         "training": asdict(config),
         "machine": machine_settings(machine, ranks),
         "data": {
             "fingerprint": samples.fingerprint,
             "content_fingerprint": samples.content_fingerprint,
+            "targets_fingerprint": samples.targets_fingerprint(config.targets),
             **samples.metadata,
         },
         "versions": versions(),
@@ -100,6 +103,9 @@ def is_trained_on(stored: dict[str, Any], where: str, samples: Samples) -> bool:
     Raises RunError if it does not say; `where` names the file."""
     try:
         data = stored["data"]
+        labels = samples.targets_fingerprint(stored_targets(stored, Path(where)))
+        if str(data.get("targets_fingerprint", "")) != labels:  # earlier versions had steering alone
+            return False
         if str(data["fingerprint"]) == samples.fingerprint:
             return True
         # earlier versions did not keep it

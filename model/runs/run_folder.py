@@ -26,18 +26,20 @@ from torch import Tensor
 from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.prediction_targets import MOST_AHEAD_S, TargetName
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path, position_of
 from model.runs.checksums import load_checksummed, save_checksummed
-from model.runs.network_of_run import NETWORK_FILE, choice_of, picture_of
+from model.runs.network_of_run import NETWORK_FILE, choice_of, picture_of, stored_targets
 from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_files import replaced_file, run_write_errors
 
-FORMAT: Final = 3
-DRIVABLE: Final = (1, 2, 3)  # 1 has less about its training; 2 may have a scale of its answers in its last layer
+FORMAT: Final = 4
+DRIVABLE: Final = (1, 2, 3, 4)
+"""1 has less about its training; 2 may have a scale of its answers in its last layer; up to 3, steering is all."""
 MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
@@ -178,6 +180,20 @@ def _is_last(folder: Path) -> bool:
 def picture_of_run(folder: Path) -> PictureSpec:
     """What the run's network sees. Raises RunError as `load_config` does."""
     return picture_of(load_config(folder), folder)
+
+
+def targets_of_run(folder: Path) -> tuple[TargetName, ...]:
+    """What the run's network answers, steering first. Raises RunError as `load_config` does."""
+    return stored_targets(load_config(folder), folder)
+
+
+def speed_ahead_s_of_run(folder: Path) -> float:
+    """How much later the speed is driven that the run's network answers; 0 where its config does not say. Raises
+    RunError as `load_config` does."""
+    data = load_config(folder).get("data")
+    settings = data.get("settings") if isinstance(data, dict) else None
+    seconds = settings.get("speed_ahead_s") if isinstance(settings, dict) else None
+    return float(seconds) if isinstance(seconds, int | float) and 0 <= seconds <= MOST_AHEAD_S else 0.0
 
 
 def choice_of_run(folder: Path) -> NetworkChoice:

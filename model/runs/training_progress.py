@@ -7,6 +7,7 @@ from typing import Any, Final, Protocol
 
 from model.metrics import Errors, Measures
 from model.runs.answer_scale import AnswerScale
+from model.target_metrics import TargetErrors
 
 METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
@@ -22,7 +23,7 @@ class Step:
     batch: int  # from 1, of `batches`
     batches: int
     samples: int  # learnt from since the run began, repeated ones included
-    training_loss: float  # mean squared error of steering, -1..1, since the step before
+    training_loss: float  # mean squared error of steering, -1..1, and of other targets, since the step before
     samples_per_s: float
 
 
@@ -31,7 +32,7 @@ class Epoch:
     """The losses and errors of an epoch. What does not exist is NaN."""
 
     epoch: int  # from 1
-    training_loss: float  # mean squared error of steering, -1..1, over the epoch's samples while they were learnt
+    training_loss: float  # mean squared error of steering, -1..1, and of other targets, while they were learnt
     validation_loss: float  # the same of the frames held out, afterwards
     measures: Measures  # of those frames: centre camera, unmirrored, unaltered
     is_best: bool  # the best one so far
@@ -39,6 +40,7 @@ class Epoch:
     samples_per_s: float
     answers: AnswerScale = field(default_factory=AnswerScale)  # that the measures are of
     learnt: Errors | None = None  # of the answers without it; None in runs of earlier versions
+    targets: tuple[TargetErrors, ...] = ()  # of those besides steering
 
     def as_dict(self) -> dict[str, Any]:
         measures = self.measures
@@ -53,6 +55,7 @@ class Epoch:
             "bins": [asdict(part) for part in measures.bins],
             "answers": asdict(self.answers),
             "learnt": None if self.learnt is None else asdict(self.learnt),
+            **({"targets": [target.as_dict() for target in self.targets]} if self.targets else {}),
             "is_best": self.is_best,
             "seconds": self.seconds,
             "samples_per_s": self.samples_per_s,

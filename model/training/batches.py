@@ -46,7 +46,8 @@ class Batches(ABC):
     @abstractmethod
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         """The batches of an epoch from `start_batch` on: pictures (N, 3, height, width) uint8 in channels_last
-        memory, and steering (N,) float32, both on the device. Any may be smaller than the others, or empty."""
+        memory, and labels (N,) or (N, K) float32, both on the device. Any may be smaller than the others, or
+        empty."""
 
 
 def make_batches(
@@ -76,7 +77,7 @@ class HostBatches(Batches):
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         batches = self._loader.epoch(epoch, start_batch)
-        return ((as_input(batch.pictures), torch.from_numpy(batch.steering)) for batch in batches)
+        return ((as_input(batch.pictures), torch.from_numpy(batch.labels)) for batch in batches)
 
 
 class PinnedBatches(Batches):
@@ -105,14 +106,14 @@ class _Copy:
     """A batch on its way to a device."""
 
     def __init__(self, batch: Batch, device: torch.device, stream: torch.cuda.Stream | None) -> None:
-        pictures, steering = as_input(batch.pictures), torch.from_numpy(batch.steering)
+        pictures, labels = as_input(batch.pictures), torch.from_numpy(batch.labels)
         self._event: torch.cuda.Event | None = None
         # Only out of pinned memory does a GPU copy by itself. PyTorch keeps that memory, though its tensors are
         # gone after this, until the stream that reads it has passed the copy.
         if stream is not None:
-            pictures, steering = pictures.pin_memory(), steering.pin_memory()
+            pictures, labels = pictures.pin_memory(), labels.pin_memory()
         with torch.cuda.stream(stream):  # without a stream, this does nothing
-            self._steering = steering.to(device, non_blocking=True)
+            self._labels = labels.to(device, non_blocking=True)
             self._pictures = pictures.to(device, non_blocking=True)
         if stream is not None:
             self._event = stream.record_event()
@@ -120,9 +121,9 @@ class _Copy:
     def arrived(self) -> tuple[Tensor, Tensor]:
         if self._event is not None:
             self._event.synchronize()
-            for tensor in (self._pictures, self._steering):
+            for tensor in (self._pictures, self._labels):
                 tensor.record_stream(torch.cuda.current_stream(tensor.device))
-        return self._pictures, self._steering
+        return self._pictures, self._labels
 
 
 class DeviceBatches(Batches):
@@ -152,13 +153,13 @@ class DeviceBatches(Batches):
         # All that the epoch needs is sent at once: a copy in its middle would make the host wait for the GPU.
         samples = np.concatenate([*parts, np.zeros(0, np.int64)])
         columns = (self._crop, self._flip, self._loader.rows.label)
-        crop, flip, steering = (torch.from_numpy(column[samples]).to(self._device) for column in columns)
+        crop, flip, labels = (torch.from_numpy(column[samples]).to(self._device) for column in columns)
         end = 0
         for part in parts:
             start, end = end, end + len(part)
             pictures = self._crops.index_select(0, crop[start:end])
             pictures = torch.where(flip[start:end, None, None, None], pictures.flip(2), pictures)
-            yield pictures.permute(0, 3, 1, 2), steering[start:end]
+            yield pictures.permute(0, 3, 1, 2), labels[start:end]
 
 
 def _free_bytes(device: torch.device) -> int:

@@ -19,7 +19,8 @@ from torch import Tensor
 from common.errors import counted
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
-from dataset.samples.samples_reader import LOADED
+from dataset.prediction_targets import steering_in
+from dataset.samples.samples_reader import loaded_columns
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
@@ -75,7 +76,7 @@ class TrainingLoop:
         budget_bytes = config.picture_memory_mb << 20
         loader = Loader(
             samples,
-            samples.of_split("train", LOADED),
+            samples.of_split("train", loaded_columns(config.targets)),
             batch=config.batch,
             seed=config.seed,
             rank=group.rank,
@@ -83,6 +84,7 @@ class TrainingLoop:
             budget_bytes=budget_bytes,
             threads=config.threads,
             seen=picture,
+            targets=config.targets,
         )
         if not len(loader):
             raise RunError(
@@ -94,9 +96,7 @@ class TrainingLoop:
         kept_bytes = loader.pictures * picture.size_bytes if machine.device.type == "cpu" else 0
         left_bytes = max(0, budget_bytes - kept_bytes)
         # a batch of more than `micro_batch` would only take more memory
-        self.validation = Validation(
-            samples, machine.micro_batch, left_bytes, config.threads, config.keep, picture
-        )
+        self.validation = Validation(samples, machine.micro_batch, left_bytes, config, picture)
         self.natural_frames = (
             NaturalFrames(samples, machine.micro_batch, config.threads, picture)
             if config.answers == "natural"
@@ -108,6 +108,9 @@ class TrainingLoop:
         self.network = network.build().to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = AveragedWeights(self.network, config.average_steps)
         self.optimizer = make_optimizer(self.network, config.rate)
+        self.target_weights = (
+            torch.tensor(config.target_weights, device=machine.device) if config.target_weights else None
+        )
         self._saved_s = time.monotonic()
         self._busy_warning = BusyProcessorWarning(is_enabled=machine.device.type == "cpu" and group.is_first)
 
@@ -178,8 +181,8 @@ class TrainingLoop:
         name, note = f"epoch {start.epoch:,}/{self.config.epochs:,}", ""
         total = len(batches) * self.config.epochs
         with progress_task(self.bar, name, total, self._samples_learnt()) as advance:
-            for batch, (pictures, steering) in enumerate(batches.epoch(start.epoch, start.batch), start.batch + 1):
-                sums.add(self._train_batch(network, batch, pictures, steering), len(steering))
+            for batch, (pictures, labels) in enumerate(batches.epoch(start.epoch, start.batch), start.batch + 1):
+                sums.add(self._train_batch(network, batch, pictures, labels), len(labels))
                 self.position = replace(start, batch=batch)
                 is_reported = batch % STEP_BATCHES == 0 or batch == batches.batches
                 if is_reported:
@@ -189,7 +192,7 @@ class TrainingLoop:
                         note = self._report(loss, int(count), now_s - reported_s)
                     reported_s = now_s
                     self._busy_warning.check()
-                advance(len(steering) * group.ranks, note)
+                advance(len(labels) * group.ranks, note)
                 if group.ranks > 1 and not is_reported:
                     continue  # asking the other ranks makes a GPU wait
                 is_stopped, is_due = group.any(stopped.is_set(), self._is_checkpoint_due())
@@ -201,7 +204,7 @@ class TrainingLoop:
                     raise KeyboardInterrupt
         self._sum_over_ranks(sums, begun_s)
 
-    def _train_batch(self, network: torch.nn.Module, batch: int, pictures: Tensor, steering: Tensor) -> Tensor:
+    def _train_batch(self, network: torch.nn.Module, batch: int, pictures: Tensor, labels: Tensor) -> Tensor:
         """The squared error, summed over this rank's part of the batch with this number, from 1."""
         config, group = self.config, self.group
         torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch, group.rank))
@@ -210,11 +213,12 @@ class TrainingLoop:
                 network,
                 self.optimizer,
                 pictures,
-                steering,
+                labels,
                 dtype=self.machine.dtype,
                 micro_batch=self.machine.micro_batch,
                 batch=min(config.batch, len(self.batches) - (batch - 1) * config.batch),
                 ranks=group.ranks,
+                weights=self.target_weights,
             )
         self.averaged.update(self.network, (self.position.epoch - 1) * self.batches.batches + batch)
         return squared_error
@@ -254,13 +258,14 @@ class TrainingLoop:
             raise self._diverged()
         if self.natural_frames is not None:
             self.answers = self.natural_frames.fit(self.averaged.network)
-        predicted = self.answers.natural(learnt)
+        predicted = learnt.copy()
+        steering_in(predicted)[:] = self.answers.natural(steering_in(learnt))
         epoch = self.validation.epoch(position, learnt, predicted, recorded, self.answers)
         self.writer.add_epoch(epoch, self.validation.worst(position.epoch, predicted, recorded))
         self.history.append(epoch)
         if epoch.is_best:
             self.writer.keep_best(position.epoch, self.averaged.network, self.answers)
-            self.best_predictions = predicted, recorded
+            self.best_predictions = steering_in(predicted), steering_in(recorded)
         for listener in self.listeners:
             listener.epoch(epoch)
         if epoch.is_best:

@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 from dataset import Loader, Samples
 from dataset.drawn_views import LAST_VIEW, VIEWPOINT
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import steering_in
 from dataset.samples.samples_format import Balance
 from model.evaluation.predict import predict
 from model.network.picture_network import PictureNetwork
@@ -40,7 +41,8 @@ class NaturalFrames:
 
     def fit(self, network: PictureNetwork) -> AnswerScale:
         """The scale of a network's answers to these frames. NaN in its answers are as if there were no frames."""
-        learnt, labels = predict(network, self.loader)
+        answers, labels = predict(network, self.loader)
+        learnt = steering_in(answers)
         is_number = np.isfinite(learnt)
         return AnswerScale.fit(learnt[is_number], labels[is_number])
 

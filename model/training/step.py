@@ -1,4 +1,4 @@
-"""One step of the optimizer: mean squared error of a batch, its gradient, Adam."""
+"""One step of the optimizer: mean squared error of a batch, of each target, its gradient, Adam."""
 
 from __future__ import annotations
 
@@ -21,32 +21,47 @@ def training_step(
     network: nn.Module,
     optimizer: Adam,
     pictures: Tensor,
-    steering: Tensor,
+    labels: Tensor,
     *,
     dtype: torch.dtype,
     micro_batch: int,
     batch: int | None = None,
     ranks: int = 1,
+    weights: Tensor | None = None,
 ) -> Tensor:
-    """Train on pictures (N, 3, height, width) uint8 and their steering (N,), on the network's device, and return
-    the squared error, summed over these samples, before the step.
+    """Train on pictures (N, 3, height, width) uint8 and their labels, steering (N,) or (N, K), on the network's
+    device, and return the squared error, summed over these samples, before the step.
+
+    With several targets it is the sum over them, each with its weight of `weights` (K,).
 
     The gradient is summed over parts of `micro_batch` samples. With several `ranks`, these samples are a part of
     `batch`, and the network is a DistributedDataParallel, which averages the ranks' gradients.
     """
     optimizer.zero_grad()
-    squared_error = torch.zeros((), device=steering.device)
-    scale = ranks / (batch or len(steering))
-    parts = list(zip(torch.split(pictures, micro_batch), torch.split(steering, micro_batch), strict=True))
-    for number, (some_pictures, some_steering) in enumerate(parts, 1):
-        with _gradient_exchange(network, is_last=number == len(parts)):
-            with torch.autocast(steering.device.type, dtype=dtype, enabled=dtype != torch.float32):
+    squared_error = torch.zeros((), device=labels.device)
+    scale = ranks / (batch or len(labels))
+    parts = list(zip(torch.split(pictures, micro_batch), torch.split(labels, micro_batch), strict=True))
+    kind = labels.device.type
+    # around all parts: the weights are cast once for all of them
+    with torch.autocast(kind, dtype=dtype, enabled=dtype != torch.float32):
+        for number, (some_pictures, some_labels) in enumerate(parts, 1):
+            with _gradient_exchange(network, is_last=number == len(parts)):
                 predicted = network(some_pictures)
-            loss = functional.mse_loss(predicted.float(), some_steering, reduction="sum")
-            (loss * scale).backward()  # type: ignore[no-untyped-call]
-        squared_error += loss.detach()
+                with torch.autocast(kind, enabled=False):
+                    loss = _squared_error(predicted.float(), some_labels, weights)
+                    (loss * scale).backward()  # type: ignore[no-untyped-call]
+            squared_error += loss.detach()
     optimizer.step()
     return squared_error
+
+
+def _squared_error(predicted: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:
+    """Summed over the samples, and over the targets whose label is known."""
+    if labels.dim() == 1:
+        return functional.mse_loss(predicted, labels, reduction="sum")
+    labels = torch.where(labels.isnan(), predicted.detach(), labels)
+    squares = torch.square(predicted - labels)
+    return (squares if weights is None else squares * weights).sum()
 
 
 def _gradient_exchange(network: nn.Module, *, is_last: bool) -> contextlib.AbstractContextManager[None]:

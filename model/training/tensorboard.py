@@ -117,6 +117,8 @@ class TensorBoard:
         for predictor in ("network", "mean", "zero"):
             errors = asdict(getattr(measures, predictor))
             values |= {f"{name}/{predictor}": value for name, value in errors.items()}
+        for of in epoch.targets:
+            values |= {f"{of.target}_rmse/network": of.rmse, f"{of.target}_rmse/mean": of.mean_rmse}
         samples = self._epoch_ends.get(epoch.epoch, epoch.epoch)
         file.add_scalars(values, samples)
         if measures.bins:

@@ -19,6 +19,7 @@ from common.interrupts import stop_signals
 from common.versions import TOOLKIT
 from dataset import Samples
 from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import steering_in
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.evaluation.predict import predict
@@ -41,6 +42,7 @@ from model.runs.run_inputs import init_of, relative_place
 from model.runs.run_lock import locked_for_training
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
+from model.training.known_targets import target_notices
 from model.training.loop import TrainingLoop
 from model.training.other_network import refuse_other_network
 from model.training.resume import arithmetic_remarks, refuse_other_samples, resumed_config, resumed_settings
@@ -97,13 +99,15 @@ def train(
     picture = picture_of_run(run) if resume else chosen_picture(config, network)
     parameters = network.try_out(picture, machine.device)
     if init is not None:
-        refuse_other_network(init, network, picture)
+        refuse_other_network(init, network, picture, config.targets)
     with (
         Samples(index) as samples,
         group_of_processes(machine.device) as group,
         open_bar(is_shown=show_progress and group.is_first) as bar,
         contextlib.ExitStack() as stack,
     ):
+        samples.refuse_missing(config.targets)
+        notices = target_notices(samples, config.targets)
         for listener in listeners:
             stack.callback(listener.close)
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
@@ -124,7 +128,7 @@ def train(
                 origin["init"] = init_provenance(init, run)
             group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin, network, picture)))
         loop = TrainingLoop(samples, writer, config, network, picture, machine, group, listeners, bar)
-        notices = validation_notices(samples, loop.validation, init)
+        notices += validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
         if begins:
             if init is not None:
@@ -179,6 +183,6 @@ def _draw_figures(loop: TrainingLoop, notices: list[str], remarks: list[str]) ->
         from model.runs.run_figures import write_run_figures
 
         predictions = loop.best_predictions or predict(load_network(run), loop.validation.loader)
-        write_run_figures(run, *predictions)
+        write_run_figures(run, *map(steering_in, predictions))
     except (UserError, OSError) as error:
         notices.append(str(error))

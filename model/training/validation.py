@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from common.errors import counted
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
-from model.config import Keep
+from dataset.prediction_targets import steering_in
+from model.config import TrainConfig
 from model.evaluation.predict import predict
 from model.metrics import Measures, errors, measure
 from model.network.picture_network import PictureNetwork
@@ -22,6 +23,7 @@ from model.runs.run_folder import load_config
 from model.runs.training_outcome import error_to_keep_by
 from model.runs.training_progress import Epoch
 from model.runs.worst_pictures import WORST_COLUMNS, WorstPictures, find_worst
+from model.target_metrics import other_targets
 
 Floats = NDArray[np.float64]
 
@@ -30,46 +32,65 @@ class Validation:
     """The frames held out: centre camera, unmirrored, unaltered. There may be none."""
 
     def __init__(
-        self, samples: Samples, batch: int, budget_bytes: int, threads: int, keep: Keep, seen: PictureSpec
+        self, samples: Samples, batch: int, budget_bytes: int, config: TrainConfig, seen: PictureSpec
     ) -> None:
-        self._keep = keep
+        self._config = config
         frames = samples.driving_view("validation")
-        self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads, seen=seen)
+        self.loader = Loader(
+            samples,
+            frames,
+            batch=batch,
+            budget_bytes=budget_bytes,
+            threads=config.threads,
+            seen=seen,
+            targets=config.targets,
+        )
         self.frames = frames.select(WORST_COLUMNS)
 
     def __len__(self) -> int:
         return len(self.loader)
 
     def predict(self, network: PictureNetwork, advance: Callable[[int], object]) -> tuple[Floats, Floats]:
-        """Predicted and recorded steering, each (N,), of the frames that decode."""
+        """The answers and what was recorded, steering (N,) or targets (N, K), of the frames that decode."""
         return predict(network, self.loader, advance)
 
     def epoch(
         self, position: Position, learnt: Floats, predicted: Floats, recorded: Floats, answers: AnswerScale
     ) -> Epoch:
-        """The measures of an epoch that has been learnt up to its end, `position`: those of the steering that the
-        network has `learnt`, and of what it answers in the scale of `answers`, `predicted`."""
-        measures = measure(predicted, recorded)
+        """The measures of an epoch that has been learnt up to its end, `position`: those of what the network has
+        `learnt`, and of what it answers in the scale of `answers`, `predicted`."""
+        config = self._config
+        measures = measure(steering_in(predicted), steering_in(recorded))
         return Epoch(
             position.epoch,
             position.squared_error / position.samples,
-            float(np.mean(np.square(predicted - recorded))) if len(recorded) else math.nan,
+            _loss(predicted, recorded, config.target_weights) if len(recorded) else math.nan,
             measures,
-            self._keep == "last" or not len(recorded) or self.error(measures) < position.best_error,
+            config.keep == "last" or not len(recorded) or self.error(measures) < position.best_error,
             position.seconds,
             position.samples / position.seconds,
             answers,
-            errors(learnt, recorded),
+            errors(steering_in(learnt), steering_in(recorded)),
+            other_targets(config.targets, predicted, recorded),
         )
 
     def error(self, measures: Measures) -> float:
         """The error that tells which epoch is the best one; infinite where nothing is held out."""
-        return error_to_keep_by(self._keep, measures) if measures.frames else math.inf
+        return error_to_keep_by(self._config.keep, measures) if measures.frames else math.inf
 
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
         if not len(recorded):
             return None
-        return find_worst(epoch, self.frames, self.loader, predicted, recorded)
+        return find_worst(epoch, self.frames, self.loader, steering_in(predicted), steering_in(recorded))
+
+
+def _loss(predicted: Floats, recorded: Floats, weights: Sequence[float]) -> float:
+    """The mean squared error as it is learnt by: of several targets the weighted sum, where labels are known."""
+    squares = np.square(predicted - recorded)
+    if squares.ndim == 1:
+        return float(np.mean(squares))
+    weighted = squares * (weights or np.ones(squares.shape[1]))
+    return float(np.nansum(weighted) / len(weighted))
 
 
 def validation_notices(samples: Samples, validation: Validation, init: Path | None) -> list[str]:

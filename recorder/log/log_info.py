@@ -133,6 +133,17 @@ def driven_by(log: Log) -> str:
     return "the built-in expert" if log.metadata.get("driver") == "expert" else ""
 
 
+def set_speeds_mph(log: Log) -> tuple[float, ...]:
+    """The speeds that a session's driver was set to keep where bends allow, as its log says; none where nobody was
+    told one, as of people."""
+    told = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
+    try:
+        speeds = [float(each) for each in told]
+    except ValueError:
+        return ()
+    return tuple(sorted({each for each in speeds if 0 < each < math.inf}))
+
+
 def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
     """Width and height of the first picture of each camera's topic, where that has any, as the log's writer has
     noted them; None where it has not."""

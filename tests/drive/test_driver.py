@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset import decode
+from dataset.prediction_targets import TARGET_NAMES, TARGETS, TargetName
 from drive.config import DriveConfig
 from drive.control.driver import Decision, Driver
 from drive.control.speed_controller import max_curve_speed_mph
@@ -81,6 +82,56 @@ def encoded(width: int, height: int) -> str:
 
 def drive(driver: Driver, data: object, now_s: float = 0.0) -> Decision:
     return driver.decide(data, received_s=0.0, now_s=now_s)
+
+
+# What else the network wants
+
+
+def pilot_that_wants(**wanted: float) -> Pilot:
+    """It answers these targets, and steers straight on."""
+    names: tuple[TargetName, ...] = ("steering", *(name for name in TARGET_NAMES if name in wanted))
+    network = SteeringNetwork(outputs=len(names))
+    network.outputs = len(names)
+    say(network, 0.0)
+    with torch.no_grad():
+        for at, name in enumerate(names[1:], 1):
+            network.head[-1].bias[at] = wanted[name] / TARGETS[name].per_unit  # type: ignore[operator]
+    return Pilot(network, targets=names, speed_ahead_s=1.0)
+
+
+@pytest.mark.parametrize(
+    ("wanted_mph", "driven_mph"), [(12.0, 12.0), (50.0, 20.0), (-3.0, 0.0)]
+)  # never above the set speed of 20 mph
+def test_the_speed_that_the_network_wants_is_driven(wanted_mph: float, driven_mph: float) -> None:
+    driver = Driver(pilot_that_wants(speed=wanted_mph), DriveConfig(set_speed_mph=20.0))
+    decision = drive(driver, message(speed_mph=16.0))
+    assert decision.predicted_speed_mph == pytest.approx(wanted_mph, abs=1e-4)
+    assert decision.set_speed_mph == pytest.approx(driven_mph, abs=1e-4)
+    assert (decision.throttle > 0) == (driven_mph > 16)
+
+
+@pytest.mark.parametrize(
+    ("speed_mph", "wanted", "sent"),
+    [
+        (10.0, 0.4, 0.4),
+        (10.0, -0.6, -0.6),
+        (0.0, -0.6, 0.0),  # at a stand it would go backwards
+        (26.0, 1.0, -0.39),  # 6 mph above the set speed: as much brake as takes a second for them, less the drag
+    ],
+)
+def test_the_throttle_that_the_network_wants_is_sent_below_the_set_speed(
+    speed_mph: float, wanted: float, sent: float
+) -> None:
+    driver = Driver(pilot_that_wants(throttle=wanted), DriveConfig(set_speed_mph=20.0))
+    decision = drive(driver, message(speed_mph=speed_mph))
+    assert decision.throttle == pytest.approx(sent, abs=0.15 if sent == -0.39 else 1e-6)
+    assert decision.predicted_throttle == pytest.approx(wanted)
+
+
+def test_a_speed_that_is_no_number_brakes() -> None:
+    decision = drive(Driver(pilot_that_wants(speed=math.nan), DriveConfig()), message(speed_mph=10.0))
+    assert (decision.driver, decision.problem) == ("brake", "the network gave no number")
+    assert decision.throttle < 0
 
 
 # A telemetry that is driven on

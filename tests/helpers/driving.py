@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import torch
 
+from dataset.prediction_targets import STEERING_ONLY, TargetName
 from drive.cli import main as drive_main
 from forked import Forked, ForkServer
 from model.network.original import SteeringNetwork
@@ -141,14 +142,14 @@ def road_jpeg(number: int) -> bytes:
     return encoded.tobytes()
 
 
-def untrained_run(folder: Path, seed: int = 0) -> Path:
+def untrained_run(folder: Path, seed: int = 0, targets: Sequence[TargetName] = STEERING_ONLY) -> Path:
     """A run whose network was never trained, but steers differently for every picture."""
     torch.manual_seed(seed)
-    network = SteeringNetwork()
+    network = SteeringNetwork(outputs=len(targets))
     for parameter in network.parameters():
         if parameter.dim() > 1:
             torch.nn.init.kaiming_uniform_(parameter, nonlinearity="relu")
-    create_run(folder, {"seed": seed})
+    create_run(folder, {"seed": seed, "targets": targets})
     save_weights(folder, network.state_dict(), epoch=0)
     return folder
 

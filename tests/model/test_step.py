@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import pytest
 import torch
+from torch import nn
 from torch.nn import functional
 
 from model import TrainConfig
 from model.device import choose_machine, training_dtype
+from model.network.onednn_layers import OneDnnLayers
 from model.network.original import SteeringNetwork
 from model.training.step import make_optimizer, training_step
 
@@ -62,6 +65,46 @@ def test_bfloat16_is_close_and_keeps_weights_in_float32() -> None:
     assert error != exact  # it was computed otherwise
     assert rounded.dtype == torch.float32
     assert functional.cosine_similarity(rounded, gradient, dim=0) > 0.95
+
+
+def test_bfloat16_learns_what_pytorchs_own_layers_and_optimizer_do_to_the_last_bit() -> None:
+    """Also where oneDNN pools, and the weights are cast once for all parts. In flat pictures maxima are ties."""
+    torch.manual_seed(3)
+    network = SteeringNetwork().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    plain = copy.deepcopy(network)
+    plain.features = nn.Sequential(*plain.features)
+    optimizer, its_own = make_optimizer(network, 1e-3), torch.optim.Adam(plain.parameters(), lr=1e-3, foreach=True)
+    pictures, steering = torch.randint(0, 256, (5, 3, 128, 128), dtype=torch.uint8), torch.linspace(-1, 1, 5)
+    pictures[:2] = 100
+    for step in range(2):
+        torch.manual_seed(step)  # of the dropout
+        training_step(network, optimizer, pictures, steering, dtype=torch.bfloat16, micro_batch=3)
+        torch.manual_seed(step)
+        its_own.zero_grad()
+        for some, theirs in zip(torch.split(pictures, 3), torch.split(steering, 3), strict=True):
+            with torch.autocast("cpu", dtype=torch.bfloat16):
+                predicted = plain(some)
+            (functional.mse_loss(predicted.float(), theirs, reduction="sum") / 5).backward()  # type: ignore[no-untyped-call]
+        its_own.step()
+    for mine, other in zip(network.parameters(), plain.parameters(), strict=True):
+        assert torch.equal(mine, other)
+
+
+@pytest.mark.parametrize(("height_px", "width_px"), [(66, 200), (57, 61)])
+def test_planes_of_any_size_are_pooled_alike(height_px: int, width_px: int) -> None:
+    torch.manual_seed(3)
+    layers = nn.Conv2d(3, 24, 5), nn.MaxPool2d(2), nn.ReLU(), nn.Conv2d(24, 36, 3, padding=1), nn.MaxPool2d(3, 2)
+    inputs = torch.randn(2, 3, height_px, width_px).to(memory_format=torch.channels_last)
+    found = []
+    for network in (OneDnnLayers(*layers), nn.Sequential(*layers)):
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        network.zero_grad()
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            outputs = network(inputs)
+        outputs.float().square().sum().backward()
+        found.append([outputs, *(p.grad for p in network.parameters())])
+    for mine, other in zip(*found, strict=True):
+        assert torch.equal(mine, other)
 
 
 def test_the_arithmetic_is_what_the_processor_has_unless_somebody_says_otherwise() -> None:

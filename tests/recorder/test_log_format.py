@@ -236,7 +236,14 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     record_gymnasium(GymRecording(bar), path["gym"])
 
     evaluated = run(
-        "bc-eval", untrained_run(folder / "pilot"), "--simulator", "lake", "--laps", 0.002, "--logs", folder
+        "bc-eval",
+        untrained_run(folder / "pilot", targets=("steering", "speed")),
+        "--simulator",
+        "lake",
+        "--laps",
+        0.002,
+        "--logs",
+        folder,
     )
     assert evaluated.returncode == 0, evaluated.stderr
     path["drive"] = folder / "pilot-lake-10mph.mcap"

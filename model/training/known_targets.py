@@ -1,0 +1,37 @@
+"""Whether the training samples have labels of all targets: not every session tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dataset import Samples
+from dataset.prediction_targets import TARGETS, TargetName
+from dataset.samples.sample_rows import target_labels
+from model.errors import RunError
+
+
+def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]:
+    """A notice for each target that some sessions tell nothing of: what is learnt of these are the others.
+
+    Raises RunError where no session does.
+    """
+    columns = [TARGETS[name].label_column for name in targets[1:]]
+    if not columns:
+        return []
+    training = samples.of_split("train", ["session", "split", *columns])
+    session = np.asarray(training["session"])
+    notices = []
+    for name in targets[1:]:
+        is_known = np.isfinite(target_labels(training, name))
+        told = set(session[is_known].tolist())
+        if not told:
+            raise RunError(f"{samples.path}: no session in it tells of the {name}; leave it out of --targets")
+        if silent := sorted(set(session.tolist()) - told):
+            others = ", ".join(other for other in targets if other != name)
+            notices.append(
+                f"{samples.path}: nothing tells of the {name} in {', '.join(silent)}:"
+                f" {others} alone is learnt there"
+            )
+    return notices
