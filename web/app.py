@@ -14,11 +14,13 @@ from starlette.types import ASGIApp
 
 from web.data.cache_folder import CacheFolder
 from web.data.open_logs import OpenLogs
-from web.data.project_folders import ProjectFolders
+from web.data.picture_checks import PictureChecks
+from web.data.project_folders import PLACES, ProjectFolders
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 from web.pages.changes import change_routes
 from web.pages.log_files import log_file_routes
+from web.pages.session_page import session_routes
 from web.pages.sessions_page import session_list_routes
 from web.pages.workbench import Workbench
 from web.server.error_pages import HANDLERS
@@ -33,15 +35,18 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
     kept = CacheFolder(cache)
     pool.submit(kept.tidy)
     cards = SessionCards(folders, kept, pool)
-    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool))
+    cards.cards("sessions", 0)  # before anybody asks: reading begins
+    checks = PictureChecks(folders.index, kept)
+    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool), checks)
     routes = [
         *session_list_routes(bench),
         *change_routes(bench),
-        *log_file_routes(bench),
+        *(route for place in PLACES for route in (*session_routes(bench, place), *log_file_routes(bench, place))),
         Mount("/static", StaticFiles(packages=[("web", "static")])),
     ]
     try:
         yield RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), host, token)
     finally:
         pool.shutdown(cancel_futures=True)
+        checks.close()
         logs.close()

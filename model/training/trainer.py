@@ -25,6 +25,7 @@ from model.device import choose_machine
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice, choose_network, chosen_picture
 from model.progress_bar import open_bar
+from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
 from model.runs.run_folder import (
@@ -120,6 +121,8 @@ def train(
             "index": relative_place(run, index),
             **provenance(samples, config, network, parameters, machine, group.ranks),
         }
+        if init is not None:
+            refuse_other_steering(init, samples.max_steering_deg, str(samples.path))
         if resume:
             refuse_other_samples(run, stored, samples)
             group.on_first_rank(lambda: stack.enter_context(locked_for_training(run)))

@@ -41,12 +41,12 @@ def tags_path(log: Path) -> Path:
 
 def read_tags(log: Path, fingerprint: str) -> list[Tag]:
     """The tags of the log with this fingerprint, by their rows. Raises LogError for a damaged file."""
-    return sorted(_by_content(log)[fingerprint])
+    return sorted(tags_by_content(log)[fingerprint])
 
 
 def stale_tags(log: Path, fingerprint: str) -> int:
     """Number of tags beside the log that are for another content of it. Raises what `read_tags` does."""
-    return sum(len(tags) for content, tags in _by_content(log).items() if content != fingerprint)
+    return sum(len(tags) for content, tags in tags_by_content(log).items() if content != fingerprint)
 
 
 def names_used(folder: Path) -> set[str]:
@@ -54,7 +54,7 @@ def names_used(folder: Path) -> set[str]:
     names = {EXCLUDE}
     for path in folder.glob(f"*{_ENDING}"):
         with contextlib.suppress(LogError):  # whoever needs that one is told
-            tagged = _by_content(path.with_name(path.name.removesuffix(_ENDING)))
+            tagged = tags_by_content(path.with_name(path.name.removesuffix(_ENDING)))
             names |= {tag.name for tags in tagged.values() for tag in tags}
     return names
 
@@ -94,8 +94,8 @@ def _checked(tag: Tag) -> Tag:
     return tag
 
 
-def _by_content(log: Path) -> defaultdict[str, set[Tag]]:
-    """The tags by the fingerprint that they are for."""
+def tags_by_content(log: Path) -> defaultdict[str, set[Tag]]:
+    """The tags by the fingerprint that they are for. Raises LogError for a damaged file."""
     found: defaultdict[str, set[Tag]] = defaultdict(set)
     for number, line in enumerate(_lines(log), start=1):
         try:

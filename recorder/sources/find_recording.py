@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from recorder.sources.donkeycar_tub import is_tub
+from recorder.sources.lerobot_dataset import is_lerobot
 from recorder.sources.ros2_bag import is_bag
 from recorder.sources.udacity_recording import CSV_NAME
 
@@ -42,7 +43,7 @@ def _search(source: Path) -> Iterator[Path]:
 
 
 def _is_recording(folder: Path) -> bool:
-    return is_udacity(folder) or is_tub(folder) or is_bag(folder)
+    return is_udacity(folder) or is_tub(folder) or is_bag(folder) or is_lerobot(folder)
 
 
 def _folders_in(folder: Path) -> list[Path]:

@@ -10,22 +10,24 @@ import tyro
 
 from common.files import PART_SUFFIX
 from recorder.errors import RecordingError
+from recorder.log.session_car import Car
 from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import McapTopics, import_mcap, is_mcap_or_bag, is_own_log
 from recorder.sources.import_result import Imported
 from recorder.sources.import_udacity import import_udacity
+from recorder.sources.lerobot_dataset import is_lerobot
 
 
 @dataclass(frozen=True)
 class Topics:
-    """Where in another program's log the pictures and the steering are."""
+    """Where in another program's log, or in a dataset, the pictures and the steering are."""
 
     image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
-    """Topic of the pictures, in the log of another program that --from names."""
+    """Topic of the pictures in another program's log that --from names; their feature in a LeRobot dataset."""
     steering: Annotated[str | None, tyro.conf.arg(metavar="TOPIC.FIELD")] = None
-    """Topic and field of the steering, such as /cmd_vel.angular.z."""
+    """Topic and field of the steering, such as /cmd_vel.angular.z; feature and name, such as action.steering."""
     steering_scale: float = 1.0
     """What makes -1 (left) .. 1 (right) of that field; ROS counts left as positive: a negative scale."""
 
@@ -37,30 +39,48 @@ def import_recording(
     *,
     rate_hz: float | None = None,
     all_catalogs: bool = False,
+    car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
-    ROS 2 bag (which need `topics`). `rate_hz` and `all_catalogs` are as for `import_tub`.
+    ROS 2 bag (which need `topics`), a LeRobot dataset (which may). `rate_hz` and `all_catalogs` are as for
+    `import_tub`; `car` is what was driven.
 
     Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
     `overwrite` is off.
     """
     topics = topics or Topics()
     is_log = is_mcap_or_bag(source)
-    is_donkeycar = not is_log and is_tub(source)
-    if not (is_log or is_donkeycar or is_udacity(source)) and (hint := recordings_near(source)):
+    is_dataset = not is_log and is_lerobot(source)
+    is_donkeycar = not (is_log or is_dataset) and is_tub(source)
+    if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and (hint := recordings_near(source)):
         raise RecordingError(f"{source}: no recording itself;{hint}")
     if all_catalogs and not is_donkeycar:
         raise RecordingError(f"{source}: --all-catalogs is for DonkeyCar tubs, which this is not")
-    if topics != Topics() and not is_log:
-        raise RecordingError(f"{source}: --image and --steering are for other programs' logs, which this is not")
-    if rate_hz is not None and is_log:
-        raise RecordingError(f"{source}: --rate: its messages tell their times; leave it out")
+    if topics != Topics() and not (is_log or is_dataset):
+        raise RecordingError(
+            f"{source}: --image and --steering are for other programs' logs and LeRobot datasets; this is neither"
+        )
+    if rate_hz is not None and (is_log or is_dataset):
+        what = "messages" if is_log else "frames"
+        raise RecordingError(f"{source}: --rate: its {what} tell their times; leave it out")
     if is_log:
-        return import_mcap(source, log, _mcap_topics(source, log, topics), overwrite=overwrite)
+        return import_mcap(source, log, _mcap_topics(source, log, topics), car=car, overwrite=overwrite)
+    if is_dataset:
+        from recorder.sources.import_lerobot import import_lerobot  # Arrow's parquet, OpenCV
+
+        return import_lerobot(
+            source,
+            log,
+            image=topics.image,
+            steering=topics.steering,
+            steering_scale=topics.steering_scale,
+            car=car,
+            overwrite=overwrite,
+        )
     if is_donkeycar:
-        return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, overwrite=overwrite)
-    return import_udacity(source, log, rate_hz=rate_hz, overwrite=overwrite)
+        return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, car=car, overwrite=overwrite)
+    return import_udacity(source, log, rate_hz=rate_hz, car=car, overwrite=overwrite)
 
 
 def _mcap_topics(source: Path, log: Path, topics: Topics) -> McapTopics:
@@ -76,7 +96,7 @@ def _mcap_topics(source: Path, log: Path, topics: Topics) -> McapTopics:
 
 def refuse_to_watch(source: Path) -> None:
     """Raise RecordingError for what is no folder that the Udacity simulator may write into."""
-    if not is_udacity(source) and (is_mcap_or_bag(source) or is_tub(source)):
+    if not is_udacity(source) and (is_mcap_or_bag(source) or is_tub(source) or is_lerobot(source)):
         raise RecordingError(
             f"{source}: --watch follows folders of the Udacity simulator, which this is not; import it when it is"
             " finished, without --watch"

@@ -25,7 +25,7 @@ from dataset.index.build_state import FRAMES_FOLDER, BuildState, read_state, sou
 from recorder import Log
 from recorder.log.log_info import LogInfo, describe
 from recorder.log.row_quality import ROW_FLAGS
-from recorder.log.tags import Tag, read_tags, tags_path
+from recorder.log.tags import Tag, tags_by_content, tags_path
 from web.data.background import Background
 from web.data.cache_folder import CacheFolder
 from web.data.file_versions import version_of
@@ -39,6 +39,15 @@ class Glance(msgspec.Struct, frozen=True):
 
     info: LogInfo
     fingerprint: str
+
+
+@dataclass(frozen=True)
+class TagsBeside:
+    """What the file of tags beside a log holds."""
+
+    version: str  # of the file
+    tags: list[Tag]  # of this content of the log, by their rows
+    stale: int  # those of what had its name before
 
 
 @dataclass(frozen=True)
@@ -97,7 +106,7 @@ class SessionCards:
         self._lock = threading.Lock()
         self._glances = {place: Background(pool, self._glance) for place in PLACES}
         self._shares = {place: Background(pool, self._share) for place in PLACES}
-        self._tags: dict[Path, tuple[tuple[str, str], list[Tag] | UserError]] = {}
+        self._tags: dict[Path, tuple[tuple[str, str], TagsBeside | UserError]] = {}
 
     @property
     def done(self) -> int:
@@ -118,15 +127,17 @@ class SessionCards:
             for path, version in versions
         ]
 
-    def tags(self, path: Path, fingerprint: str) -> list[Tag]:
-        """Those of the log, from memory while their file is unchanged. Raises LogError for a broken file."""
+    def tags(self, path: Path, fingerprint: str) -> TagsBeside:
+        """Those beside the log, from memory while their file is unchanged. Raises LogError for a broken file."""
         key = version_of(tags_path(path)), fingerprint
         with self._lock:
             known = self._tags.get(path)
         if known is None or known[0] != key:
-            found: list[Tag] | UserError
+            found: TagsBeside | UserError
             try:
-                found = read_tags(path, fingerprint)
+                by_content = tags_by_content(path)
+                tags = sorted(by_content.pop(fingerprint, ()))
+                found = TagsBeside(key[0], tags, sum(map(len, by_content.values())))
             except UserError as error:
                 found = error
             with self._lock:
@@ -141,7 +152,7 @@ class SessionCards:
             problem, glance = printable(str(glance)), None
         if glance is not None:
             try:
-                counts = rows_by_name(self.tags(path, glance.fingerprint))
+                counts = rows_by_name(self.tags(path, glance.fingerprint).tags)
             except UserError as error:
                 tags_problem = printable(str(error))
         return SessionCard(

@@ -18,7 +18,7 @@ _LINE, _BARS, _AXIS = "#4a90d9", "#c77d1e", "#8884"  # to be told from each othe
 
 
 def steering_sketch(steering: Values) -> bytes:
-    """Of the rows' steering (N,); values that are no steering are left out. Left is up, and left in the bars."""
+    """Of the rows' steering (N,); values that are no steering are left out. Right is up, and right in the bars."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}">',
         f'<path d="M0 {HEIGHT / 2}H{_ALONG}" stroke="{_AXIS}"/>',
@@ -38,13 +38,13 @@ def _along(steering: Values) -> str:
         values = steering[first:last]
         values = values[np.abs(values) <= 1]
         if len(values):
-            top, bottom = (_y(value) for value in (values.min(), values.max()))
+            top, bottom = (_y(value) for value in (values.max(), values.min()))
             strokes.append(f"M{(number + 0.5) * step:.1f} {top - 0.5:.1f}V{bottom + 0.5:.1f}")
     return "".join(strokes)
 
 
 def _y(value: float) -> float:
-    return float(HEIGHT / 2 + value * (HEIGHT / 2 - 2))
+    return float(HEIGHT / 2 - value * (HEIGHT / 2 - 2))
 
 
 def _bars(steering: Values) -> str:

@@ -12,11 +12,15 @@ from web.pages.workbench import Workbench
 
 
 def change_routes(bench: Workbench) -> list[Route]:
-    folders = bench.folders
-
     def changes(request: Request) -> Response:
-        read = bench.cards.done + bench.searches.done
-        built = version_of(folders.index / STATE_NAME)
-        return JSONResponse({"sessions": f"{version_of_folder(folders.sessions)} {built} {read}"})
+        bench.logs.drop_changed()
+        return JSONResponse({"sessions": sessions_version(bench)})
 
     return [Route("/changes", changes)]
+
+
+def sessions_version(bench: Workbench) -> str:
+    """It changes with the logs and their tags, with the index, and with each log that has been read."""
+    folders = bench.folders
+    built = version_of(folders.index / STATE_NAME)
+    return f"{version_of_folder(folders.sessions)} {built} {bench.cards.done + bench.searches.done}"

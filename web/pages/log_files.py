@@ -12,7 +12,7 @@ from common.car import CAMERAS, Camera
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
 from web.data.film_strip import film_strip
-from web.data.project_folders import PLACES, Place
+from web.data.project_folders import Place
 from web.data.session_cards import glance_version
 from web.data.steering_sketch import steering_sketch
 from web.errors import WebError
@@ -22,10 +22,9 @@ _FOR_EVER: Final = {"Cache-Control": "private, max-age=31536000, immutable"}  # 
 _JPEG_START: Final = b"\xff\xd8\xff"
 
 
-def log_file_routes(bench: Workbench) -> list[Route]:
+def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     def strip(request: Request) -> Response:
-        place, key = _log_of(request)
-        path = bench.folders.log(place, key)
+        path = bench.folders.log(place, request.path_params["log"])
         version = glance_version(path)
 
         def make() -> bytes:
@@ -36,21 +35,19 @@ def log_file_routes(bench: Workbench) -> list[Route]:
         return Response(data, media_type="image/jpeg", headers=_kept(request, version))
 
     def sketch(request: Request) -> Response:
-        place, key = _log_of(request)
-        path = bench.folders.log(place, key)
+        path = bench.folders.log(place, request.path_params["log"])
         version = glance_version(path)
 
         def make() -> bytes:
             with bench.logs.open(path) as opened:
                 return steering_sketch(opened.states.steering)
 
-        data = bench.cache.get(f"sketch 1 {path.resolve()} {version}", make)
+        data = bench.cache.get(f"sketch 2 {path.resolve()} {version}", make)
         return Response(data, media_type="image/svg+xml", headers=_kept(request, version))
 
     def picture(request: Request) -> Response:
-        place, key = _log_of(request)
         camera, row = _camera_of(request), int(request.path_params["row"])
-        with bench.logs.open(bench.folders.log(place, key)) as opened:
+        with bench.logs.open(bench.folders.log(place, request.path_params["log"])) as opened:
             asked = request.query_params.get("v", opened.version)
             if asked != opened.version:
                 raise WebError("the log has changed since this page was opened: reload it", 409)
@@ -60,25 +57,12 @@ def log_file_routes(bench: Workbench) -> list[Route]:
                 raise WebError(str(error), 404) from None
         return Response(data, media_type=_type_of(data, row), headers=_kept(request, opened.version))
 
-    at = "/{place}/{log}"
+    at = f"/{place}/{{log}}"
     return [
         Route(f"{at}/strip.jpg", strip),
         Route(f"{at}/steering.svg", sketch),
         Route(f"{at}/pictures/{{camera}}/{{row:int}}", picture),
     ]
-
-
-def place_of(request: Request) -> Place:
-    """The folder of logs that an address names."""
-    named = request.path_params["place"]
-    found: Place | None = next((place for place in PLACES if place == named), None)
-    if found is None:
-        raise WebError(f"{request.url.path}: there is no such page", 404)
-    return found
-
-
-def _log_of(request: Request) -> tuple[Place, str]:
-    return place_of(request), request.path_params["log"]
 
 
 def _camera_of(request: Request) -> Camera:

@@ -15,6 +15,7 @@ from common import UserError
 from common.errors import printable
 from recorder.log_list_cli import SORTED_BY
 from web.data.session_cards import SessionCard
+from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
@@ -74,8 +75,10 @@ def session_list_routes(bench: Workbench) -> list[Route]:
 
     def page(request: Request) -> Response:
         asked = Asked.of(request.query_params)
+        version = sessions_version(bench)  # before anything is looked at: what changes meanwhile is seen
         shown = _list(asked)
-        return HTMLResponse(render("sessions.html", asked=asked, sorts=list(SORTS), only=list(ONLY), **shown))
+        choices = {"sorts": list(SORTS), "only": list(ONLY)}
+        return HTMLResponse(render("sessions.html", asked=asked, live=version, **choices, **shown))
 
     def rows(request: Request) -> Response:
         return HTMLResponse(render("session_rows.html", **_list(Asked.of(request.query_params))))

@@ -73,15 +73,23 @@ class RequestGuard:
         except WebError as error:
             answer = error_answer(scope, error)
 
+        is_begun = False
+
         async def send_with_headers(message: Message) -> None:
+            nonlocal is_begun
             if message["type"] == "http.response.start":
+                is_begun = True
                 headers = MutableHeaders(scope=message)
                 for name, value in _HEADERS.items():
                     headers.setdefault(name, value)
                 headers.setdefault("Cache-Control", "no-store")
             await send(message)
 
-        await answer(scope, receive, send_with_headers)
+        try:
+            await answer(scope, receive, send_with_headers)
+        except Exception:
+            if not is_begun:  # else it is a bug that was answered and printed, which Starlette raises once more
+                raise
 
     def _check_origin(self, scope: Scope) -> None:
         headers = Headers(scope=scope)

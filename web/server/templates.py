@@ -27,6 +27,6 @@ _environment.globals.update(menu=PAGES, version=version_of())
 _environment.filters.update(minutes=_minutes, counted=counted)
 
 
-def render(name: str, **values: Any) -> str:
-    text: str = _environment.get_template(name).render(values)
+def render(template: str, /, **values: Any) -> str:
+    text: str = _environment.get_template(template).render(values)
     return text

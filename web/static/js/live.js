@@ -1,18 +1,25 @@
 // What commands change appears without a reload: folders are asked for their versions, and who shows one of them
-// (data-live="NAME") gets the event `folders-changed` when it has another one.
+// (data-live="NAME" data-version="...") gets the event `folders-changed` when it has another one.
 // Polling, not server-sent events: a browser keeps six connections to a server, so that a seventh tab would hang.
 
 const EVERY_MS = 2000;
+const WHILE_CHANGING_MS = 500; // logs are being read, or a command is at work
+const SAID_FOR_MS = 8000;
 const said = document.getElementById("said");
-let versions = null;
 let unanswered = 0;
+let next = 0;
+let forgetting = 0;
 
 export function say(text) {
   said.textContent = text;
+  clearTimeout(forgetting);
+  forgetting = setTimeout(() => (said.textContent = ""), SAID_FOR_MS);
 }
 
 async function look() {
+  clearTimeout(next);
   if (document.hidden) return; // nobody looks: nothing is asked
+  let hasChanged = false;
   try {
     const answer = await fetch("/changes");
     if (!answer.ok) throw new Error(answer.statusText);
@@ -20,16 +27,17 @@ async function look() {
     if (unanswered) say("");
     unanswered = 0;
     for (const element of document.querySelectorAll("[data-live]")) {
-      const name = element.dataset.live;
-      if (versions && found[name] !== versions[name]) {
-        element.dispatchEvent(new CustomEvent("folders-changed", { bubbles: true }));
-      }
+      const version = found[element.dataset.live];
+      if (version === element.dataset.version) continue;
+      element.dataset.version = version;
+      hasChanged = true;
+      element.dispatchEvent(new CustomEvent("folders-changed", { bubbles: true }));
     }
-    versions = found;
   } catch {
     unanswered += 1;
     if (unanswered > 1) say("bc-web does not answer: it was ended, or is restarted");
   }
+  next = setTimeout(look, hasChanged ? WHILE_CHANGING_MS : EVERY_MS);
 }
 
 // the address names what is shown, so that it can be kept and sent
@@ -39,7 +47,6 @@ function nameInAddress(form) {
 }
 
 if (document.querySelector("[data-live]")) {
-  setInterval(look, EVERY_MS);
   document.addEventListener("visibilitychange", look);
   look();
 }

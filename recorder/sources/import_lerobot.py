@@ -1,0 +1,234 @@
+"""Importing a LeRobot dataset of format v3 into a log."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from common import Skipped
+from common.car import Camera
+from common.errors import printable
+from common.files import refuse_existing
+from common.progress import track
+from common.stretches import consecutive
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.lerobot.dataset_format import LOG_TIME
+from recorder.log.session_car import Car, metadata_of
+from recorder.log.writer import LogWriter
+from recorder.sources.import_mcap import check_scale
+from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
+from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
+from recorder.sources.lerobot_videos import CameraVideos
+from recorder.sources.mcap_messages import is_whole_picture
+from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
+
+APART_NS: Final = 10_000_000_000
+"""Between episodes whose dates are not told: each is a drive of its own."""
+_TIME_END_NS: Final = 2**63
+_OUT_OF_RANGE: Final = (
+    "frames with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
+)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    time_ns: int
+    state: VehicleState
+    pictures: dict[Camera, bytes]
+
+
+def import_lerobot(
+    folder: Path,
+    log: Path,
+    *,
+    image: str | None = None,
+    steering: str | None = None,
+    steering_scale: float = 1.0,
+    car: Car | None = None,
+    overwrite: bool = False,
+) -> Imported:
+    """Write the LeRobot dataset in `folder` to `log`: images byte for byte, frames of videos encoded anew.
+
+    `image` names the feature that is the camera's pictures, `steering` the number that is the steering, as
+    `action.steering` or `action.0`; without them, names tell. Episodes are drives. An export of ours comes back
+    with its own times and all digits; of others the times begin in 1970. `car` is the one that was recorded.
+    Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    """
+    refuse_existing(log, overwrite)
+    check_scale(steering_scale)
+    dataset = open_dataset(folder)
+    chosen = choose_features(dataset, image, steering, steering_scale)
+    events = SkippedEvents()
+    with contextlib.ExitStack() as stack:
+        videos = {
+            camera: stack.enter_context(CameraVideos(dataset, key))
+            for camera, key in chosen.cameras.items()
+            if dataset.features[key].dtype == "video"
+        }
+        frames = _frames(dataset, chosen, videos, events.skipped)
+        first = next(frames, None)
+        if first is None:
+            raise RecordingError(f"{folder}: no frame of it can be used{events.skipped.error_suffix()}")
+        rows = pictures = 0
+        metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(car)
+        with LogWriter(log, metadata, overwrite=overwrite) as writer:
+            for frame in itertools.chain([first], frames):
+                events.at(writer, frame.time_ns)
+                for camera, picture in frame.pictures.items():
+                    writer.picture(camera, frame.time_ns, rows, picture)
+                writer.vehicle(frame.time_ns, rows, frame.state)
+                rows += 1
+                pictures += len(frame.pictures)
+    notices = []
+    if steering is None and not chosen.is_own:
+        notices.append(f"steering is the dataset's {printable(chosen.steering.label)} (--steering names another)")
+    if videos:
+        notices.append("decoded from videos and encoded anew: these are not the camera's original pictures")
+    return Imported(log, rows, pictures, events.skipped, [*notices, *writer.notices])
+
+
+def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: float) -> dict[str, str]:
+    clock = "recorded" if chosen.has_log_time else f"the dataset's timestamps, {dataset.fps:g} Hz"
+    return {
+        "source": "lerobot",
+        "recording": Path(os.path.realpath(dataset.root)).name,
+        "lerobot_version": dataset.version,
+        "robot": dataset.robot,
+        "image_topic": chosen.cameras.get("center", ""),
+        "steering_topic": chosen.steering.label,
+        "steering_scale": repr(steering_scale),
+        "clock": clock,
+        **({} if chosen.has_log_time else {"start": "1970, because the dataset does not tell it"}),
+    }
+
+
+def _frames(
+    dataset: LeRobotFolder, chosen: LeRobotFeatures, videos: dict[Camera, CameraVideos], skipped: Skipped
+) -> Iterator[_Frame]:
+    """The frames that can be used, one at a time."""
+    images = {camera: key for camera, key in chosen.cameras.items() if camera not in videos}
+    time_columns = [LOG_TIME] if chosen.has_log_time else []
+    columns = list(
+        dict.fromkeys(
+            ["episode_index", "timestamp", *time_columns, *(n.feature for n in chosen.numbers), *images.values()]
+        )
+    )
+    clock, counts = _Clock(), dict[int, int]()
+    bar = f"importing {dataset.root.name}"
+    for path, batch in track(_with_paths(dataset, columns), bar, math.ceil(dataset.frames / BATCH_ROWS)):
+        try:
+            rows = list(_rows(batch, chosen, images))
+        except (pa.ArrowException, TypeError, ValueError, AttributeError) as error:
+            why = printable(str(error).partition("\n")[0][:200])
+            raise RecordingError(f"{path}: not of the shapes that meta/info.json promises ({why})") from None
+        for episode, time_s, log_time_ns, values, pictures in rows:
+            counts[episode] = counts.get(episode, 0) + 1
+            name = f"episode {episode}, frame {counts[episode] - 1}"
+            time_ns = log_time_ns if chosen.has_log_time else clock.time_ns(episode, time_s)
+            if time_ns is None or not 0 <= time_ns < _TIME_END_NS:
+                skipped.add("frames with a time that no log can hold", name)
+                continue
+            for camera, video in videos.items():
+                if (jpeg := video.jpeg(episode, time_s)) is not None:
+                    pictures[camera] = jpeg
+            sound = {camera: picture for camera, picture in pictures.items() if _is_sound(picture)}
+            if len(sound) < len(pictures):
+                skipped.add("pictures that are no whole JPEG or PNG", name)
+            if not sound:
+                skipped.add("frames without a picture", name)
+                continue
+            if (state := _state(values)) is None:
+                skipped.add("frames with a steering that is no finite number", name)
+                continue
+            if abs(state.steering) > 1:
+                skipped.add(_OUT_OF_RANGE, f"{name}: {state.steering:g}")
+            yield _Frame(time_ns, state, sound)
+    _skip_missing(dataset, counts, skipped)
+
+
+def _with_paths(dataset: LeRobotFolder, columns: list[str]) -> Iterator[tuple[Path, pa.RecordBatch]]:
+    for path in dataset.data_files():
+        for batch in dataset.rows(path, columns):
+            yield path, batch
+
+
+def _rows(
+    batch: pa.RecordBatch, chosen: LeRobotFeatures, images: dict[Camera, str]
+) -> Iterator[tuple[int, float, int | None, list[float], dict[Camera, bytes]]]:
+    """Episode, time within it, log time, (steering, throttle, brake, speed) and pictures of each row."""
+    episodes = batch.column("episode_index").cast(pa.int64()).to_pylist()
+    times = batch.column("timestamp").cast(pa.float64()).to_pylist()
+    log_times: list[Any] = [None] * len(episodes)
+    if chosen.has_log_time:
+        log_times = batch.column(LOG_TIME).cast(pa.int64()).to_pylist()
+    nothing, unknown = np.zeros(len(episodes)), np.full(len(episodes), math.nan)
+    numbers = [
+        chosen.steering.of(batch),
+        nothing if chosen.throttle is None else chosen.throttle.of(batch),
+        nothing if chosen.brake is None else chosen.brake.of(batch),
+        unknown if chosen.speed_mph is None else chosen.speed_mph.of(batch),
+    ]
+    values = np.stack(numbers, axis=1).tolist()
+    pictures = {camera: batch.column(key).field("bytes").to_pylist() for camera, key in images.items()}
+    if any(episode is None or time_s is None for episode, time_s in zip(episodes, times, strict=True)):
+        raise ValueError("a frame without an episode or a timestamp")
+    for at, (episode, time_s) in enumerate(zip(episodes, times, strict=True)):
+        found = {camera: column[at] for camera, column in pictures.items() if column[at] is not None}
+        yield episode, time_s, log_times[at], values[at], found
+
+
+class _Clock:
+    """Times of episodes that tell only seconds since their own beginning, one after the other from 1970 on."""
+
+    def __init__(self) -> None:
+        self._episode: int | None = None
+        self._start_ns = self._last_ns = 0
+
+    def time_ns(self, episode: int, time_s: float) -> int | None:
+        if not math.isfinite(time_s) or not 0 <= time_s < 1e9:
+            return None
+        if episode != self._episode:
+            self._start_ns = 0 if self._episode is None else self._last_ns + APART_NS
+            self._episode = episode
+        # 32 bits hold the time of a long episode to some tens of microseconds
+        time_ns = self._start_ns + round(time_s * 1e6) * 1000
+        self._last_ns = max(self._last_ns, time_ns)
+        return time_ns
+
+
+def _state(values: list[float]) -> VehicleState | None:
+    steering, throttle, brake, speed_mph = values
+    if not math.isfinite(steering):
+        return None
+    throttle, brake = (value if math.isfinite(value) else 0.0 for value in (throttle, brake))
+    if throttle < 0:  # pedals that are one number
+        throttle, brake = 0.0, max(brake, -throttle)
+    return VehicleState(steering=steering, throttle=throttle, brake=brake, speed_mph=speed_mph)
+
+
+def _is_sound(picture: object) -> bool:
+    return isinstance(picture, bytes) and len(picture) <= MOST_PICTURE_BYTES and is_whole_picture(picture)
+
+
+def _skip_missing(dataset: LeRobotFolder, counts: dict[int, int], skipped: Skipped) -> None:
+    """What meta/info.json counts, and no data file has."""
+    there = sorted(counts)
+    stretches = [(-1, -1), *consecutive(there), (dataset.episodes, dataset.episodes)]
+    for (_, end), (start, _) in itertools.pairwise(stretches):
+        if start > end + 1:
+            name = f"episode {end + 1}" if start == end + 2 else f"episodes {end + 1} to {start - 1}"
+            skipped.add("episodes that are counted and not there", name)
+    missing = dataset.frames - sum(counts.values())
+    if missing > 0:
+        skipped.add("frames that are counted and not there", f"{missing:,} of {dataset.frames:,}")

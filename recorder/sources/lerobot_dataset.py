@@ -1,0 +1,156 @@
+"""Reading a LeRobot dataset of format v3: what `meta/info.json` tells, its episodes, and its data files.
+
+A dataset is somebody else's: it is checked before it is used, and of a link only what it names within the dataset,
+or in the cache of Hugging Face's own programs, is read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from common.errors import printable
+from common.untrusted import open_regular, read_bounded
+from recorder.errors import RecordingError
+from recorder.lerobot.dataset_format import INFO_PATH, VERSION, Feature
+
+MOST_EPISODES: Final = 10_000_000
+MOST_INFO_BYTES: Final = 1 << 24
+BATCH_ROWS: Final = 64
+_CONVERT: Final = "LeRobot converts it: `python -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=YOU/NAME`"
+
+
+@dataclass(frozen=True)
+class LeRobotFolder:
+    """A dataset, as far as `meta/info.json` tells it."""
+
+    root: Path
+    version: str
+    fps: float
+    episodes: int
+    frames: int
+    robot: str
+    features: Mapping[str, Feature]
+    video_path: str
+
+    @property
+    def image_keys(self) -> list[str]:
+        """Features that are pictures in three colours."""
+        return [
+            name
+            for name, feature in self.features.items()
+            if feature.dtype in ("image", "video") and len(feature.shape) == 3 and 3 in feature.shape
+        ]
+
+    def file(self, path: Path) -> Path:
+        """A file of the dataset, to be opened. Raises RecordingError for a link out of it."""
+        real = Path(os.path.realpath(path))
+        places = [Path(os.path.realpath(self.root))]
+        if self.root.absolute().parent.name == "snapshots":  # how Hugging Face keeps what it has downloaded
+            places.append(Path(os.path.realpath(self.root.absolute().parent.parent / "blobs")))
+        if not any(real.is_relative_to(place) for place in places):
+            raise RecordingError(f"{path}: a link out of the dataset, which is not followed; copy what it names")
+        return real
+
+    def data_files(self) -> list[Path]:
+        """Raises RecordingError if there is none."""
+        found = sorted((self.root / "data").glob("*/*.parquet"))
+        if not found:
+            raise RecordingError(f"{self.root / 'data'}: no parquet file in it; was the dataset downloaded whole?")
+        return found
+
+    def rows(self, path: Path, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
+        """Columns of a parquet file, some rows at a time. Raises RecordingError for one that is not whole."""
+        with self._parquet(path) as file:
+            there = set(file.schema_arrow.names)
+            if missing := [name for name in columns if name not in there]:
+                raise RecordingError(f"{path}: no column {missing[0]!r}, which {INFO_PATH} promises")
+            yield from file.iter_batches(BATCH_ROWS, columns=list(columns), use_threads=False)
+
+    def episode_table(self, columns: Sequence[str]) -> pa.Table:
+        """Columns of `meta/episodes`, an episode a row. Raises RecordingError where it has not got them."""
+        files = sorted((self.root / "meta/episodes").glob("*/*.parquet"))
+        batches = [batch for path in files for batch in self.rows(path, columns)]
+        if not batches:
+            raise RecordingError(f"{self.root / 'meta/episodes'}: no episode is told of there")
+        return pa.Table.from_batches(batches)
+
+    @contextlib.contextmanager
+    def _parquet(self, path: Path) -> Iterator[pq.ParquetFile]:
+        try:
+            with open_regular(self.file(path)) as stream:
+                yield pq.ParquetFile(stream, page_checksum_verification=True)
+        except (OSError, pa.ArrowException) as error:
+            why = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+            raise RecordingError(
+                f"{path}: cannot be read as parquet ({printable(why[:200])}); cut off? Download it again"
+            ) from None
+
+
+def is_lerobot(folder: Path) -> bool:
+    return os.path.isfile(folder / INFO_PATH)  # noqa: PTH113  (never raises)
+
+
+def open_dataset(folder: Path) -> LeRobotFolder:
+    """Raises RecordingError for what is not a dataset of format v3."""
+    path = folder / INFO_PATH
+    try:
+        loaded = json.loads(read_bounded(path, MOST_INFO_BYTES))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError):
+        raise RecordingError(f"{path}: not JSON; download the dataset again") from None
+    try:
+        return _dataset(folder, loaded)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RecordingError(f"{path}: not as LeRobot writes it ({printable(repr(error)[:200])})") from None
+
+
+def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
+    version = str(info["codebase_version"])
+    if version.startswith(("v1", "v2")):
+        raise RecordingError(
+            f"{folder}: a LeRobot dataset of format {printable(version)}; {VERSION} was expected. {_CONVERT}"
+        )
+    if not version.startswith("v3."):
+        raise RecordingError(
+            f"{folder}: a LeRobot dataset of format {printable(version[:40])}; {VERSION} was expected"
+        )
+    features = {str(name): _feature(of) for name, of in info["features"].items()}
+    dataset = LeRobotFolder(
+        folder,
+        version,
+        float(info["fps"]),
+        int(info["total_episodes"]),
+        int(info["total_frames"]),
+        str(info.get("robot_type") or ""),
+        features,
+        str(info.get("video_path") or ""),
+    )
+    if not (0 < dataset.fps < 10_000 and 0 <= dataset.episodes <= MOST_EPISODES and dataset.frames >= 0):
+        raise ValueError("fps, total_episodes or total_frames out of range")
+    if any("/" in name or "\\" in name or name in ("", ".", "..") for name in features):
+        raise ValueError("a feature with a slash in its name")
+    return dataset
+
+
+def _feature(of: Mapping[str, Any]) -> Feature:
+    shape = tuple(int(length) for length in of["shape"])
+    return Feature(str(of["dtype"]), shape, _names(of.get("names")))
+
+
+def _names(told: object) -> tuple[str, ...] | None:
+    """The names of a feature's numbers: a list, or one under some key of a dict, as in {"axes": ["x", "y"]}."""
+    if isinstance(told, dict) and len(told) == 1:
+        (told,) = told.values()
+    if isinstance(told, list) and all(isinstance(name, str) for name in told):
+        return tuple(told)
+    return None

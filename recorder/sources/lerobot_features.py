@@ -1,0 +1,184 @@
+"""Which features of a LeRobot dataset are steering, pedals, speed, cameras: by flag, or by their names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from common.car import CAMERAS, MPS_PER_MPH, Camera
+from common.errors import did_you_mean, printable
+from recorder.errors import RecordingError
+from recorder.lerobot.dataset_format import ACTION_NAMES, LOG_TIME, LOG_VEHICLE, Feature, image_key
+from recorder.sources.lerobot_dataset import LeRobotFolder
+
+_NUMBERS: Final = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32")
+_THROTTLE: Final = ("throttle", "gas", "accelerator")
+_MPH: Final = {"speed_mph": 1.0, "speed_mps": 1 / MPS_PER_MPH, "speed_kmh": 1000 / 3600 / MPS_PER_MPH}
+"""By name what makes mph of a speed. One whose unit is not told is not taken."""
+_CENTER: Final = ("center", "centre", "front")
+
+
+@dataclass(frozen=True)
+class FeatureNumber:
+    """One number of a feature: `action.steering`, `action.0`, or all of a feature that is one number."""
+
+    feature: str
+    index: int | None
+    label: str
+    scale: float = 1.0
+
+    def of(self, batch: pa.RecordBatch) -> NDArray[np.float64]:
+        """Its values (N,), NaN where there is none. Raises ArrowException where the column is of another shape."""
+        column = batch.column(self.feature)
+        if self.index is not None:
+            column = pc.list_element(column, self.index)
+        cast = pc.cast(column, pa.float64(), safe=False)
+        values: NDArray[np.float64] = cast.to_numpy(zero_copy_only=False)
+        return values * self.scale
+
+
+@dataclass(frozen=True)
+class LeRobotFeatures:
+    """What is taken of a dataset."""
+
+    steering: FeatureNumber
+    throttle: FeatureNumber | None
+    brake: FeatureNumber | None
+    speed_mph: FeatureNumber | None
+    cameras: Mapping[Camera, str]
+    has_log_time: bool
+    """The true times are in a column, as in an export of ours."""
+
+    @property
+    def is_own(self) -> bool:
+        """All digits of the log are taken."""
+        return self.steering.feature == LOG_VEHICLE
+
+    @property
+    def numbers(self) -> list[FeatureNumber]:
+        found = (self.steering, self.throttle, self.brake, self.speed_mph)
+        return [number for number in found if number is not None]
+
+
+def choose_features(
+    dataset: LeRobotFolder, image: str | None, steering: str | None, steering_scale: float
+) -> LeRobotFeatures:
+    """`image` and `steering` are what the user says, if he does. Raises RecordingError where nothing tells."""
+    is_own = LOG_TIME in dataset.features and dataset.features.get(LOG_VEHICLE, Feature("", ())).shape == (4,)
+    cameras = _cameras(dataset, image)
+    if is_own and steering is None and steering_scale == 1.0:
+        numbers = [
+            FeatureNumber(LOG_VEHICLE, at, f"{LOG_VEHICLE}.{name}")
+            for at, name in enumerate((*ACTION_NAMES, "speed_mph"))
+        ]
+        return LeRobotFeatures(numbers[0], numbers[1], numbers[2], numbers[3], cameras, True)
+    chosen = _number(dataset, steering) if steering is not None else _steering_by_name(dataset)
+    return LeRobotFeatures(
+        FeatureNumber(chosen.feature, chosen.index, chosen.label, steering_scale),
+        _beside(dataset, chosen, _THROTTLE),
+        _beside(dataset, chosen, ("brake",)),
+        _speed(dataset),
+        cameras,
+        LOG_TIME in dataset.features,
+    )
+
+
+def _cameras(dataset: LeRobotFolder, image: str | None) -> dict[Camera, str]:
+    keys = dataset.image_keys
+    if image is not None:
+        if image not in keys:
+            raise RecordingError(
+                f"{dataset.root}: no pictures {printable(image)!r} for --image; it has {_listed(keys)}"
+            )
+        return {"center": image}
+    if image_key("center") in keys:
+        return {camera: image_key(camera) for camera in CAMERAS if image_key(camera) in keys}
+    middle = [key for key in keys if key.rpartition(".")[2] in _CENTER]
+    for found in (middle, keys):
+        if len(found) == 1:
+            return {"center": found[0]}
+    if not keys:
+        raise RecordingError(f"{dataset.root}: no feature of it is pictures in colour")
+    raise RecordingError(f"{dataset.root}: which pictures? Give --image, one of {_listed(keys)}")
+
+
+def _steering_by_name(dataset: LeRobotFolder) -> FeatureNumber:
+    """The number whose name has "steer" in it; one of an action is what the driver did, and goes before others."""
+    for prefix in ("action", ""):
+        found = [
+            number
+            for number in _all_numbers(dataset)
+            if number.feature.startswith(prefix) and "steer" in number.label.rpartition(".")[2].lower()
+        ]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            break
+    told = [number.label for number in (found or _all_numbers(dataset))]
+    raise RecordingError(f"{dataset.root}: which number is the steering? Give --steering, one of {_listed(told)}")
+
+
+def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
+    """What --steering names: a feature, and a name or a position in it."""
+    numbers = _all_numbers(dataset)
+    for number in numbers:
+        if text in (number.label, f"{number.feature}.{number.index}"):
+            return number
+    feature = dataset.features.get(text)
+    if feature is not None:
+        raise RecordingError(
+            f"{dataset.root}: --steering {printable(text)}: no one number, but {printable(feature.dtype)} of shape"
+            f" {feature.shape}; there are {_listed([number.label for number in numbers])}"
+        )
+    labels = [number.label for number in numbers]
+    hint = did_you_mean(text, labels)
+    raise RecordingError(
+        f"{dataset.root}: no number {printable(text)!r} for --steering; {hint + ' ' if hint else ''}it has"
+        f" {_listed(labels)}"
+    )
+
+
+def _all_numbers(dataset: LeRobotFolder) -> list[FeatureNumber]:
+    """Every number of the features that are one, or one row of them."""
+    found = []
+    for name, feature in dataset.features.items():
+        if feature.dtype not in _NUMBERS or len(feature.shape) != 1 or not 1 <= feature.shape[0] <= 1000:
+            continue
+        names = feature.names or ()
+        for at in range(feature.shape[0]):
+            part = names[at] if len(names) == feature.shape[0] else str(at)
+            if feature.shape == (1,):
+                found.append(FeatureNumber(name, None, f"{name}.{part}" if names else name))
+            else:
+                found.append(FeatureNumber(name, at, f"{name}.{part}"))
+    return found
+
+
+def _beside(dataset: LeRobotFolder, steering: FeatureNumber, words: tuple[str, ...]) -> FeatureNumber | None:
+    """The number beside the steering, or in an action, that one of the words is in the name of."""
+    for prefix in (f"{steering.feature}.", "action"):
+        for number in _all_numbers(dataset):
+            last = number.label.rpartition(".")[2].lower()
+            if number.label.startswith(prefix) and any(word in last for word in words):
+                return number
+    return None
+
+
+def _speed(dataset: LeRobotFolder) -> FeatureNumber | None:
+    for number in _all_numbers(dataset):
+        scale = _MPH.get(number.label.rpartition(".")[2].lower(), math.nan)
+        if math.isfinite(scale):
+            return FeatureNumber(number.feature, number.index, number.label, scale)
+    return None
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(printable(name[:100]) for name in names[:30])
+    return f"{shown} and {len(names) - 30} more" if len(names) > 30 else shown or "none"

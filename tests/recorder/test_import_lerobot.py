@@ -1,0 +1,275 @@
+"""A LeRobot dataset becomes a log: one of ours as it was, those of others with what their names tell."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from common import UserError
+from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
+from lerobot_logs import jpeg, write_drives
+from logs import read_messages
+from recorder import Imported, Log, RecordingError
+from recorder.cli import main as bc_record
+from recorder.lerobot.export import export_lerobot
+from recorder.log.row_quality import drive_numbers
+from recorder.sources.import_lerobot import import_lerobot
+from udacity import call
+
+FRONT = "observation.images.front"
+LENGTHS = [3, 2]
+STEERING = [-0.5, 0.0, 0.25, 0.5, 1.0]
+
+
+def imported(folder: Path, **options: Any) -> Imported:
+    return import_lerobot(folder, folder.parent / "imported.mcap", **options)
+
+
+def content(log: Path) -> dict[str, list[tuple[Any, ...]]]:
+    """Time, row and content of every message on the cameras and the vehicle, by mcap's own reader."""
+    found: dict[str, list[tuple[Any, ...]]] = {}
+    for topic, messages in read_messages(log).items():
+        if topic == "/vehicle":
+            found[topic] = [
+                (m.log_time, m.sequence, s.steering, s.throttle, s.brake, str(s.speed_mph)) for m, s in messages
+            ]
+        elif topic.startswith("/camera/"):
+            found[topic] = [(m.log_time, m.sequence, image.data) for m, image in messages]
+    return found
+
+
+def decoded(picture: bytes) -> NDArray[np.float64]:
+    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert found is not None
+    return found.astype(np.float64)
+
+
+def others(folder: Path, **info: Any) -> Path:
+    """Somebody's dataset: one camera, an action of three numbers whose names are under some key."""
+    features = {
+        FRONT: image_feature(),
+        "action": numbers_feature({"axes": ["gas_pedal", "brake_pedal", "steering_angle"]}, 3),
+        "observation.state": numbers_feature(["speed_mps"], 1),
+    }
+    columns: dict[str, Sequence[Any]] = {
+        FRONT: [as_image(jpeg("center", row)) for row in range(5)],
+        "action": [[0.5, 0.25, value] for value in STEERING],
+        "observation.state": [4.4704] * 5,
+    }
+    return write_dataset(folder, features, columns, LENGTHS, **info)
+
+
+@pytest.mark.parametrize("speed_mph", [9.3, math.nan])
+def test_an_export_comes_back_as_it_was(tmp_path: Path, speed_mph: float) -> None:
+    log = write_drives(tmp_path / "two.mcap", speed_mph=speed_mph)
+    export_lerobot([log], tmp_path / "out")
+    done = imported(tmp_path / "out")
+    assert (done.rows, done.pictures, list(done.skipped), list(done.notices)) == (20, 60, [], [])
+    assert content(done.path) == content(log)
+    with Log(done.path) as opened:
+        assert opened.metadata["source"] == "lerobot"
+        assert opened.metadata["clock"] == "recorded"
+
+
+def test_an_export_as_videos_comes_back_with_other_pictures_and_says_so(tmp_path: Path) -> None:
+    log = write_drives(tmp_path / "two.mcap")
+    export_lerobot([log], tmp_path / "out", is_video=True)
+    done = imported(tmp_path / "out")
+    assert (done.rows, done.pictures, list(done.skipped)) == (20, 60, [])
+    assert "not the camera's original pictures" in done.notices[0]
+    found, original = content(done.path), content(log)
+    assert found["/vehicle"] == original["/vehicle"]
+    originals = [decoded(jpeg("center", row)) for row in range(20)]
+    for row, (*place, picture) in enumerate(found["/camera/center"]):
+        assert place == list(original["/camera/center"][row][:2])
+        errors = [np.abs(decoded(picture) - other).mean() for other in originals]
+        assert errors[row] == min(errors) < 12
+
+
+def test_of_others_names_tell_what_is_what(tmp_path: Path) -> None:
+    done = imported(others(tmp_path / "theirs"))
+    assert "action.steering_angle" in done.notices[0]
+    times_ns = [0, 50_000_000, 100_000_000, 10_100_000_000, 10_150_000_000]
+    found = content(done.path)
+    assert found["/camera/center"] == [(t, row, jpeg("center", row)) for row, t in enumerate(times_ns)]
+    assert found["/vehicle"] == [
+        (t, row, STEERING[row], 0.5, 0.25, found["/vehicle"][row][5]) for row, t in enumerate(times_ns)
+    ]
+    with Log(done.path) as log:
+        vehicle = log.vehicle()
+        assert drive_numbers(vehicle["log_time_ns"].to_numpy()).tolist() == [0, 0, 0, 1, 1]
+        assert vehicle["speed_mph"].to_pylist() == pytest.approx([10.0] * 5)
+        assert log.metadata["start"].startswith("1970")
+        assert (log.metadata["steering_topic"], log.metadata["robot"]) == ("action.steering_angle", "a_car")
+
+
+def test_flags_say_it_where_names_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    features = {
+        "observation.images.a": image_feature(),
+        "observation.images.b": image_feature(),
+        "action": numbers_feature(None, 2),
+    }
+    columns: dict[str, Sequence[Any]] = {
+        "observation.images.a": [as_image(jpeg("left", row)) for row in range(5)],
+        "observation.images.b": [as_image(jpeg("right", row)) for row in range(5)],
+        "action": [[0.0, 10 * value] for value in STEERING],
+    }
+    theirs = write_dataset(tmp_path / "theirs", features, columns, LENGTHS)
+    sessions = ["--sessions", tmp_path / "sessions"]
+    assert call(bc_record, "mine", "--from", theirs, *sessions) == 1
+    assert "Give --image, one of observation.images.a, observation.images.b" in capsys.readouterr().err
+    image = ["--image", "observation.images.b"]
+    assert call(bc_record, "mine", "--from", theirs, *sessions, *image) == 1
+    assert "Give --steering, one of action.0, action.1" in capsys.readouterr().err
+    steering = ["--steering", "action.1", "--steering-scale", -0.1]
+    assert call(bc_record, "mine", "--from", theirs, *sessions, *image, *steering) == 0
+    found = content(tmp_path / "sessions/mine.mcap")
+    assert [row[2] for row in found["/vehicle"]] == pytest.approx([-value for value in STEERING])
+    assert [row[2] for row in found["/camera/center"]] == [jpeg("right", row) for row in range(5)]
+    assert call(bc_record, "mine", "--from", theirs, "--rate", 20, "--force", *sessions) == 1
+    assert "its frames tell their times" in capsys.readouterr().err
+
+
+def test_episodes_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    theirs = write_dataset(
+        tmp_path / "theirs",
+        {FRONT: image_feature(), "action": numbers_feature(["steering"], 1)},
+        {FRONT: [as_image(jpeg("center", row)) for row in range(4)], "action": [0.0] * 4},
+        [2, 0, 0, 2],
+        total_episodes=6,
+        total_frames=9,
+    )
+    assert call(bc_record, "gaps", "--from", theirs, "--sessions", tmp_path) == 3
+    said = capsys.readouterr()
+    assert "episodes that are counted and not there: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
+    assert "frames that are counted and not there: 1 (5 of 9)" in said.err
+    assert "4 rows, 4 pictures" in said.out
+
+
+def test_frames_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    pictures = [as_image(jpeg("center", 0)), as_image(jpeg("center", 1)[:-99]), None, as_image(jpeg("center", 3))]
+    theirs = write_dataset(
+        tmp_path / "theirs",
+        {FRONT: image_feature(), "action": numbers_feature(["steering"], 1)},
+        {FRONT: pictures, "action": [0.5, 0.5, 0.5, math.nan]},
+        [4],
+    )
+    done = imported(theirs)
+    assert done.rows == 1
+    assert dict(done.skipped.counts) == {
+        "pictures that are no whole JPEG or PNG": 1,
+        "frames without a picture": 2,
+        "frames with a steering that is no finite number": 1,
+    }
+
+
+def change_info(folder: Path, **changes: Any) -> None:
+    path = folder / "meta/info.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def version_2(folder: Path) -> None:
+    change_info(folder, codebase_version="v2.1")
+
+
+def not_json(folder: Path) -> None:
+    (folder / "meta/info.json").write_text("{" * 2000)
+
+
+def without_features(folder: Path) -> None:
+    change_info(folder, features=7)
+
+
+def cut_off(folder: Path) -> None:
+    path = folder / "data/chunk-000/file-000.parquet"
+    path.write_bytes(path.read_bytes()[:-500])
+
+
+def without_data(folder: Path) -> None:
+    (folder / "data/chunk-000/file-000.parquet").unlink()
+
+
+def steering_of_another_shape(folder: Path) -> None:
+    feature = {"dtype": "float32", "shape": [5, 2], "names": ["steering"]}
+    change_info(folder, features={FRONT: image_feature(), "action": feature})
+
+
+def a_shape_that_is_not_true(folder: Path) -> None:
+    features = {FRONT: image_feature(), "action": numbers_feature([*"abcdefg", "steering"], 8)}
+    change_info(folder, features=features)
+
+
+def a_column_that_is_not_there(folder: Path) -> None:
+    change_info(folder, features={FRONT: image_feature(), "act": numbers_feature(["steering"], 1)})
+
+
+def no_pictures(folder: Path) -> None:
+    change_info(folder, features={"action": numbers_feature(["steering"], 1)})
+
+
+def a_link_out_of_it(folder: Path) -> None:
+    path = folder / "data/chunk-000/file-000.parquet"
+    path.rename(folder.parent / "elsewhere.parquet")
+    path.symlink_to(folder.parent / "elsewhere.parquet")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (version_2, r"format v2.1; v3.0 was expected. LeRobot converts it: `python -m lerobot"),
+        (not_json, r"info.json: not JSON"),
+        (without_features, r"info.json: not as LeRobot writes it"),
+        (cut_off, r"file-000.parquet: cannot be read as parquet .* Download it again"),
+        (without_data, r"data: no parquet file in it"),
+        (steering_of_another_shape, r"which number is the steering\? Give --steering, one of none"),
+        (a_shape_that_is_not_true, r"file-000.parquet: not of the shapes that meta/info.json promises"),
+        (a_column_that_is_not_there, r"no column 'act', which meta/info.json promises"),
+        (no_pictures, r"no feature of it is pictures in colour"),
+        (a_link_out_of_it, r"a link out of the dataset, which is not followed"),
+    ],
+)
+def test_what_cannot_be_read_is_one_line(tmp_path: Path, spoil: Callable[[Path], None], why: str) -> None:
+    theirs = others(tmp_path / "theirs")
+    spoil(theirs)
+    with pytest.raises(RecordingError, match=why) as raised:
+        imported(theirs)
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "imported.mcap").exists()
+
+
+def test_videos_that_are_missing_or_none_are_one_line(tmp_path: Path) -> None:
+    export_lerobot([write_drives(tmp_path / "two.mcap", cameras=["center"])], tmp_path / "out", is_video=True)
+    video = tmp_path / "out/videos/observation.images.center/chunk-000/file-000.mp4"
+    original = video.read_bytes()
+    video.write_bytes(b"#EXTM3U\n#EXTINF:10,\nfile:///etc/passwd\n")
+    with pytest.raises(RecordingError, match=r"file-000.mp4: the video cannot be decoded"):
+        imported(tmp_path / "out")
+    video.unlink()
+    with pytest.raises(RecordingError, match=r"file-000.mp4: not there; download the dataset with its videos"):
+        imported(tmp_path / "out")
+    video.write_bytes(original)
+    change_info(tmp_path / "out", video_path="{video_key:>999999999999}")
+    with pytest.raises(RecordingError, match="was expected"):
+        imported(tmp_path / "out")
+
+
+def test_a_log_that_exists_is_not_replaced(tmp_path: Path) -> None:
+    theirs = others(tmp_path / "theirs")
+    first = imported(theirs).path.read_bytes()
+    with pytest.raises(UserError, match="exists already"):
+        imported(theirs)
+    assert imported(theirs, overwrite=True).path.read_bytes() == first
+
+
+def test_a_folder_beside_it_is_suggested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    theirs = others(tmp_path / "theirs")
+    assert call(bc_record, "mine", "--from", theirs / "data", "--sessions", tmp_path) == 1
+    assert f"did you mean {theirs}?" in capsys.readouterr().err

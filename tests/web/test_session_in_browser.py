@@ -1,0 +1,252 @@
+"""A session is looked at and cleaned in a real browser; what was done there is checked with the commands."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+
+import recorder.log_cli
+from chromium import chromium
+from common.car import Camera
+from driving import PATIENCE_S, command, environment
+from logs import START_NS
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.tags import read_tags
+from udacity import call
+from waiting import wait_until
+from workbench import Served, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+ROWS = 600
+STUCK = (100, 149)  # the very same steering for five seconds of driving
+STANDING = (300, 339)
+GAP_AT = 450  # five seconds pass before this row
+FROZEN = (520, 539)  # the very same picture
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Served]:
+    write_faulty(tmp_path / "sessions" / "faulty.mcap")
+    with served(tmp_path) as found:
+        yield found
+
+
+def gray(row: int) -> bytes:
+    """A picture as bright as its row says; no two are the same."""
+    picture = np.full((16, 32), row * 255 // ROWS, np.uint8)
+    picture[0, :2] = row // 256, row % 256
+    ok, encoded = cv2.imencode(".png", picture)
+    assert ok
+    return encoded.tobytes()
+
+
+def write_faulty(path: Path) -> None:
+    time_ns = START_NS
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(ROWS):
+            time_ns += 5_000_000_000 if row == GAP_AT else 100_000_000
+            is_stuck = STUCK[0] <= row <= STUCK[1]
+            steering = 0.25 if is_stuck else 0.3 * np.sin(row / 7)
+            speed_mph = 0.0 if STANDING[0] <= row <= STANDING[1] else 20.0
+            for camera in cameras():
+                is_frozen = FROZEN[0] <= row <= FROZEN[1]
+                writer.picture(camera, time_ns, row, gray(FROZEN[0] if is_frozen else row))
+            writer.vehicle(
+                time_ns, row, VehicleState(steering=steering, throttle=0.5, brake=0.0, speed_mph=speed_mph)
+            )
+
+
+def cameras() -> tuple[Camera, ...]:
+    return "center", "left"
+
+
+@contextlib.contextmanager
+def opened(browser: Browser, bench: Served, name: str = "faulty") -> Iterator[Page]:
+    """The page of a session, with all of its data there; what its scripts raise fails the test."""
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.set_default_timeout(PATIENCE_S * 1000)
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(f"{bench.address}/sessions/{name}")
+    page.wait_for_selector("#session[data-ready]")
+    yield page
+    assert errors == []
+    page.close()
+
+
+def drag(page: Page, first: int, last: int) -> tuple[int, int]:
+    """Drag with the mouse from one row to another; the rows that the page says are selected."""
+    box = page.locator("#curves .u-over").first.bounding_box()
+    assert box is not None
+    across = [box["x"] + box["width"] * row / (ROWS - 1) for row in (first, last)]
+    y = box["y"] + box["height"] / 2
+    page.mouse.move(across[0], y)
+    page.mouse.down()
+    page.mouse.move(across[1], y, steps=4)
+    page.mouse.up()
+    wait_until(lambda: page.inner_text("#selected"))
+    words = page.inner_text("#selected").split()
+    return int(words[1]), int(words[3])
+
+
+def tags(bench: Served) -> list[tuple[str, int, int]]:
+    """As the commands read them."""
+    log = bench.folder / "sessions" / "faulty.mcap"
+    with Log(log) as found:
+        return [(tag.name, tag.first_row, tag.last_row) for tag in read_tags(log, found.fingerprint)]
+
+
+def press(page: Page, key: str, shown: int) -> None:
+    """Press a key that changes the tags; wait until the page shows so many of them."""
+    page.keyboard.press(key)
+    page.wait_for_selector(f"#session[data-tags='{shown}']")
+
+
+def test_a_stretch_is_excluded_by_dragging_and_undone_and_done_again(browser: Browser, bench: Served) -> None:
+    with opened(browser, bench) as page:
+        rows = drag(page, 200, 260)
+        assert list(rows) == pytest.approx([200, 260], abs=3)
+        press(page, "x", 1)
+        assert tags(bench) == [("exclude", *rows)]
+        press(page, "u", 0)
+        assert tags(bench) == []
+        press(page, "r", 1)
+        assert tags(bench) == [("exclude", *rows)]
+        press(page, "Control+z", 0)
+        press(page, "Control+y", 1)
+        # a name of one's own, for the same rows
+        page.keyboard.press("t")
+        page.keyboard.type("recovery")
+        press(page, "Enter", 2)
+        assert tags(bench) == [("exclude", *rows), ("recovery", *rows)]
+
+
+def test_the_commands_that_are_shown_do_the_same(browser: Browser, bench: Served) -> None:
+    with opened(browser, bench) as page:
+        drag(page, 20, 60)
+        press(page, "x", 1)
+        drag(page, 500, 550)
+        press(page, "x", 2)
+        press(page, "u", 1)
+        after = tags(bench)
+        lines = page.inner_text("#commands").splitlines()
+        assert len(lines) == 3
+        (bench.folder / "sessions" / "faulty.tags.jsonl").unlink()
+        for line in lines:
+            words = line.split()
+            assert words[0] == "bc-log"
+            assert call(recorder.log_cli.main, *words[1:]) == 0
+        assert tags(bench) == after
+
+
+def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Browser, bench: Served) -> None:
+    """Planted faults are found and removed with nine actions."""
+    with opened(browser, bench) as page:
+        selected = []
+        for number in range(3):
+            before = page.inner_text("#selected")
+            page.keyboard.press("j")
+            wait_until(lambda: page.inner_text("#selected") not in ("", before))  # noqa: B023
+            words = page.inner_text("#selected").split()
+            selected.append((int(words[1]), int(words[3])))
+            press(page, "x", number + 1)
+        assert selected == [STUCK, STANDING, (GAP_AT - 1, GAP_AT)]
+        assert tags(bench) == [("exclude", *rows) for rows in selected]
+        page.keyboard.press("j")
+        wait_until(lambda: "all odd stretches are excluded" in page.inner_text("#said"))
+        press(page, "u", 2)
+        page.keyboard.press("k")  # the only one that is left
+        wait_until(lambda: "gap; 1 of 3" in page.inner_text("#said"))
+        press(page, "x", 3)
+        page.click("#look")  # decodes all pictures
+        page.wait_for_selector("#look", state="hidden")
+        page.keyboard.press("j")
+        wait_until(lambda: "frozen picture; 1 of 4" in page.inner_text("#said"))
+        press(page, "x", 4)
+    line = command("bc-log", "tag", bench.folder / "sessions" / "faulty.mcap")
+    done = subprocess.run(line, env=environment(), capture_output=True, text=True, check=True)
+    excluded = (STUCK, STANDING, (GAP_AT - 1, GAP_AT), FROZEN)
+    assert done.stdout == "".join(f"exclude: rows {first} to {last}\n" for first, last in excluded)
+
+
+def test_the_pictures_follow_the_mouse_and_the_keys(browser: Browser, bench: Served) -> None:
+    with opened(browser, bench) as page:
+        box = page.locator("#curves .u-over").first.bounding_box()
+        assert box is not None
+        for share in (0.25, 0.5, 0.75):
+            page.mouse.move(box["x"] + share * box["width"], box["y"] + 30)
+            assert_shown(page, round(share * (ROWS - 1)), within=2)
+        at = now(page)
+        page.keyboard.press("ArrowRight")
+        assert_shown(page, at + 1)
+        page.keyboard.press("Shift+ArrowLeft")
+        assert_shown(page, at - 9)
+        page.keyboard.press("Home")
+        assert_shown(page, 0)
+        page.keyboard.press("4")  # at 8 times the speed, that is eight seconds to its end
+        page.keyboard.press(" ")
+        wait_until(lambda: now(page) > 30)
+        page.keyboard.press(" ")
+        assert page.get_attribute("#play", "aria-pressed") == "false"
+
+
+def now(page: Page) -> int:
+    return int(page.get_attribute("#curves", "aria-valuenow") or 0)
+
+
+def pictures(page: Page) -> dict[str, int]:
+    """The row of which each camera that is seen shows its picture."""
+    shown = page.eval_on_selector_all(
+        "figure:not([hidden])", "figures => figures.map(figure => figure.dataset.shown ?? '')"
+    )
+    return {name: int(row) for each in shown for name, row in re.findall(r"pictures/(\w+)/(\d+)", each)}
+
+
+def assert_shown(page: Page, row: int, within: int = 0) -> None:
+    """Both cameras show the picture of that row, by its brightness."""
+    wait_until(lambda: set(pictures(page)) == {"center", "left"})
+    wait_until(lambda: all(abs(at - row) <= within for at in pictures(page).values()))
+    shown = page.evaluate(
+        """() => [...document.querySelectorAll('figure:not([hidden]) img')].map(image => {
+            const canvas = document.createElement('canvas');
+            const context = canvas.getContext('2d');
+            context.drawImage(image, 0, 0);
+            return context.getImageData(3, 3, 1, 1).data[0];
+        })"""
+    )
+    assert shown == [pytest.approx(row * 255 // ROWS, abs=within + 1)] * 2
+
+
+def test_what_commands_do_meanwhile_is_seen(browser: Browser, bench: Served) -> None:
+    log = bench.folder / "sessions" / "faulty.mcap"
+    with opened(browser, bench) as page:
+        assert call(recorder.log_cli.main, "tag", log, "good", "--rows", 5, 9) == 0
+        page.wait_for_selector("#session[data-tags='1']")
+        journal = log.with_name("faulty.tags.jsonl")
+        journal.write_text(journal.read_text() + "{}\n")
+        wait_until(lambda: "line 2 is not a tag" in page.inner_text("#problem"))
+        journal.unlink()
+        page.wait_for_selector("#problem", state="hidden")
+        with LogWriter(bench.folder / "new.mcap", {"source": "test"}) as writer:
+            writer.vehicle(START_NS, 0, VehicleState(steering=0.0))
+        (bench.folder / "new.mcap").replace(log)
+        wait_until(lambda: "replaced" in page.inner_text("#problem"))
+        log.unlink()
+        wait_until(lambda: "deleted" in page.inner_text("#problem"))

@@ -1,0 +1,247 @@
+"""What the page of a session is given, and what is written when it tags rows: the same as `bc-log tag` writes."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import recorder.log_cli
+from common.car import Camera
+from disk import files_of_at_most
+from driving import road_jpeg
+from logs import START_NS, write_log
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.tags import Tag, add_tags, read_tags
+from udacity import call
+from waiting import wait_until
+from workbench import Answer, Served, served
+
+AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
+STEERING = [0.01 * (row % 40) for row in range(120)]
+
+
+def road(camera: Camera, row: int) -> bytes:
+    return b"no picture" if row == 7 else road_jpeg(row)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("bench")
+    write_log(folder / "sessions" / "a.mcap", STEERING, road, cameras=["center"])
+    write_log(folder / "drives" / "a.mcap", [0.5])
+    with served(folder) as found:
+        yield found
+
+
+@pytest.fixture
+def log(bench: Served) -> Iterator[Path]:
+    """The session without tags."""
+    path = bench.folder / "sessions" / "a.mcap"
+    yield path
+    path.with_name("a.tags.jsonl").unlink(missing_ok=True)
+
+
+def change(bench: Served, at: str = "/sessions/a", **changed: Any) -> Answer:
+    """Ask for rows 3 to 9 to be excluded, or for something else."""
+    fingerprint = bench.get(f"{at}/state").json.get("fingerprint")
+    asked = {"action": "add", "name": "exclude", "rows": [3, 9], "log": fingerprint, **changed}
+    return bench.ask("POST", f"{at}/tags", json.dumps(asked).encode(), Content_Type="application/json")
+
+
+def lines(log: Path) -> list[Any]:
+    path = log.with_name(log.name.replace(".mcap", ".tags.jsonl"))
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def test_tags_are_written_as_the_command_writes_them(bench: Served, log: Path) -> None:
+    before = log.read_bytes()
+    answer = change(bench)
+    assert answer.json == {"changed": True, "command": f"bc-log tag {log} exclude --rows 3 9", "notice": ""}
+    assert change(bench).json["changed"] is False
+    by_page = lines(log)
+    assert change(bench, action="remove").json["command"] == f"bc-log tag {log} exclude --rows 3 9 --remove"
+    assert change(bench, action="remove").json["changed"] is False
+    by_page = lines(log)
+    log.with_name("a.tags.jsonl").unlink()
+    for flags in ([], ["--remove"]):
+        assert call(recorder.log_cli.main, "tag", log, "exclude", "--rows", 3, 9, *flags) == 0
+    assert lines(log) == by_page
+    assert log.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("changed", "status", "why"),
+    [
+        ({"rows": [9, 3]}, 422, "the first row, then the last"),
+        ({"rows": [0, 120]}, 422, "its rows are 0 to 119"),
+        ({"rows": [-1, 3]}, 422, "the first row"),
+        ({"rows": [1.5, 3]}, 422, "int"),
+        ({"rows": [1]}, 422, "length"),
+        ({"name": ""}, 422, "not a name"),
+        ({"name": "a\nb"}, 422, "not a name"),
+        ({"name": "x" * 65}, 422, "not a name"),
+        ({"name": "--rows"}, 422, "a flag"),
+        ({"action": "delete"}, 422, "action"),
+        ({"path": "/etc/passwd"}, 422, "path"),
+        ({"log": "0" * 64}, 409, "replaced"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_reason(
+    bench: Served, log: Path, changed: dict[str, Any], status: int, why: str
+) -> None:
+    answer = change(bench, **changed)
+    assert (answer.status, why in answer.json["error"]) == (status, True), answer.text
+    assert lines(log) == []
+
+
+def test_only_json_changes_anything(bench: Served, log: Path) -> None:
+    """A form of another page can send text, but not this type."""
+    body = json.dumps({"action": "add", "name": "exclude", "rows": [3, 9], "log": "x"}).encode()
+    assert bench.ask("POST", "/sessions/a/tags", body, Content_Type="text/plain").status == 415
+    assert bench.ask("POST", "/sessions/a/tags", b"{", Content_Type="application/json").status == 422
+    assert bench.ask("PUT", "/sessions/a/tags", b"{}", Content_Type="application/json").status == 405
+    assert lines(log) == []
+
+
+def test_a_new_name_that_is_nearly_an_old_one_is_noticed(bench: Served, log: Path) -> None:
+    assert change(bench, name="exlude").json["notice"] == "new tag 'exlude'. did you mean exclude?"
+    assert change(bench, name="exlude", rows=[50, 60]).json["notice"] == ""
+    assert bench.get("/sessions/a/names").json == ["exclude", "exlude"]
+
+
+def test_the_rows_are_those_of_the_log(bench: Served) -> None:
+    row, time_s, steering, throttle, _, mph = np.frombuffer(bench.get("/sessions/a/rows").body).reshape(6, -1)
+    assert row.tolist() == list(range(120))
+    assert time_s == pytest.approx(np.arange(120) / 10)
+    assert steering.tolist() == STEERING
+    assert set(throttle) == {0.5}
+    assert set(mph) == {9.0}
+    assert len(bench.get("/drives/a/rows").body) == 6 * 8
+
+
+def test_pictures_are_given_byte_for_byte(bench: Served) -> None:
+    answer = bench.get("/sessions/a/pictures/center/50")
+    assert (answer.headers["content-type"], answer.body) == ("image/jpeg", road_jpeg(50))
+    assert answer.headers["cache-control"] == "no-store"
+    version = bench.get("/sessions/a/state").json["version"]
+    assert "immutable" in bench.get(f"/sessions/a/pictures/center/50?v={version}").headers["cache-control"]
+    refused = {
+        "center/120": 404,
+        "left/5": 404,
+        "rear/5": 404,
+        "center/7": 415,
+        "center/x": 404,
+        "center/5?v=0": 409,
+    }
+    for path, status in refused.items():
+        answer = bench.get(f"/sessions/a/pictures/{path}")
+        assert (answer.status, bool(answer.json["error"])) == (status, True), path
+
+
+def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
+    """Frozen pictures, where the index or the page has looked at them."""
+    import dataset.cli
+
+    log = write_log(
+        tmp_path / "sessions" / "a.mcap",
+        [0.4 if 10 <= row < 50 else 0.01 * row for row in range(80)],
+        lambda camera, row: road_jpeg(min(row, 60)),
+        cameras=["center"],
+    )
+    with served(tmp_path) as bench:
+        assert bench.get("/sessions/a/state").json["odd"] == [["stuck_steering", 10, 49]]
+        assert bench.ask("POST", "/sessions/a/look", b"").status == 200
+        wait_until(lambda: bench.get("/sessions/a/look").json["is_done"])
+        looked = bench.get("/sessions/a/state").json
+        assert looked["odd"] == [["stuck_steering", 10, 49], ["frozen_picture", 60, 79]]
+        shutil.rmtree(tmp_path / "cache")
+        assert bench.get("/sessions/a/state").json["looked"] is False
+        flags = ("--sessions", log.parent, "--index", tmp_path / "index", "--look", "--block-s", 1, "--gap-s", 0)
+        assert call(dataset.cli.main, *flags) == 0
+        assert ["frozen_picture", 60, 79] in bench.get("/sessions/a/state").json["odd"]
+
+
+def test_a_log_that_is_not_finished_is_shown_but_not_tagged(bench: Served) -> None:
+    """Its tags would be lost when it is recovered."""
+    whole = (bench.folder / "sessions" / "a.mcap").read_bytes()
+    part = bench.folder / "sessions" / "k.mcap.0a1b2c.part"
+    part.write_bytes(whole[: len(whole) * 2 // 3])
+    at = "/sessions/k.mcap.0a1b2c.part"
+    assert "bc-log recover" in bench.get(f"{at}/state").json["problem"]
+    assert bench.get(at).status == 200
+    answer = change(bench, at, rows=[0, 1])
+    assert (answer.status, "bc-log recover" in answer.json["error"]) == (409, True)
+    assert not list(part.parent.glob("k*.tags.jsonl"))
+
+
+def test_a_session_of_any_name_can_be_opened_and_tagged(bench: Served) -> None:
+    log = write_log(bench.folder / "sessions" / f"{AWKWARD}.mcap", [0.1, 0.2, 0.3], road)
+    page = bench.get("/sessions.rows").text
+    at = next(part.split('"')[0] for part in page.split('href="')[1:] if part.startswith("/sessions/~"))
+    assert bench.get(at).status == 200
+    assert "<b>a" not in bench.get(at).text
+    assert bench.get(f"{at}/pictures/left/2").body == road_jpeg(2)
+    assert change(bench, at, rows=[1, 2], name="<img src=x onerror=alert(1)>").json["changed"] is True
+    with Log(log) as found:
+        assert read_tags(log, found.fingerprint) == [Tag(1, 2, "<img src=x onerror=alert(1)>")]
+    log.unlink()
+    answer = bench.get(at, Accept="text/html")
+    assert (answer.status, "deleted" in answer.text) == (404, True)
+    assert "<b>a" not in answer.text
+
+
+def test_a_hundred_thousand_tags_are_read_and_one_more_is_added(bench: Served, log: Path) -> None:
+    with Log(log) as found:
+        fingerprint = found.fingerprint
+    many = [Tag(at % 100, at % 100 + at // 5000, f"n{at % 97}") for at in range(100_000)]
+    add_tags(log, fingerprint, many)
+    found_tags = bench.get("/sessions/a/tags").json
+    assert len(found_tags["tags"]) == len(set(many))
+    assert change(bench, name="one more").json["changed"] is True
+    assert lines(log)[len(many) :] == [{"add": "one more", "rows": [3, 9], "log": fingerprint}]
+
+
+def test_a_broken_file_of_tags_is_named_and_left_as_it_is(bench: Served, log: Path) -> None:
+    tags = log.with_name("a.tags.jsonl")
+    tags.write_text('{"add": "exclude"}\n')
+    for answer in (bench.get("/sessions/a/tags"), change(bench)):
+        assert (answer.status, "line 1 is not a tag" in answer.json["error"]) == (422, True)
+    assert tags.read_text() == '{"add": "exclude"}\n'
+
+
+def test_a_full_disk_is_told_and_leaves_the_tags_as_they_were(bench: Served, log: Path) -> None:
+    assert change(bench).status == 200
+    before = lines(log)
+    with files_of_at_most(log.with_name("a.tags.jsonl").stat().st_size + 10):
+        answer = change(bench, rows=[20, 30])
+    assert (answer.status, "cannot be written" in answer.json["error"]) == (422, True)
+    assert lines(log) == before
+    assert change(bench, rows=[20, 30]).json["changed"] is True
+
+
+def test_a_log_that_is_being_recorded_is_shown_as_far_as_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "sessions" / "new.mcap"
+    with served(tmp_path) as bench:
+        with LogWriter(path, {"source": "test"}, live=True) as writer:
+
+            def rows_shown_after(row: int) -> int:
+                writer.vehicle(START_NS + row * 100_000_000, row, VehicleState(steering=0.1))
+                return int(bench.get(f"{at}/state").json.get("rows", 0))  # an error until it has a beginning
+
+            (part,) = path.parent.glob("*.part")
+            at = f"/sessions/{part.name}"
+            numbers = itertools.count()
+            wait_until(lambda: rows_shown_after(next(numbers)) > 0)  # it is brought to the disk every second
+            assert bench.get(f"{at}/version").json["growing"] is True
+            assert "recording" in bench.get("/sessions").text
+            assert change(bench, at, rows=[0, 0]).status == 409
+        assert bench.get(f"{at}/state").status == 404
+        assert bench.get("/sessions/new/state").json["rows"] == next(numbers)

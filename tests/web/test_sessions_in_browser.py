@@ -1,0 +1,42 @@
+"""The list of sessions in a real browser: it keeps up with the commands, and is searched while one types."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import recorder.log_cli
+from chromium import chromium
+from driving import PATIENCE_S, road_jpeg
+from logs import write_log
+from udacity import call
+from waiting import wait_until
+from workbench import served
+
+
+def test_the_list_keeps_up_without_a_reload(tmp_path: Path) -> None:
+    with served(tmp_path) as bench, chromium() as browser:
+        page = browser.new_page()
+        page.set_default_timeout(PATIENCE_S * 1000)
+        errors: list[str] = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
+        page.goto(f"{bench.address}/sessions")
+        page.wait_for_selector("text=No sessions yet")
+        for name in ("lake", "mountain"):
+            write_log(tmp_path / "sessions" / f"{name}.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+        page.wait_for_selector("#s-lake img")
+        page.wait_for_selector("#s-mountain img")
+        wait_until(lambda: page.evaluate("[...document.images].every(image => image.naturalWidth > 0)"))
+        assert call(recorder.log_cli.main, "tag", tmp_path / "sessions" / "lake.mcap", "wet", "--start", 0) == 0
+        page.wait_for_selector("#s-lake .tag")
+        assert page.inner_text("#s-lake .tag") == "wet 20"
+        page.fill("input[name=text]", "wet")
+        page.wait_for_selector("#s-mountain", state="detached")
+        assert page.url == f"{bench.address}/sessions?text=wet&sort=newest&only=all"
+        page.click("text=lake")
+        page.wait_for_selector("#session[data-ready]")
+        page.go_back()
+        page.wait_for_selector("#s-lake")
+        assert page.input_value("input[name=text]") == "wet"
+        assert page.locator("#s-mountain").count() == 0
+        assert errors == []

@@ -1,0 +1,125 @@
+"""A session: pictures that follow the mouse along its curves, odd and tagged stretches, and tagging."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Route
+
+from common.car import CAMERAS
+from common.errors import printable
+from common.files import PART_SUFFIX
+from common.locks import is_being_written
+from recorder.log.log_info import describe
+from recorder.log.tags import EXCLUDE, names_used, tags_path
+from recorder.log.topics import camera_topic
+from web.data.file_versions import version_of
+from web.data.odd_stretches import odd_stretches
+from web.data.open_logs import OpenLog
+from web.data.project_folders import Place
+from web.pages.tagging import change_tags
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+
+def session_routes(bench: Workbench, place: Place) -> list[Route]:
+    def path_of(request: Request) -> Path:
+        return bench.folders.log(place, request.path_params["log"])
+
+    def page(request: Request) -> Response:
+        path = path_of(request)
+        info = describe(path, with_tags=False)
+        name = printable(path.name.removesuffix(".mcap"))
+        return HTMLResponse(
+            render(
+                "session.html",
+                name=name,
+                place=place,
+                at=f"/{place}/{request.path_params['log']}",
+                info=info,
+                cameras=CAMERAS,
+                path=printable(str(path)),
+            )
+        )
+
+    def version(request: Request) -> Response:
+        """What tells whether `state`, `rows` or `tags` have to be asked for again."""
+        bench.logs.drop_changed()
+        path = path_of(request)
+        is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
+        return JSONResponse({"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing})
+
+    def state(request: Request) -> Response:
+        path = path_of(request)
+        with bench.logs.open(path) as opened:
+            return JSONResponse(_state(bench, path, opened))
+
+    def rows(request: Request) -> Response:
+        """Columns of float64, one after the other: row, seconds since the first, steering, throttle, brake,
+        mph."""
+        with bench.logs.open(path_of(request)) as opened:
+            states = opened.states
+            since_s = (states.time_ns - states.time_ns[:1]) / 1e9
+            columns = (states.row, since_s, states.steering, states.throttle, states.brake, states.speed_mph)
+            data = np.concatenate([column.astype("<f8") for column in columns]).tobytes()
+            return Response(data, media_type="application/octet-stream")
+
+    def tags(request: Request) -> Response:
+        """All tags as [first row, last row, number of the name], and the names."""
+        path = path_of(request)
+        with bench.logs.open(path) as opened:
+            found = bench.cards.tags(path, opened.log.fingerprint)
+        names = sorted({tag.name for tag in found.tags} | {EXCLUDE})
+        number = {name: at for at, name in enumerate(names)}
+        rows = [(tag.first_row, tag.last_row, number[tag.name]) for tag in found.tags]
+        return JSONResponse({"version": found.version, "names": names, "tags": rows, "stale": found.stale})
+
+    def look(request: Request) -> Response:
+        """Begin to decode all pictures, to find those that are frozen or broken; or how far that is."""
+        path = path_of(request)
+        with bench.logs.open(path) as opened:
+            fingerprint = opened.log.fingerprint
+        if request.method == "POST":
+            bench.checks.start(path, fingerprint)
+        checking = bench.checks.checking(fingerprint)
+        return JSONResponse(None if checking is None else asdict(checking))
+
+    def known_names(request: Request) -> Response:
+        """The names that tags have in this folder."""
+        return JSONResponse(sorted(names_used(path_of(request).parent)))
+
+    async def change(request: Request) -> Response:
+        return await change_tags(bench, path_of(request), request)
+
+    at = f"/{place}/{{log}}"
+    return [
+        Route(at, page),
+        Route(f"{at}/version", version),
+        Route(f"{at}/state", state),
+        Route(f"{at}/rows", rows),
+        Route(f"{at}/tags", tags),
+        Route(f"{at}/names", known_names),
+        Route(f"{at}/tags", change, methods=["POST"]),
+        Route(f"{at}/look", look, methods=["GET", "POST"]),
+    ]
+
+
+def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
+    log, states = opened.log, opened.states
+    findings = bench.checks.findings(log)
+    return {
+        "version": opened.version,
+        "fingerprint": log.fingerprint,
+        "rows": len(states.row),
+        "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
+        "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
+        "odd": [
+            (stretch.flag, stretch.first, stretch.last)
+            for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())
+        ],
+        "looked": findings is not None,
+    }

@@ -1,0 +1,46 @@
+// The coloured bands behind the curves: excluded rows over the full height, other tags at the top, odd stretches at
+// the bottom, the selection over all. Only what can be seen is drawn, and of many in one column of pixels, one.
+
+const LANE = 8;
+
+export function drawBands(plot, data, odd, selection, colors) {
+  const { ctx, bbox } = plot;
+  const scale = devicePixelRatio;
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.clip();
+  const lane = LANE * scale;
+  const bottom = bbox.top + bbox.height;
+  const whole = [bbox.top, bbox.height];
+  drawAll(plot, odd, () => [[colors.oddBack, ...whole], [colors.odd, bottom - lane, lane]]);
+  drawAll(
+    plot,
+    data.tags.filter((tag) => tag.name !== "exclude"),
+    () => [[colors.tag, bbox.top, lane]],
+  );
+  drawAll(
+    plot,
+    data.tags.filter((tag) => tag.name === "exclude"),
+    () => [[colors.excludeBack, ...whole], [colors.exclude, bbox.top, lane]],
+  );
+  if (selection) drawAll(plot, [selection], () => [[colors.selection, ...whole]]);
+  ctx.restore();
+}
+
+function drawAll(plot, stretches, rectangles) {
+  const { ctx } = plot;
+  const { min, max } = plot.scales.x;
+  let reached = -Infinity;
+  for (const { first, last } of stretches) {
+    if (last < min - 1 || first > max + 1) continue;
+    const left = plot.valToPos(first - 0.5, "x", true);
+    const right = Math.max(plot.valToPos(last + 0.5, "x", true), left + 1);
+    if (right <= reached + 0.5) continue;
+    for (const [color, top, height] of rectangles()) {
+      ctx.fillStyle = color;
+      ctx.fillRect(Math.max(left, reached), top, right - Math.max(left, reached), height);
+    }
+    reached = right;
+  }
+}

@@ -1,0 +1,223 @@
+// The curves over the rows of a session, in two plots that zoom and point together. Across are rows, not seconds: of a
+// recording that was paused for a day, all is seen; the labels tell the time.
+
+import uPlot from "../../vendor/uPlot.esm.js";
+import { drawBands } from "./bands.js";
+import { clock } from "./clock.js";
+
+const LEAST_ROWS = 10; // across, zoomed in as far as it goes
+const AXIS_WIDTH = 46;
+const PLOTS = [
+  { height: 190, scales: { y: [-1.05, 1.05] }, lines: [["steering", "y", "--steering"]] },
+  {
+    height: 130,
+    scales: { pedal: [0, 1.05], mph: null },
+    lines: [["throttle", "pedal", "--throttle"], ["brake", "pedal", "--brake"], ["speed_mph", "mph", "--speed"]],
+  },
+];
+const NAMES = { steering: "steering (right is up)", throttle: "throttle", brake: "brake", speed_mph: "speed, mph" };
+
+export class Curves {
+  /** `onMove(position)`: the mouse points there; `onSelect({first, last})`: a stretch was dragged over. */
+  constructor(element, data, { onMove, onSelect }) {
+    Object.assign(this, { element, data, onMove, onSelect });
+    this.plots = [];
+    this.odd = [];
+    this.selection = null;
+    this.view = null;
+    this.position = 0;
+    new ResizeObserver(() => this.resize()).observe(element);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
+    element.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+  }
+
+  /** Draw the data that there is now; what is seen of it stays. */
+  build() {
+    for (const plot of this.plots) plot.destroy();
+    this.plots = [];
+    if (!this.data.length) return;
+    const color = this.colorReader();
+    this.colors = {
+      odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
+      exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
+    };
+    const x = Float64Array.from({ length: this.data.length }, (_, at) => at);
+    this.plots = PLOTS.map((plot) => this.makePlot(plot, x, color));
+    this.markers = this.plots.map((plot) => {
+      const marker = document.createElement("div");
+      marker.className = "now-line";
+      plot.over.append(marker);
+      return marker;
+    });
+    const view = this.view ?? { min: 0, max: this.data.length - 1 };
+    this.show(view.min, view.max);
+    this.point(this.position);
+  }
+
+  /** The colours of the style sheet as a canvas understands them: a property may hold `light-dark(...)`. */
+  colorReader() {
+    this.probe ??= this.element.appendChild(document.createElement("i"));
+    const style = getComputedStyle(this.probe);
+    return (name) => {
+      this.probe.style.color = `var(${name})`;
+      return style.color;
+    };
+  }
+
+  makePlot({ height, scales, lines }, x, color) {
+    const columns = this.data.columns;
+    const text = color("--text");
+    const grid = { stroke: color("--line"), width: 1 };
+    const axis = (more) => ({ stroke: text, grid, ticks: grid, size: AXIS_WIDTH, font: "11px system-ui", ...more });
+    const names = Object.keys(scales);
+    const values = lines.map(([name]) => Array.from(columns[name], (value) => (Number.isFinite(value) ? value : null)));
+    const plot = new uPlot(
+      {
+        width: this.element.clientWidth,
+        height,
+        legend: { show: false },
+        cursor: {
+          x: false, y: false, points: { show: false }, sync: { key: "session" },
+          drag: { x: true, y: false, setScale: false, dist: 4 },
+          bind: { dblclick: () => () => this.show(0, this.data.length - 1) },
+        },
+        scales: {
+          x: { time: false, range: (_, min, max) => [min, max] },
+          ...Object.fromEntries(
+            Object.entries(scales).map(([name, range]) => [name, { range: range ?? [0, highest(columns.speed_mph)] }]),
+          ),
+        },
+        axes: [
+          axis({ size: 24, space: 90, values: (_, splits) => splits.map((at) => this.label(at)) }),
+          axis({ scale: names[0] }),
+          axis({ scale: names[1] ?? names[0], side: 1, grid: { show: false }, show: true }),
+        ],
+        series: [{}, ...lines.map(([name, scale, variable]) => ({
+          label: NAMES[name], scale, stroke: color(variable), width: 1.5, points: { show: false }, spanGaps: false,
+        }))],
+        hooks: {
+          drawClear: [(drawn) => drawBands(drawn, this.data, this.odd, this.selection, this.colors)],
+          setCursor: [(moved) => this.moved(moved)],
+          setSelect: [(dragged) => this.selected(dragged)],
+        },
+      },
+      [x, ...values],
+      this.element,
+    );
+    const key = document.createElement("div");
+    key.className = "key";
+    for (const [name] of lines) {
+      const item = document.createElement("span");
+      item.className = name;
+      item.textContent = NAMES[name];
+      key.append(item);
+    }
+    plot.over.append(key);
+    return plot;
+  }
+
+  label(at) {
+    return Number.isInteger(at) && at >= 0 && at < this.data.length ? clock(this.data.columns.time_s[at]) : "";
+  }
+
+  moved(plot) {
+    const { left } = plot.cursor;
+    if (left < 0 || !plot.over.matches(":hover")) return; // moved by the other plot
+    this.onMove(this.clamped(Math.round(plot.posToVal(left, "x"))));
+  }
+
+  selected(plot) {
+    const { left, width } = plot.select;
+    if (!width || !plot.over.matches(":hover, :active")) {
+      if (width) plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+      return;
+    }
+    const [first, last] = [left, left + width].map((at) => this.clamped(Math.round(plot.posToVal(at, "x"))));
+    for (const each of this.plots) each.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.onSelect({ first, last });
+  }
+
+  clamped(position) {
+    return Math.max(0, Math.min(this.data.length - 1, position));
+  }
+
+  wheel(event) {
+    if (!this.plots.length) return;
+    event.preventDefault();
+    const { min, max } = this.plots[0].scales.x;
+    const sideways = event.shiftKey ? event.deltaY || event.deltaX : event.deltaX;
+    if (Math.abs(sideways) > Math.abs(event.shiftKey ? 0 : event.deltaY)) {
+      this.pan((sideways / 1000) * (max - min));
+      return;
+    }
+    const box = this.plots[0].over.getBoundingClientRect();
+    this.zoom(Math.exp(event.deltaY / 500), min + ((event.clientX - box.left) / box.width) * (max - min));
+  }
+
+  /** Show `factor` times as many rows, those around `center` in place. */
+  zoom(factor, center = this.position) {
+    if (!this.plots.length) return; // a log without rows
+    const { min, max } = this.plots[0].scales.x;
+    const size = Math.min(Math.max((max - min) * factor, LEAST_ROWS), this.data.length - 1);
+    const share = max > min ? (center - min) / (max - min) : 0.5;
+    this.show(center - share * size, center - share * size + size);
+  }
+
+  pan(rows) {
+    if (!this.plots.length) return; // a log without rows
+    const { min, max } = this.plots[0].scales.x;
+    this.show(min + rows, max + rows);
+  }
+
+  /** Show these rows, or as many at the nearer end. */
+  show(min, max) {
+    if (!this.plots.length) return; // a log without rows
+    const end = Math.max(this.data.length - 1, 1);
+    const size = Math.min(max - min, end) || 1;
+    const from = Math.max(0, Math.min(min, end - size));
+    this.view = size < end ? { min: from, max: from + size } : null; // all of it, also when it grows
+    for (const plot of this.plots) plot.setScale("x", { min: from, max: from + size });
+    this.placeMarkers();
+  }
+
+  /** Bring a stretch into view, with as much again on either side. */
+  reveal({ first, last }) {
+    if (!this.plots.length) return; // a log without rows
+    const { min, max } = this.plots[0].scales.x;
+    const length = last - first + 1;
+    if (first >= min && last <= max && length > (max - min) / 60) return;
+    const size = Math.max(length * 3, Math.min(300, this.data.length - 1));
+    const middle = (first + last) / 2;
+    this.show(middle - size / 2, middle + size / 2);
+  }
+
+  point(position) {
+    this.position = this.clamped(position);
+    this.placeMarkers();
+  }
+
+  placeMarkers() {
+    this.plots.forEach((plot, at) => {
+      const left = plot.valToPos(this.position, "x");
+      this.markers[at].style.transform = `translateX(${left}px)`;
+      this.markers[at].hidden = left < 0 || left > plot.over.clientWidth;
+    });
+  }
+
+  mark({ odd = this.odd, selection = this.selection }) {
+    this.odd = odd;
+    this.selection = selection;
+    for (const plot of this.plots) plot.redraw(false);
+  }
+
+  resize() {
+    this.plots.forEach((plot, at) => plot.setSize({ width: this.element.clientWidth, height: PLOTS[at].height }));
+    this.placeMarkers();
+  }
+}
+
+function highest(speeds) {
+  let top = 1;
+  for (const speed of speeds) if (speed > top && speed < 1000) top = speed;
+  return top * 1.05;
+}

@@ -1,0 +1,42 @@
+// What was done here, to be undone and done again. The server knows nothing of it: undoing is one more change of the
+// tags, as `bc-log tag --remove` would make it.
+
+const OPPOSITE = { add: "remove", remove: "add" };
+
+export class History {
+  constructor(data) {
+    this.data = data;
+    this.done = [];
+    this.undone = [];
+    this.commands = [];
+  }
+
+  /** Make a change; the server's answer. */
+  async make(action, name, rows) {
+    const answer = await this.data.change(action, name, rows);
+    if (answer.changed) {
+      this.done.push({ action, name, rows });
+      this.undone = [];
+      this.commands.push(answer.command);
+    }
+    return answer;
+  }
+
+  async undo() {
+    return this.move(this.done, this.undone, (action) => OPPOSITE[action]);
+  }
+
+  async redo() {
+    return this.move(this.undone, this.done, (action) => action);
+  }
+
+  async move(from, to, turned) {
+    const change = from.at(-1);
+    if (!change) return null;
+    const answer = await this.data.change(turned(change.action), change.name, change.rows);
+    from.pop(); // not before it is done: an error leaves all as it was
+    to.push(change);
+    if (answer.changed) this.commands.push(answer.command);
+    return change;
+  }
+}

@@ -1,0 +1,138 @@
+// What the page knows of its log, asked of the server again when the files change.
+
+const COLUMNS = ["row", "time_s", "steering", "throttle", "brake", "speed_mph"];
+const LOOK_EVERY_MS = 2000;
+const LOAD_SHARE = 5; // a log that is being recorded is read in full each time: that may take a fifth of the time
+
+export class Refused extends Error {}
+
+export async function ask(path, options) {
+  const answer = await fetch(path, options);
+  if (answer.ok) return answer;
+  let why = `the server answers ${answer.status}`;
+  try {
+    why = (await answer.json()).error ?? why;
+  } catch {
+    // not of the workbench
+  }
+  throw new Refused(why);
+}
+
+export class LogData extends EventTarget {
+  /** Events: `rows` (all is new), `tags`, and `problem` with its text as detail (empty: it is over). */
+  constructor(address) {
+    super();
+    this.address = address;
+    this.state = null;
+    this.columns = {};
+    this.length = 0;
+    this.tags = [];
+    this.names = [];
+    this.tagsVersion = null; // of the file, as it was when it was read
+    this.busyUntil = 0;
+  }
+
+  async load() {
+    const began = performance.now();
+    const [state, rows] = await Promise.all([
+      ask(`${this.address}/state`).then((answer) => answer.json()),
+      ask(`${this.address}/rows`).then((answer) => answer.arrayBuffer()),
+    ]);
+    const values = new Float64Array(rows);
+    const length = values.length / COLUMNS.length;
+    this.columns = Object.fromEntries(
+      COLUMNS.map((name, at) => [name, values.subarray(at * length, (at + 1) * length)]),
+    );
+    this.length = length;
+    this.state = state;
+    this.busyUntil = performance.now() + LOAD_SHARE * (performance.now() - began);
+    this.dispatchEvent(new Event("rows"));
+    await this.loadTags();
+  }
+
+  async loadTags() {
+    try {
+      const found = await (await ask(`${this.address}/tags`)).json();
+      this.tagsVersion = found.version;
+      this.names = found.names;
+      this.tags = found.tags.map(([first, last, name]) => ({
+        first: this.position(first, false),
+        last: this.position(last, true),
+        rows: [first, last],
+        name: found.names[name],
+      }));
+      this.tell(found.stale ? `${found.stale} tags beside this log are of what had its name before, and do not count` : "");
+    } catch (error) {
+      if (!(error instanceof Refused)) throw error;
+      this.tags = [];
+      this.tell(error.message);
+    }
+    this.dispatchEvent(new Event("tags"));
+  }
+
+  tell(problem) {
+    this.dispatchEvent(new CustomEvent("problem", { detail: problem || this.state?.problem || "" }));
+  }
+
+  /** Where a row is among the rows: the first that is not before it or, `isLast`, the last that is not behind it. */
+  position(row, isLast) {
+    const rows = this.columns.row;
+    let low = 0;
+    let high = this.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (isLast ? rows[middle] <= row : rows[middle] < row) low = middle + 1;
+      else high = middle;
+    }
+    return isLast ? low - 1 : low;
+  }
+
+  /** The rows of a stretch of positions. */
+  rowsOf({ first, last }) {
+    const rows = this.columns.row;
+    return [Math.min(rows[first], rows[last]), Math.max(rows[first], rows[last])];
+  }
+
+  follow() {
+    setInterval(() => this.look(), LOOK_EVERY_MS);
+  }
+
+  async look() {
+    if (document.hidden || performance.now() < this.busyUntil || this.isLooking) return;
+    this.isLooking = true;
+    try {
+      const found = await (await ask(`${this.address}/version`)).json();
+      if (found.log !== this.state.version) await this.changed(found);
+      if (found.tags !== this.tagsVersion) {
+        this.tagsVersion = found.tags; // asked for once, also where they cannot be read
+        await this.loadTags();
+      }
+    } catch (error) {
+      this.tell(error instanceof Refused ? error.message : "bc-web does not answer: it was ended, or is restarted");
+    } finally {
+      this.isLooking = false;
+    }
+  }
+
+  async changed(found) {
+    const fingerprint = this.state.fingerprint;
+    if (found.growing || this.state.problem) {
+      await this.load(); // more of the same
+      return;
+    }
+    const state = await (await ask(`${this.address}/state`)).json();
+    if (state.fingerprint === fingerprint) this.state.version = state.version; // touched, or copied
+    else this.tell("this log has been replaced by another one: reload the page to see it");
+  }
+
+  async change(action, name, rows) {
+    const answer = await ask(`${this.address}/tags`, {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify({ action, name, rows, log: this.state.fingerprint }),
+    });
+    const done = await answer.json();
+    await this.loadTags();
+    return done;
+  }
+}

@@ -1,0 +1,266 @@
+// The page of a session: what the mouse and the keys do to its curves, pictures and tags.
+
+import { say } from "../live.js";
+import { clock } from "./clock.js";
+import { Curves } from "./curves.js";
+import { History } from "./history.js";
+import { listen } from "./keys.js";
+import { listOdd, listTags } from "./lists.js";
+import { ask, LogData } from "./log_data.js";
+import { following, grouped, left, words } from "./odd.js";
+import { Pictures } from "./pictures.js";
+import { Player } from "./player.js";
+
+const EXCLUDE = "exclude";
+const by = (id) => document.getElementById(id);
+const page = by("session");
+const data = new LogData(page.dataset.log);
+const pictures = new Pictures(document.querySelectorAll("figure[data-camera]"), data);
+const curves = new Curves(by("curves"), data, { onMove: point, onSelect: select });
+const player = new Player(data, { onMove: move, onChange: showPlaying });
+const done = new History(data);
+let groups = [];
+let toDo = [];
+let selection = null;
+let queue = Promise.resolve();
+
+/** The mouse points at a moment. While it plays, it does not: the mouse lies where it was left. */
+function point(position) {
+  if (!player.isPlaying) move(position);
+}
+
+function move(position) {
+  if (!data.length) return;
+  curves.point(position);
+  pictures.show(curves.position);
+  const at = curves.position;
+  const { row, time_s, steering, throttle, brake, speed_mph } = data.columns;
+  const told = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
+  const text =
+    `row ${row[at]} · ${clock(time_s[at])} · steering ${told(steering[at])} · throttle ${told(throttle[at])}` +
+    ` · brake ${told(brake[at])} · ${told(speed_mph[at])} mph`;
+  by("now").textContent = text;
+  by("curves").setAttribute("aria-valuenow", at);
+  by("curves").setAttribute("aria-valuetext", text);
+}
+
+function select(stretch) {
+  selection = stretch;
+  curves.mark({ selection });
+  const canTag = Boolean(selection) && !data.state.problem;
+  by("exclude").disabled = by("tag").disabled = !canTag;
+  const rows = selection && data.rowsOf(selection);
+  by("selected").textContent = rows ? `rows ${rows[0]} to ${rows[1]} selected` : "";
+}
+
+/** One change after the other, so that they are written in the order in which they were asked for. */
+function change(make) {
+  queue = queue.then(async () => {
+    try {
+      await make();
+    } catch (error) {
+      say(error.message);
+    }
+    by("commands").textContent = done.commands.join("\n");
+    by("copy").hidden = !done.commands.length;
+    by("undo").disabled = !done.done.length;
+    by("redo").disabled = !done.undone.length;
+  });
+}
+
+function tag(name) {
+  if (!selection) {
+    say("select a stretch first: drag over the curves, or press j");
+    return;
+  }
+  if (data.state.problem) {
+    say(data.state.problem);
+    return;
+  }
+  const rows = data.rowsOf(selection);
+  change(async () => {
+    const answer = await done.make("add", name, rows);
+    const what = `${name}: rows ${rows[0]} to ${rows[1]}`;
+    say(answer.notice || (answer.changed ? what : `${what}, as before`));
+  });
+}
+
+function undo() {
+  change(async () => {
+    const undone = await done.undo();
+    say(undone ? `undone: ${undone.action} ${undone.name}, rows ${undone.rows.join(" to ")}` : "nothing to undo");
+  });
+}
+
+function redo() {
+  change(async () => {
+    const redone = await done.redo();
+    say(redone ? `again: ${redone.action} ${redone.name}, rows ${redone.rows.join(" to ")}` : "nothing to do again");
+  });
+}
+
+function goTo(stretch) {
+  player.pause();
+  curves.reveal(stretch);
+  select({ first: stretch.first, last: stretch.last });
+  move(stretch.first);
+}
+
+/** After what has been asked for is written: pressing x and j at once does both. */
+function goToOdd(step) {
+  queue = queue.then(() => {
+    const from = selection ?? { first: curves.position - 1, last: curves.position };
+    const found = following(toDo, step > 0 ? from.first : from.last, step);
+    if (!found) {
+      say(groups.length ? "all odd stretches are excluded" : "nothing odd in this log");
+      return;
+    }
+    goTo(found);
+    say(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are not excluded`);
+  });
+}
+
+function begin(edge) {
+  if (!data.length) return;
+  const at = curves.position;
+  if (edge === "first") select({ first: at, last: Math.max(at, selection?.last ?? at) });
+  else select({ first: Math.min(at, selection?.first ?? at), last: at });
+}
+
+function showPlaying() {
+  by("play").setAttribute("aria-pressed", player.isPlaying);
+}
+
+function setSpeed(speed) {
+  player.speed = speed;
+  by("speed").value = speed;
+}
+
+function showTags() {
+  toDo = left(groups, data.tags);
+  const undone = new Set(toDo);
+  listOdd(by("odd"), groups, data, { isLeft: (group) => undone.has(group), onPick: goTo });
+  listTags(by("tags"), data, {
+    canChange: !data.state.problem,
+    onPick: goTo,
+    onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
+  });
+  curves.mark({});
+  page.dataset.tags = data.tags.length; // what is shown now, for whoever waits for it
+}
+
+data.addEventListener("rows", () => {
+  groups = grouped(data.state.odd);
+  player.useRows();
+  pictures.useCameras();
+  by("look").hidden = data.state.looked || !data.state.cameras.length;
+  curves.odd = groups;
+  curves.build();
+  by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
+  move(curves.position);
+});
+/** Frozen and broken pictures are found by decoding all of them, which is done when somebody asks for it. */
+async function look() {
+  by("look").disabled = true;
+  try {
+    let found = await (await ask(`${data.address}/look`, { method: "POST" })).json();
+    while (!found.is_done) {
+      by("look").textContent = `looking: ${found.pictures.toLocaleString("en")} pictures`;
+      await new Promise((resolve) => setTimeout(resolve, 300));
+      found = await (await ask(`${data.address}/look`)).json();
+    }
+    if (found.problem) say(found.problem);
+    else await data.load();
+  } catch (error) {
+    say(error.message);
+  }
+  by("look").textContent = "Look for frozen and broken pictures";
+  by("look").disabled = false;
+}
+
+data.addEventListener("tags", showTags);
+data.addEventListener("problem", (event) => {
+  by("problem").textContent = event.detail;
+  by("problem").hidden = !event.detail;
+});
+
+by("play").addEventListener("click", () => player.toggle(curves.position));
+by("speed").addEventListener("change", () => setSpeed(Number(by("speed").value)));
+by("next").addEventListener("click", () => goToOdd(1));
+by("before").addEventListener("click", () => goToOdd(-1));
+by("exclude").addEventListener("click", () => tag(EXCLUDE));
+by("undo").addEventListener("click", undo);
+by("look").addEventListener("click", look);
+by("redo").addEventListener("click", redo);
+by("name-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const name = by("name").value.trim();
+  if (name) tag(name);
+  by("name").blur();
+});
+by("name").addEventListener("focus", async () => {
+  const answer = await fetch(`${data.address}/names`);
+  if (!answer.ok) return;
+  const names = await answer.json();
+  by("names").replaceChildren(...names.map((name) => Object.assign(document.createElement("option"), { value: name })));
+});
+by("copy").addEventListener("click", async () => {
+  try {
+    await navigator.clipboard.writeText(`${done.commands.join("\n")}\n`);
+    say("copied");
+  } catch {
+    getSelection().selectAllChildren(by("commands")); // no clipboard where the connection is not encrypted
+    say("selected: copy it with ctrl c");
+  }
+});
+function toggleHelp() {
+  const isHidden = (by("help").hidden = !by("help").hidden);
+  by("help-button").setAttribute("aria-expanded", !isHidden);
+}
+by("help-button").addEventListener("click", toggleHelp);
+
+const steps = (event) => (event.shiftKey ? 10 : 1);
+const stepBy = (rows) => {
+  player.pause();
+  move(curves.position + rows);
+};
+listen({
+  ArrowLeft: (event) => stepBy(-steps(event)),
+  ArrowRight: (event) => stepBy(steps(event)),
+  Home: () => stepBy(-Infinity),
+  End: () => stepBy(Infinity),
+  " ": () => player.toggle(curves.position),
+  1: () => setSpeed(1),
+  2: () => setSpeed(2),
+  3: () => setSpeed(4),
+  4: () => setSpeed(8),
+  j: () => goToOdd(1),
+  k: () => goToOdd(-1),
+  x: () => tag(EXCLUDE),
+  t: () => by("name").focus(),
+  u: undo,
+  r: redo,
+  undo,
+  redo,
+  "[": () => begin("first"),
+  "]": () => begin("last"),
+  Escape: () => select(null),
+  "+": () => curves.zoom(0.5),
+  "-": () => curves.zoom(2),
+  0: () => curves.show(0, data.length - 1),
+  "?": toggleHelp,
+});
+
+try {
+  await data.load();
+  const asked = new URLSearchParams(location.hash.slice(1)).get("row");
+  if (asked !== null && data.length) {
+    const at = data.position(Number(asked), false);
+    move(at);
+    curves.reveal({ first: curves.position, last: curves.position });
+  }
+  data.follow();
+} catch (error) {
+  data.tell(error.message);
+}
+page.dataset.ready = "true";

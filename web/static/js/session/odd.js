@@ -1,0 +1,42 @@
+// Odd stretches to go through: those that touch or overlap are one, with all its flags.
+
+export function grouped(stretches) {
+  const groups = [];
+  for (const [flag, first, last] of stretches) {
+    const before = groups.at(-1);
+    if (before && first <= before.last + 1) {
+      before.last = Math.max(before.last, last);
+      before.flags.add(flag);
+    } else {
+      groups.push({ first, last, flags: new Set([flag]) });
+    }
+  }
+  return groups;
+}
+
+/** Those of which some row is not excluded. */
+export function left(groups, tags) {
+  const excluded = tags.filter((tag) => tag.name === "exclude");
+  let at = 0;
+  const found = [];
+  for (const group of groups) {
+    while (at < excluded.length && excluded[at].last < group.first) at += 1;
+    let reached = group.first;
+    for (let each = at; each < excluded.length && excluded[each].first <= reached; each += 1) {
+      reached = Math.max(reached, excluded[each].last + 1);
+    }
+    if (reached <= group.last) found.push(group);
+  }
+  return found;
+}
+
+/** The next one behind a position, or the one before it (`step` -1); from the other end, where there is none. */
+export function following(groups, position, step) {
+  if (!groups.length) return null;
+  if (step > 0) return groups.find((group) => group.first > position) ?? groups[0];
+  return groups.findLast((group) => group.last < position) ?? groups.at(-1);
+}
+
+export function words(group) {
+  return [...group.flags].map((flag) => flag.replaceAll("_", " ")).join(", ");
+}

@@ -1,0 +1,46 @@
+// The cameras' pictures at a moment. While the mouse moves, each camera loads one picture at a time, and then the
+// newest that is wanted: what was wanted meanwhile is never asked for.
+
+export class Pictures {
+  constructor(figures, data) {
+    this.data = data;
+    this.cameras = [...figures].map((figure) => ({
+      figure,
+      name: figure.dataset.camera,
+      image: figure.querySelector("img"),
+      wanted: "",
+      isLoading: false,
+    }));
+  }
+
+  useCameras() {
+    for (const camera of this.cameras) camera.figure.hidden = !this.data.state.cameras.includes(camera.name);
+  }
+
+  show(position) {
+    const row = this.data.columns.row[position];
+    for (const camera of this.cameras) {
+      if (camera.figure.hidden) continue;
+      camera.wanted = `${this.data.address}/pictures/${camera.name}/${row}?v=${this.data.state.version}`;
+      if (!camera.isLoading) load(camera, row);
+    }
+  }
+}
+
+async function load(camera) {
+  camera.isLoading = true;
+  while (camera.wanted) {
+    const address = camera.wanted;
+    camera.wanted = "";
+    if (camera.image.getAttribute("src") === address) continue;
+    camera.image.src = address;
+    try {
+      await camera.image.decode();
+      camera.figure.classList.remove("missing");
+    } catch {
+      camera.figure.classList.add("missing"); // none at this row, or one that does not decode
+    }
+    camera.figure.dataset.shown = address;
+  }
+  camera.isLoading = false;
+}
