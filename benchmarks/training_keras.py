@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import keras  # type: ignore[import-not-found]
 import numpy as np
-import tensorflow as tf  # type: ignore[import-not-found]
+import tensorflow as tf  # type: ignore[import-untyped]
 from keras import layers
 
 PARAMETERS = 5_022_327
