@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -16,10 +16,11 @@ import rerun.blueprint as rrb
 
 from common import UserError
 from common.locks import is_being_written
-from dataset import MAX_STEERING_DEG
-from model.metrics import Errors
+from dataset.prediction_targets import TARGETS, TargetName
+from model.metrics import Errors, Measures
 from model.runs.history import History, HistoryReader, read_history
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
+from model.target_metrics import TargetErrors
 from viz.console import print_error, print_notice, print_skipped
 from viz.playback.blueprint import BLUE, GREEN, GREY, ORANGE
 from viz.playback.rerun_recording import PreparedRecording
@@ -45,16 +46,21 @@ class _Line:
     value: Callable[[Epoch], float]
 
 
-def _squared(errors: Errors) -> float:
+def _squared(errors: Errors, of: Measures) -> float:
     """The mean squared error of steering (-1..1) for a root in degrees."""
-    return (errors.rmse_deg / MAX_STEERING_DEG) ** 2
+    return (errors.rmse_deg / of.max_deg) ** 2
 
 
 _LINES: Final = (
     _Line("/loss/training", "training", BLUE, lambda epoch: epoch.training_loss),
     _Line("/loss/validation", "validation", ORANGE, lambda epoch: epoch.validation_loss),
-    _Line("/loss/mean", "always the mean", GREY, lambda epoch: _squared(epoch.measures.mean)),
-    _Line("/loss/zero", "always zero", _DARK_GREY, lambda epoch: _squared(epoch.measures.zero)),
+    _Line("/loss/mean", "always the mean", GREY, lambda epoch: _squared(epoch.measures.mean, epoch.measures)),
+    _Line(
+        "/loss/zero",
+        "always zero",
+        _DARK_GREY,
+        lambda epoch: _squared(epoch.measures.zero, epoch.measures),
+    ),
     _Line("/rmse_deg/network", "network", ORANGE, lambda epoch: epoch.measures.network.rmse_deg),
     _Line("/rmse_deg/balanced", "balanced", GREEN, lambda epoch: epoch.measures.balanced_rmse_deg),
     _Line("/rmse_deg/mean", "always the mean", GREY, lambda epoch: epoch.measures.mean.rmse_deg),
@@ -63,6 +69,31 @@ _LINES: Final = (
     _Line("/turning_mae_deg/mean", "always the mean", GREY, lambda epoch: epoch.measures.mean.turning_mae_deg),
     _Line("/turning_mae_deg/zero", "always zero", _DARK_GREY, lambda epoch: epoch.measures.zero.turning_mae_deg),
 )
+
+
+def _target_lines(target: TargetName, number: int) -> tuple[_Line, ...]:
+    """The lines of a target besides steering, which an epoch has at this place among them."""
+
+    def of(epoch: Epoch) -> TargetErrors | None:
+        return epoch.targets[number] if number < len(epoch.targets) else None
+
+    def network(epoch: Epoch) -> float:
+        return math.nan if (found := of(epoch)) is None else found.rmse
+
+    def mean(epoch: Epoch) -> float:
+        return math.nan if (found := of(epoch)) is None else found.mean_rmse
+
+    return (
+        _Line(f"/{target}_rmse/network", "network", ORANGE, network),
+        _Line(f"/{target}_rmse/mean", "always the mean", GREY, mean),
+    )
+
+
+def _with_unit(target: TargetName) -> str:
+    unit = TARGETS[target].unit
+    return f"{target}, {unit}" if unit else target
+
+
 _STEPS: Final = "/loss/steps"
 _BEST: Final = "/rmse_deg/best"
 
@@ -117,12 +148,14 @@ def follow_training(run: Path, url: str, viewer: Viewer | None) -> int:
     return feed_viewer(_TrainingFeed(run, url), viewer)
 
 
-def training_layout(*, has_errors: bool) -> rrb.Blueprint:
-    """The layout for a training; where nothing was held out, there is no view for errors."""
+def training_layout(*, has_errors: bool, targets: Sequence[TargetName] = ()) -> rrb.Blueprint:
+    """The layout for a training, with a view for each of `targets` besides steering; where nothing was held out,
+    there is no view for errors."""
     loss = _plot("/loss", "loss: mean squared error of steering -1 .. 1")
     errors = (
         _plot("/rmse_deg", "frames held out: RMSE, degrees"),
         _plot("/turning_mae_deg", "turning frames held out: MAE, degrees"),
+        *(_plot(f"/{name}_rmse", f"frames held out: RMSE of {_with_unit(name)}") for name in targets),
     )
     bins = (
         rrb.BarChartView(origin="/bins/rmse_deg", name="RMSE in degrees by steering, -1 left .. 1 right"),
@@ -143,16 +176,21 @@ class TrainingSender:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
-        self._has_errors: bool | None = None  # as laid out; None: not yet
+        self._laid_out: tuple[bool, tuple[TargetName, ...]] | None = None  # has errors, of which other targets
+        self._lines: tuple[_Line, ...] = _LINES
         self._has_epochs = False
         self._ends: dict[int, int] = {}  # of each epoch, in samples
 
     def send(self, history: History) -> None:
         """Send the new part of a training; the steps of its epochs come with them, or came before."""
         has_errors = not history.epochs or any(epoch.measures.bins for epoch in history.epochs)
+        targets = tuple(of.target for epoch in history.epochs[:1] for of in epoch.targets)
         # The first epoch decides; a later one must not change a layout that somebody has arranged meanwhile.
-        if self._has_errors is None or (not self._has_epochs and has_errors != self._has_errors):
-            self._prepare(has_errors=has_errors)
+        if self._laid_out is None or (not self._has_epochs and (has_errors, targets) != self._laid_out):
+            self._lines = _LINES
+            for number, target in enumerate(targets):
+                self._lines += _target_lines(target, number)
+            self._prepare(has_errors, targets)
         self._has_epochs = self._has_epochs or bool(history.epochs)
         self._send_steps(history.steps)
         self._ends.update((step.epoch, step.samples) for step in history.steps)
@@ -163,16 +201,16 @@ class TrainingSender:
                 self._recording, worst, [(SAMPLES, self._ends.get(worst.epoch, worst.epoch)), (EPOCH, worst.epoch)]
             )
 
-    def _prepare(self, *, has_errors: bool) -> None:
-        self._has_errors = has_errors
-        for line in _LINES:
+    def _prepare(self, has_errors: bool, targets: tuple[TargetName, ...]) -> None:
+        self._laid_out = has_errors, targets
+        for line in self._lines:
             style = rr.SeriesLines(names=line.name, colors=[line.color], widths=1.5)
             self._recording.log(line.entity, style, static=True)
         steps = rr.SeriesLines(names="training, last batches", colors=[(*BLUE, 110)], widths=1.0)
         self._recording.log(_STEPS, steps, static=True)
         best = rr.SeriesPoints(names="best so far", colors=[GREEN], markers="circle", marker_sizes=4.0)
         self._recording.log(_BEST, best, static=True)
-        self._recording.send_blueprint(training_layout(has_errors=has_errors))
+        self._recording.send_blueprint(training_layout(has_errors=has_errors, targets=targets))
 
     def _send_steps(self, steps: Iterable[Step]) -> None:
         found = [(step.samples, step.training_loss) for step in steps if math.isfinite(step.training_loss)]
@@ -184,7 +222,7 @@ class TrainingSender:
     def _send_epochs(self, epochs: Iterable[Epoch], samples: Iterable[int]) -> None:
         placed = list(zip(samples, epochs, strict=True))
         best = _Line(_BEST, "", GREEN, lambda epoch: epoch.measures.balanced_rmse_deg)
-        for line in _LINES:
+        for line in self._lines:
             self._send_line(line, placed)
         self._send_line(best, [(at, epoch) for at, epoch in placed if epoch.is_best])
         for at, epoch in placed:

@@ -14,6 +14,7 @@ from starlette.types import ASGIApp
 
 from web.data.cache_folder import CacheFolder
 from web.data.open_logs import OpenLogs
+from web.data.picture_checks import PictureChecks
 from web.data.project_folders import PLACES, ProjectFolders
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
@@ -35,7 +36,8 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
     pool.submit(kept.tidy)
     cards = SessionCards(folders, kept, pool)
     cards.cards("sessions", 0)  # before anybody asks: reading begins
-    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool))
+    checks = PictureChecks(folders.index, kept)
+    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool), checks)
     routes = [
         *session_list_routes(bench),
         *change_routes(bench),
@@ -46,4 +48,5 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         yield RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), host, token)
     finally:
         pool.shutdown(cancel_futures=True)
+        checks.close()
         logs.close()

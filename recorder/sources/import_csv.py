@@ -16,6 +16,7 @@ from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.csv_columns import CsvColumns, CsvRow
 from recorder.sources.frame_rate import check_rate, describe_clock
@@ -45,13 +46,14 @@ def import_csv(
     *,
     rate_hz: float | None = None,
     steering_scale: float = 1.0,
+    car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write a folder of pictures and its csv to `log`; its pictures byte for byte, its rows in their order.
 
     `source` is a csv, or a folder that has one. `columns` say what is where: `image=frame`, `steering=angle`; also
     `left`, `right`, `throttle`, `brake`, `speed_mph`, and `time_s` or another unit. Without times `rate_hz` is
-    needed: rows are then so many a second, those that are left out too, from 1970 on.
+    needed: rows are then so many a second, those that are left out too, from 1970 on. `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)
@@ -78,7 +80,7 @@ def import_csv(
         **({} if rate_hz is None else {"start": "1970, because the recording does not tell it"}),
     }
     count = pictures = 0
-    with LogWriter(log, metadata, overwrite=overwrite) as writer:
+    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
         for row in itertools.chain([first], rows):
             events.at(writer, row.time_ns)
             for camera, picture in row.pictures.items():

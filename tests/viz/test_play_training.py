@@ -96,6 +96,18 @@ def test_the_best_epochs_so_far_are_marked(tmp_path: Path) -> None:
     assert [at for at, _ in points(tmp_path / "first.rrd", "/rmse_deg/best")] == ends(2)
 
 
+def test_a_target_besides_steering_has_a_view_of_its_own(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 0)
+    speed = {"target": "speed", "frames": 90, "mae": 1.0, "bias": 0.1, "correlation": 0.9, "mean_rmse": 6.0}
+    for epoch in (1, 2):
+        write_lines(run / "steps.jsonl", step_lines(epoch))
+        write_lines(run / "metrics.jsonl", [epoch_line(epoch, targets=[{**speed, "rmse": 4.0 / epoch}])])
+    assert call(main, run, "--save", tmp_path / "first.rrd") == 0
+    assert "frames held out: RMSE of speed, mph" in view_names(tmp_path / "first.rrd")
+    assert points(tmp_path / "first.rrd", "/speed_rmse/network") == list(zip(ends(2), [4.0, 2.0], strict=True))
+    assert points(tmp_path / "first.rrd", "/speed_rmse/mean") == list(zip(ends(2), [6.0, 6.0], strict=True))
+
+
 def test_the_layout_has_views_of_errors_where_something_was_held_out(tmp_path: Path) -> None:
     assert call(main, write_run(tmp_path / "a", 1), "--save", tmp_path / "a.rrd") == 0
     assert call(main, write_run(tmp_path / "b", 1, frames=0), "--save", tmp_path / "b.rrd") == 0
