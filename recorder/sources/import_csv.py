@@ -53,7 +53,7 @@ def import_csv(
 
     `source` is a csv, or a folder that has one. `columns` say what is where: `image=frame`, `steering=angle`; also
     `left`, `right`, `throttle`, `brake`, `speed_mph`, and `time_s` or another unit. Without times `rate_hz` is
-    needed: rows are then so many a second, those that are left out too, from 1970 on. `car` is the one that was recorded.
+    needed: rows are then so many a second, those that are left out too, from 1970 on. `car` is what was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)
