@@ -29,8 +29,8 @@ class WorkbenchServer:
         except ListenError as error:
             reason = str(error).partition("; end the bc-drive")[0]
             raise UserError(f"{reason}; give another --port, or end the bc-web that is running there") from None
-        # asyncio does so itself only where a socket was made with the protocol's number; else each answer, whose head
-        # and body are two writes, waits 40 ms for the delayed acknowledgement. Connections inherit it.
+        # asyncio does so itself only where a socket was made with the protocol's number; else each answer, whose
+        # head and body are two writes, waits 40 ms for the delayed acknowledgement. Connections inherit it.
         send_at_once(self._socket)
         self.port: int = self._socket.getsockname()[1]
         self._server = uvicorn.Server(
