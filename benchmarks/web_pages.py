@@ -26,7 +26,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-import psutil
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from common.car import CAMERAS
