@@ -132,7 +132,7 @@ def first_views(browser: Browser, folder: Path, sessions: int) -> None:
         with workbench(folder) as server:
             page = browser.new_page(viewport={"width": 1280, "height": 800})
             started_s = time.perf_counter()
-            page.goto(f"http://127.0.0.1:{PORT}/sessions")
+            page.goto(f"http://127.0.0.1:{PORT}/sessions", timeout=300_000)
             seen_s = time.perf_counter() - started_s
             page.wait_for_selector(".session:last-child .steered img", state="attached", timeout=300_000)
             while "being read" in page.inner_text(".count"):
