@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from web.data.cache_folder import CacheFolder
 from web.data.open_logs import OpenLogs
 from web.data.project_folders import ProjectFolders
+from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 
@@ -20,3 +21,4 @@ class Workbench:
     logs: OpenLogs
     cards: SessionCards
     searches: WhereSearches
+    runs: RunCards
