@@ -14,6 +14,7 @@ from starlette.types import ASGIApp
 
 from web.data.cache_folder import CacheFolder
 from web.data.open_logs import OpenLogs
+from web.data.picture_checks import PictureChecks
 from web.data.project_folders import PLACES, ProjectFolders
 from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
@@ -33,13 +34,14 @@ from web.server.request_guard import RequestGuard
 def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterator[ASGIApp]:
     """The app, until the context is left."""
     pool = ThreadPoolExecutor(1, "reading logs")
-    slow = ThreadPoolExecutor(1, "reading runs")  # the first one loads PyTorch
     logs = OpenLogs()
     kept = CacheFolder(cache)
     pool.submit(kept.tidy)
     cards = SessionCards(folders, kept, pool)
     cards.cards("sessions", 0)  # before anybody asks: reading begins
-    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool), RunCards(folders, slow))
+    checks = PictureChecks(folders.index, kept)
+    runs = RunCards(folders)
+    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool), checks, runs)
     routes = [
         *session_list_routes(bench),
         *change_routes(bench),
@@ -52,5 +54,6 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         yield RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), host, token)
     finally:
         pool.shutdown(cancel_futures=True)
-        slow.shutdown(cancel_futures=True)
+        runs.close()
+        checks.close()
         logs.close()

@@ -30,6 +30,7 @@ from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
 from model.runs.answer_scale import AnswerScale
+from model.runs.car_of_run import refuse_other_steering
 from model.runs.run_files import without_nan
 from model.runs.run_folder import (
     load_answer_scale,
@@ -197,6 +198,8 @@ def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | 
 
 def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Evaluation]:
     configs = [load_config(run) for run in runs]
+    for run in runs:
+        refuse_other_steering(run, samples.max_steering_deg, str(samples.path))
     loaders: list[Loader] = []
 
     def batches(picture: PictureSpec) -> Iterable[tuple[NDArray[np.int64], Image]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal, get_args
 
@@ -29,6 +29,7 @@ class ProjectFolders:
     index: Path = Path("index")
     runs: Path = Path("runs")
     drives: Path = Path("drives")
+    _found: dict[tuple[Place, str], Path] = field(default_factory=dict, init=False, repr=False)  # by a listing
 
     def logs(self, place: Place) -> dict[str, Path]:
         """The logs of a folder by the key that they have in addresses; {} where there is no such folder."""
@@ -36,10 +37,14 @@ class ProjectFolders:
 
     def log(self, place: Place, key: str) -> Path:
         """Raises WebError if no log of that key is there (any more)."""
+        path = self._found.get((place, key))
+        if path is not None and path.is_file():  # a folder of a thousand logs is not listed for each picture
+            return path
         path = self.logs(place).get(key)
         if path is None:
             folder = getattr(self, place)
             raise WebError(f"{folder}: no log {key!r} in it; it may have been deleted, renamed or moved", 404)
+        self._found[place, key] = path
         return path
 
     def run_folders(self) -> dict[str, Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from concurrent.futures import Executor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -54,11 +54,15 @@ class RunCard:
 class RunCards:
     """The cards of all runs, and the histories of those that are looked at."""
 
-    def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
+    def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
-        self._summaries = Background(pool, _summary)
+        self._pool = ThreadPoolExecutor(1, "reading runs")  # not that of logs: the first run loads PyTorch
+        self._summaries = Background(self._pool, _summary)
         self._lock = threading.Lock()
         self._histories: dict[Path, tuple[str, History]] = {}
+
+    def close(self) -> None:
+        self._pool.shutdown(cancel_futures=True)
 
     @property
     def done(self) -> int:
