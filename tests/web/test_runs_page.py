@@ -70,9 +70,8 @@ def plain(page: str) -> str:
 
 
 def key_of(bench: Served, name: str) -> str:
-    return next(
-        key for key in re.findall(r'href="/runs/([^"]+)"', bench.get("/runs").text) if name in page(bench, key)
-    )
+    keys: list[str] = re.findall(r'href="/runs/([^"]+)"', bench.get("/runs").text)
+    return next(key for key in keys if name in page(bench, key))
 
 
 def page(bench: Served, key: str) -> str:
