@@ -28,7 +28,7 @@ MOST_CHOSEN: Final = 8
 
 
 @dataclass(frozen=True)
-class Asked:
+class AskedRuns:
     """What the form above the list asks for."""
 
     text: str
@@ -36,7 +36,7 @@ class Asked:
     chosen: tuple[str, ...]  # keys of runs
 
     @classmethod
-    def of(cls, query: QueryParams) -> Asked:
+    def of(cls, query: QueryParams) -> AskedRuns:
         """What makes no sense is as if it were not there."""
         sort = query.get("sort", "newest")
         chosen = tuple(dict.fromkeys(query.getlist("run")))[:MOST_CHOSEN]
@@ -46,21 +46,21 @@ class Asked:
 def run_list_routes(bench: Workbench) -> list[Route]:
     def page(request: Request) -> Response:
         live = runs_version(bench)  # before the runs are read
-        asked = Asked.of(request.query_params)
+        asked = AskedRuns.of(request.query_params)
         return HTMLResponse(
             render("runs.html", asked=asked, live=live, sorts=list(SORTED_BY), **_list(asked), **_differing(asked))
         )
 
     def rows(request: Request) -> Response:
-        return HTMLResponse(render("run_rows.html", **_list(Asked.of(request.query_params))))
+        return HTMLResponse(render("run_rows.html", **_list(AskedRuns.of(request.query_params))))
 
     def differences(request: Request) -> Response:
-        return HTMLResponse(render("run_differences.html", **_differing(Asked.of(request.query_params))))
+        return HTMLResponse(render("run_differences.html", **_differing(AskedRuns.of(request.query_params))))
 
     def curves(request: Request) -> Response:
         """Of each chosen run, its lines; or why it has none."""
         found = []
-        for key, path in _chosen(Asked.of(request.query_params)):
+        for key, path in _chosen(AskedRuns.of(request.query_params)):
             told: dict[str, Any] = {"key": key, "name": printable(path.name), "lines": {}, "problem": ""}
             try:
                 told["lines"] = run_curves(bench.runs.history(path))
@@ -69,7 +69,7 @@ def run_list_routes(bench: Workbench) -> list[Route]:
             found.append(told)
         return JSONResponse(found)
 
-    def _list(asked: Asked) -> dict[str, Any]:
+    def _list(asked: AskedRuns) -> dict[str, Any]:
         folder = bench.folders.runs
         cards = bench.runs.cards(PATIENCE_S)
         return {
@@ -80,11 +80,11 @@ def run_list_routes(bench: Workbench) -> list[Route]:
             "folder": printable(str(folder)),
         }
 
-    def _chosen(asked: Asked) -> list[tuple[str, Any]]:
+    def _chosen(asked: AskedRuns) -> list[tuple[str, Any]]:
         there = bench.folders.run_folders()
         return [(key, there[key]) for key in asked.chosen if key in there]
 
-    def _differing(asked: Asked) -> dict[str, Any]:
+    def _differing(asked: AskedRuns) -> dict[str, Any]:
         names, settings, problems = [], [], []
         for _, path in _chosen(asked):
             try:
