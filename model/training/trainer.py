@@ -71,13 +71,15 @@ def train(
     listeners: Sequence[Listener] = (),
     *,
     init: Path | str | None = None,
+    like: Path | str | None = None,
     resume: bool = False,
     show_progress: bool = True,
     figures: bool = True,
 ) -> Trained:
     """Train a network on `index` and keep it in the new folder `run`.
 
-    `init` is a run whose weights it starts from. `resume` goes on with the run where it was stopped, or killed;
+    `init` is a run whose weights it starts from, `like` one whose arithmetic it has, and as many pictures at once,
+    where `config` leaves that open. `resume` goes on with the run where it was stopped, or killed;
     the weights are then those of a run that never was, on the same processor with as many threads. One that was
     killed before anything of it was saved begins again from its seed.
     `figures` draws its curves, for which matplotlib is needed.
@@ -95,7 +97,8 @@ def train(
     else:
         refuse_existing_run(run)
     config = config or TrainConfig()
-    machine = choose_machine(config, local_rank_of_process())
+    before = stored if resume or like is None else load_config(Path(like))
+    machine = choose_machine(config, local_rank_of_process(), before.get("machine"))
     network = choice_of(stored, run) if resume else choose_network(config)
     picture = picture_of_run(run) if resume else chosen_picture(config, network)
     parameters = network.try_out(picture, machine.device)
