@@ -181,7 +181,7 @@ def _measure(config: Eval) -> int:
     (run,) = _found_runs(config, config.run)
     what, (found,) = _evaluations(config, [run])
     _keep(run, "frames", {**what, **found.as_dict()})
-    worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
+    worst = worst_frames(found.frames, 10 if config.worst is None else config.worst, found.max_deg)
     if config.json:
         print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
     else:

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
@@ -182,7 +183,7 @@ def told_car(log: Log) -> Car | None:
 
     Raises LogError for settings that no car has.
     """
-    cars = [_told(log, session) for session in _sessions(log)]
+    cars = [car_in(session, log.path) for session in _sessions(log)]
     return cars[0] if cars and all(car == cars[0] for car in cars) else None
 
 
@@ -191,7 +192,7 @@ def max_steering_deg_of(log: Log) -> float:
 
     Raises LogError for a merged log whose sessions differ in it, and for settings that no car has.
     """
-    cars = (_told(log, session) or UDACITY for session in _sessions(log))
+    cars = (car_in(session, log.path) or UDACITY for session in _sessions(log))
     found = {car.max_steering_deg for car in cars} or {MAX_STEERING_DEG}
     if len(found) > 1:
         degrees = " and ".join(f"{each:g}" for each in sorted(found))
@@ -207,7 +208,7 @@ def car_of(log: Log, car: str = "auto") -> Car:
     if car != "auto":
         return named_car(car)
     has_poses = bool(log.counts.get(topics.POSE))
-    cars = [_told(log, session) or _implied(session, has_poses) for session in _sessions(log)]
+    cars = [car_in(session, log.path) or _implied(session, has_poses) for session in _sessions(log)]
     if not cars or cars[0] is None or any(each != cars[0] for each in cars):
         raise RecordingError(
             f"{log.path}: nothing in it tells where its cameras stand; that is known of Udacity's simulator, of"
@@ -229,14 +230,18 @@ def _is_merged(session: Mapping[str, str]) -> bool:
     return session.get("source") == "merged"
 
 
-def _told(log: Log, session: Mapping[str, str]) -> Car | None:
+def car_in(session: Mapping[str, str], where: Path) -> Car | None:
+    """The car that the metadata of a session, in the log at `where`, tells; None where they tell none.
+
+    Raises LogError for settings that no car has.
+    """
     if CAR_KEY not in session:
         return None
     try:
         return settings_from(Car, json.loads(session[CAR_KEY]))
     except (ValueError, RecursionError) as error:
         why = printable(" ".join(str(error).split()))
-        raise LogError(f"{log.path}: what it tells of its car cannot be used ({why})") from None
+        raise LogError(f"{where}: what it tells of its car cannot be used ({why})") from None
 
 
 def _implied(session: Mapping[str, str], has_poses: bool) -> Car | None:

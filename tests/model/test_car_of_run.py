@@ -6,6 +6,8 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from dataset.cli import main as bc_index
@@ -15,7 +17,8 @@ from driving import one_line_in, road_jpeg
 from logs import START_NS
 from model.cli import main as bc_train
 from model.runs.car_of_run import max_steering_deg_of_run
-from recorder import LogWriter
+from model.runs.history import read_history
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.session_car import Car, metadata_of
 from udacity import call
@@ -61,8 +64,17 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(
     assert config["data"]["logs"]["own"]["car"]["wheelbase_m"] == 2.4
 
     capsys.readouterr()
-    assert call(bc_eval, "own", "--index", "index-own") == 0
-    capsys.readouterr()
+    assert call(bc_eval, "own", "--index", "index-own", "--split", "train", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    with Log("sessions/own.mcap") as log:
+        spread_deg = json.loads(log.read_metadata("bc.quality")["steering"])["spread_deg"]
+    assert spread_deg == pytest.approx(30 * np.std([math.sin(row / 5) for row in range(ROWS)]))
+    samples = pq.read_table("index-own/samples.parquet").to_pylist()
+    driven = [row["recorded"] for row in samples if row["split"] == "train" and not row["flip"]]
+    assert told["zero"]["rmse_deg"] == pytest.approx(30 * np.sqrt(np.mean(np.square(driven))))
+    (epoch,) = read_history(Path("runs/own"))[0].epochs
+    assert epoch.measures.max_deg == 30
+    assert epoch.validation_loss == pytest.approx((epoch.measures.network.rmse_deg / 30) ** 2)
     for line in (
         (bc_eval, "own", "--index", "index-plain"),
         (bc_eval, "own", "--on", "plain"),
