@@ -101,7 +101,8 @@ class Pilot:
     def _answers(self, crop: Image) -> NDArray[np.float32]:
         """(K,) in the units that were learnt."""
         seen = np.ascontiguousarray(in_channels(crop, self.picture))
-        return self._network(as_input(seen[None])).flatten().float().numpy()
+        answers: NDArray[np.float32] = self._network(as_input(seen[None])).flatten().float().numpy()
+        return answers
 
     def predict(self, crop: Image) -> float:
         """The steering of `answer`."""

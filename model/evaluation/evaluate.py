@@ -6,7 +6,7 @@ bc-eval RUN
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -216,19 +216,23 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
     sessions = by_session(frames.filter(pa.array(is_decoded)))
     unmeasured = [_unmeasured(run, samples) for run in runs]
     notices = tuple(dict.fromkeys(notice for of_run in unmeasured for notice in of_run.values()))
+    labels = [
+        {name: samples.target_labels(seen, name) for name in targets_of_run(run)[1:] if name not in left_out}
+        for run, left_out in zip(runs, unmeasured, strict=True)
+    ]
     return [
         Evaluation(
             run,
-            _with_answers(frames, seen, samples, predicted, targets_of_run(run)).filter(pa.array(is_decoded)),
+            _with_answers(frames, recorded, predicted, targets_of_run(run)).filter(pa.array(is_decoded)),
             {session: log.path.resolve() for session, log in samples.logs.items()},
             {session: log.time_range_ns[0] for session, log in samples.logs.items()},
             count_trained_on(sessions, samples, config),
             skipped,
             notices,
             answers=load_answer_scale(run),
-            targets=tuple(name for name in targets_of_run(run) if name not in left_out),
+            targets=(*STEERING_ONLY, *recorded),
         )
-        for run, predicted, config, left_out in zip(runs, answers, configs, unmeasured, strict=True)
+        for run, predicted, config, recorded in zip(runs, answers, configs, labels, strict=True)
     ]
 
 
@@ -251,19 +255,17 @@ def _unmeasured(run: Path, samples: Samples) -> dict[TargetName, str]:
 
 def _with_answers(
     frames: pa.Table,
-    seen: pa.Table,
-    samples: Samples,
+    recorded: Mapping[TargetName, NDArray[np.float64]],
     answers: NDArray[np.float64],
     targets: Sequence[TargetName],
 ) -> pa.Table:
-    """The frames, with what a network answers to each (N,) or (N, K), and what was recorded of it."""
+    """The frames, with what a network answers to each of `targets`, (N,) or (N, K), and what was `recorded` of
+    those besides steering that are to be measured, (N,) each."""
     frames = frames.append_column("predicted", pa.array(steering_in(answers)))
-    for at, name in enumerate(targets[1:], 1):
-        predicted, recorded = target_columns(name)
-        frames = frames.append_column(predicted, pa.array(answers[:, at] * TARGETS[name].per_unit))
-        if samples.missing([name]):
-            continue
-        frames = frames.append_column(recorded, pa.array(samples.target_labels(seen, name)))
+    for name, labels in recorded.items():
+        of_answers, of_labels = target_columns(name)
+        answered = answers[:, targets.index(name)] * TARGETS[name].per_unit
+        frames = frames.append_column(of_answers, pa.array(answered)).append_column(of_labels, pa.array(labels))
     return frames
 
 
