@@ -282,7 +282,7 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
     alone = replace(QUICK, targets=("steering",), epochs=1)
     build_index([folder / "drive.mcap"], tmp_path / "late", replace(SETTINGS, speed_ahead_s=2.0))
     train(tmp_path / "late", tmp_path / "alone", alone, figures=False)
-    (by_itself,) = evaluate_sessions(tmp_path / "half", [folder / "drive.mcap"])
+    by_itself = evaluate_sessions(tmp_path / "half", [folder / "drive.mcap"])
     runs = [tmp_path / "alone", tmp_path / "half", folder / "run"]
     _, second, third = evaluate_runs_on_sessions(runs, [folder / "drive.mcap"])
     assert second.other_targets == by_itself.other_targets
