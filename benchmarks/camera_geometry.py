@@ -1,4 +1,4 @@
-"""The geometry of a log's cameras and car, measured in its own pictures: what `recorder/log/car_geometry.py` says.
+"""The geometry of a log's cameras and car, measured in its own pictures: what `recorder/log/session_car.py` says.
 
 python benchmarks/camera_geometry.py sessions/*.mcap
 
@@ -28,8 +28,8 @@ from common.car import CAMERAS, MPS_PER_MPH, Camera
 from dataset.preprocess import Image, decode
 from dataset.viewpoint import Viewpoint
 from recorder import Log
-from recorder.log.car_geometry import CarGeometry, geometry_of
 from recorder.log.row_quality import States
+from recorder.log.session_car import Car, car_of
 
 FAR: Final = slice(28, 57)  # rows above the horizon
 NEAR: Final = slice(78, 128), slice(50, 270)  # rows and columns of the road
@@ -47,7 +47,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     for path in parser.parse_args().logs:
         with Log(path) as log:
-            geometry, states = geometry_of(log), States.of(log.vehicle())
+            geometry, states = car_of(log), States.of(log.vehicle())
             horizon_px, spacing = side_cameras(log, geometry, states)
             focal_px, turns = far_field(log, states, geometry.focal * 160)
             wheelbase_m, lag_s = wheelbase(states, turns)
@@ -55,7 +55,7 @@ def main() -> None:
         print(f"| {path.stem} | {found} | {wheelbase_m:.2f} | {lag_s:.2f} |", flush=True)
 
 
-def side_cameras(log: Log, geometry: CarGeometry, states: States) -> tuple[float, float]:
+def side_cameras(log: Log, geometry: Car, states: States) -> tuple[float, float]:
     moving = states.row[states.speed_mph > 5]
     rows = moving[np.linspace(0, len(moving) - 1, 24).astype(int)].tolist()
     moments = [[decode(log.picture(row, camera)) for camera in CAMERAS] for row in rows]
@@ -144,7 +144,7 @@ def wheelbase(states: States, turns: Floats) -> tuple[float, float]:
     return best[1], best[2]
 
 
-def height(log: Log, geometry: CarGeometry, states: States) -> float:
+def height(log: Log, geometry: Car, states: States) -> float:
     """The median over pairs of rows: the car's rear axle moves ahead, and nothing turns."""
     time_s, straight = states.time_ns / 1e9, np.abs(states.steering) < 0.06
     step_s = np.diff(time_s)
@@ -163,7 +163,7 @@ def height(log: Log, geometry: CarGeometry, states: States) -> float:
     return float(np.median(found))
 
 
-def ahead(picture: NDArray[np.float32], way_m: float, geometry: CarGeometry) -> NDArray[np.float32]:
+def ahead(picture: NDArray[np.float32], way_m: float, geometry: Car) -> NDArray[np.float32]:
     """The road as it is seen `way_m` farther on: where each pixel's line of sight meets it, seen from before."""
     focal_px = geometry.focal * 160
     down_rad = math.atan2(80 - geometry.horizon * 160, focal_px)

@@ -1,6 +1,6 @@
 """The same training in Keras on TensorFlow, as the original project did it; needs nothing of this toolkit.
 
-python benchmarks/training_keras.py PICTURES [--precision mixed_bfloat16] [--no-xla] < turns
+python benchmarks/training_keras.py PICTURES [--precision mixed_bfloat16] [--no-xla] [--threads 1] < turns
 
 PICTURES is a folder of JPEG files with a list of samples, as training.py writes it. For each line on stdin, one
 epoch of `fit`; for each epoch, its seconds on stdout. Needs `pip install tensorflow opencv-python-headless`.
@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import keras  # type: ignore[import-not-found]
 import numpy as np
+import tensorflow as tf  # type: ignore[import-untyped]
 from keras import layers
 
 PARAMETERS = 5_022_327
@@ -95,7 +96,10 @@ def main() -> None:
     parser.add_argument("--precision", default="float32", choices=["float32", "mixed_bfloat16"])
     parser.add_argument("--no-xla", action="store_true", help="not compiled; Keras compiles if not told otherwise")
     parser.add_argument("--batch", type=int, default=256)
+    parser.add_argument("--threads", type=int, default=0, help="of TensorFlow's operators; 0: all cores")
     chosen = parser.parse_args()
+    tf.config.threading.set_intra_op_parallelism_threads(chosen.threads)
+    tf.config.threading.set_inter_op_parallelism_threads(chosen.threads)
     keras.mixed_precision.set_global_policy(chosen.precision)
     model = network()
     if model.count_params() != PARAMETERS:

@@ -105,6 +105,7 @@ class Files(Dataset[tuple[Tensor, Tensor]]):
 
 def plain_pytorch(folder: Path, config: TrainConfig) -> None:
     """As one would first write it: float32, channels first, a DataLoader with two workers."""
+    choose_machine(config)  # for its threads
     network = nn.Sequential(
         *(nn.Conv2d(3, 24, 5), nn.ReLU(), nn.MaxPool2d(2)),
         *(nn.Conv2d(24, 36, 5), nn.ReLU(), nn.MaxPool2d(2)),
@@ -141,6 +142,7 @@ def main() -> None:
     parser.add_argument("--precision", choices=["auto", "float32", "bfloat16"], default="auto")
     parser.add_argument("--micro-batch", type=int, default=0)
     parser.add_argument("--picture-memory-mb", type=int, default=1024)
+    parser.add_argument("--threads", type=int, default=0)
     chosen = parser.parse_args()
     config = TrainConfig(
         epochs=1_000_000,
@@ -148,6 +150,7 @@ def main() -> None:
         precision=chosen.precision,
         micro_batch=chosen.micro_batch,
         picture_memory_mb=chosen.picture_memory_mb,
+        threads=chosen.threads,
     )
     contenders[chosen.contender](chosen.folder, config)
 

@@ -32,8 +32,8 @@ from dataset.viewpoint import Viewpoint
 from model import load_pilot
 from model.evaluation.recorded_drive import drive_views
 from recorder import Log
-from recorder.log.car_geometry import CarGeometry, built_in, geometry_of
 from recorder.log.row_quality import States
+from recorder.log.session_car import Car, built_in, car_of
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M, CarState
 
@@ -92,7 +92,7 @@ def moments(log: Log, count: int = MOMENTS) -> list[Moment]:
 
 def sides(path: Path) -> None:
     with Log(path) as log:
-        geometry = geometry_of(log)
+        geometry = car_of(log)
         taken = moments(log)
     viewpoint = Viewpoint(geometry, 320, 160)
     by_side: list[list[tuple[Image, Image, Image, NDArray[np.bool_]]]] = []
@@ -170,7 +170,7 @@ def errors(
 def line(path: Path) -> None:
     """The line by steering and speed against the log's poses, from many places of the log on."""
     with Log(path) as log:
-        geometry, states = geometry_of(log), States.of(log.vehicle())
+        geometry, states = car_of(log), States.of(log.vehicle())
         poses = {m.sequence: pose for m, pose in log.decoded("/pose")}
     x, y, heading = (np.array([place(poses[row])[k] for row in states.row.tolist()]) for k in range(3))
     for seconds in (1, 2, 4):
@@ -198,13 +198,11 @@ def line(path: Path) -> None:
         print(f"| {path.stem} | {seconds} | {cells(np.mean(found, axis=0))} |", flush=True)
 
 
-def driven(states: States, part: slice, geometry: CarGeometry, lag_s: float) -> tuple[float, float, float]:
+def driven(states: States, part: slice, geometry: Car, lag_s: float) -> tuple[float, float, float]:
     """Metres ahead and to the left, and the turn in rad, after some rows."""
     time_s = (states.time_ns[part] - states.time_ns[part.start]) / 1e9
     fine = np.arange(0.0, time_s[-1], 0.01)
-    bends = [
-        curvature(each, geometry.wheelbase_m) for each in np.interp(fine, time_s, states.steering[part]).tolist()
-    ]
+    bends = [curvature(each, geometry) for each in np.interp(fine, time_s, states.steering[part]).tolist()]
     share = 1.0 - math.exp(-0.01 / lag_s) if lag_s else 1.0
     ahead = left = turn = 0.0
     bend = bends[0]
@@ -258,7 +256,7 @@ def place(message: object) -> tuple[float, float, float]:
     return pose.position.x, pose.position.y, heading
 
 
-def is_bonnet(geometry: CarGeometry, camera: Camera) -> NDArray[np.bool_]:
+def is_bonnet(geometry: Car, camera: Camera) -> NDArray[np.bool_]:
     columns, rows = np.array(geometry.bonnet[camera]).T
     top = np.interp(np.arange(320) + 0.5, columns, rows, left=160, right=160)
     return np.asarray(np.arange(160)[:, None] >= np.floor(top), np.bool_)
@@ -278,7 +276,7 @@ def draw(path: Path, logs: Sequence[Path]) -> None:
     lines = []
     for source in logs:
         with Log(source) as log:
-            geometry, taken = geometry_of(log), moments(log, 9)[4]
+            geometry, taken = car_of(log), moments(log, 9)[4]
         viewpoint = Viewpoint(geometry, 320, 160)
         warped = viewpoint.view({"center": taken["center"]}, geometry.left_m["left"], 0.0)
         gaps = [cv2.absdiff(picture, taken["left"]) for picture in (taken["center"], warped.picture)]

@@ -14,8 +14,8 @@ import numpy as np
 
 from dataset.drawn_views import VIEWPOINT, crop_from
 from dataset.errors import DatasetError
-from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
+from dataset.viewpoint import Viewpoint
 
 Alteration = Literal["blur", "brightness", "shadow"]
 
@@ -51,9 +51,9 @@ ALTERATIONS: Final[dict[str, Callable[[Image, np.random.Generator], Image]]] = {
 }
 
 
-def alter(picture: Image, names: str, seed: int, seen: PictureSpec = ORIGINAL) -> Image:
+def alter(picture: Image, names: str, seed: int, cameras: Viewpoint | None = None) -> Image:
     """Apply the alterations called `names` ("blur+shadow"; "" for none) one after another, drawn from `seed` (not
-    negative). "viewpoint" is for crops, `seen` in BGR: the view that the seed names.
+    negative). "viewpoint" is for crops, in BGR: the view that the seed names, by the `cameras` (see `crop_from`).
 
     Raises DatasetError for a name or a seed that no index of ours has, and for a name that comes twice.
     """
@@ -62,5 +62,5 @@ def alter(picture: Image, names: str, seed: int, seen: PictureSpec = ORIGINAL) -
         raise DatasetError(f"{names!r} with seed {seed} is no alteration; build the index again with `bc-index`")
     random = np.random.default_rng(seed)
     for name in wanted:
-        picture = crop_from(picture, seed, seen) if name == VIEWPOINT else ALTERATIONS[name](picture, random)
+        picture = crop_from(picture, seed, cameras) if name == VIEWPOINT else ALTERATIONS[name](picture, random)
     return picture

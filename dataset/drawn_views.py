@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.picture_spec import ORIGINAL, PictureSpec
+from dataset.picture_spec import ORIGINAL
 from dataset.preprocess import Image
 from dataset.viewpoint import Viewpoint
-from recorder.log.car_geometry import OUTLINE_PX, UDACITY
+from recorder.log.session_car import OUTLINE_PX, UDACITY
 
 VIEWPOINT: Final = "viewpoint"
 """What a sample that shows such a view has among its alterations."""
@@ -50,19 +50,13 @@ def place_of(view: Numbers | int) -> tuple[Values, Values]:
     return shares[0] * MOST_LEFT_M, shares[1] * MOST_TURN_RAD
 
 
-def can_be_warped(width_px: int, height_px: int) -> bool:
-    """Whether crops of pictures of this size show as much to either side as those that `crop_from` expects."""
-    columns, rows = OUTLINE_PX
-    return math.isclose(width_px * rows, height_px * columns, rel_tol=0.02)
-
-
-def crop_from(crop: Image, seed: int, seen: PictureSpec = ORIGINAL) -> Image:
-    """The crop (`seen.shape`) as seen from the view whose number is in a seed's lowest 32 bits."""
+def crop_from(crop: Image, seed: int, cameras: Viewpoint | None = None) -> Image:
+    """The crop as seen from the view whose number is in a seed's lowest 32 bits. `cameras` took the picture; by
+    default Udacity's, of which the original network's crop (128, 128, 3) was made."""
     left_m, turn_rad = place_of(seed)
-    return _crops(seen).picture(crop, float(left_m), float(turn_rad))
+    return (cameras or _udacity()).picture(crop, float(left_m), float(turn_rad))
 
 
 @cache
-def _crops(seen: PictureSpec) -> Viewpoint:
-    """The built-in simulator's cameras stand and look nearly alike."""
-    return Viewpoint(UDACITY, *OUTLINE_PX, of_crops=seen)
+def _udacity() -> Viewpoint:
+    return Viewpoint(UDACITY, *OUTLINE_PX, of_crops=ORIGINAL)

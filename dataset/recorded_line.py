@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import MAX_STEERING_DEG, MPS_PER_MPH
-from recorder.log.car_geometry import CarGeometry
+from common.car import MPS_PER_MPH
 from recorder.log.row_quality import GAP_S, States, row_flags
+from recorder.log.session_car import Car
 
 SLOW_MPH: Final = 5.0
 """Slower than this, people set off, or manoeuvre at walls with the wheels turned to their stop."""
@@ -64,17 +64,17 @@ def stretches_to_drive(states: States, is_usable: NDArray[np.bool_]) -> list[Dri
     ]
 
 
-def curvature(steering: float, wheelbase_m: float) -> float:
+def curvature(steering: float, car: Car) -> float:
     """Of the way of the rear axle at a steering -1 (left) .. 1 (right), a metre, positive to the left: that of the
     kinematic bicycle (Rajamani, Vehicle Dynamics and Control, section 2.2)."""
-    return -math.tan(math.radians(MAX_STEERING_DEG) * steering) / wheelbase_m
+    return -math.tan(car.max_wheel_rad * steering) / car.wheelbase_m
 
 
 @dataclass
 class CarBesideLine:
     """A car that keeps abreast of the recorded one, beside its line. To the left is positive."""
 
-    geometry: CarGeometry
+    geometry: Car
     left_m: float = 0.0
     turn_rad: float = 0.0
     _recorded: float = 0.0  # curvatures, behind the lag of the steering
@@ -83,7 +83,7 @@ class CarBesideLine:
     def put_on_line(self, steering: float) -> None:
         """As the recorded car, which has been steered like this."""
         self.left_m = self.turn_rad = 0.0
-        self._recorded = self._own = curvature(steering, self.geometry.wheelbase_m)
+        self._recorded = self._own = curvature(steering, self.geometry)
 
     def follow(self, steering: float, recorded: float, speed_mps: tuple[float, float], seconds: float) -> None:
         """Hold `steering` for `seconds`, while the recorded car drives on with its steering `recorded`, from one
@@ -95,7 +95,7 @@ class CarBesideLine:
         steps = max(1, math.ceil(seconds / _STEP_S))
         step_s = seconds / steps
         share = 1.0 - math.exp(-step_s / self.geometry.lag_s) if self.geometry.lag_s > 0 else 1.0
-        own, line = (curvature(each, self.geometry.wheelbase_m) for each in (steering, recorded))
+        own, line = (curvature(each, self.geometry) for each in (steering, recorded))
         for number in range(steps):
             at = (number + 0.5) / steps
             way_m = step_s * (speed_mps[0] + at * (speed_mps[1] - speed_mps[0]))

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import Camera
+from common.car import CAMERAS, Camera
 from dataset.picture_spec import PictureSpec
 from dataset.preprocess import Image
-from recorder.log.car_geometry import OUTLINE_PX, CarGeometry, Outline
+from recorder.log.session_car import OUTLINE_PX, Car, Outline
 
 Mask = NDArray[np.bool_]
 Matrix = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Viewpoint:
     """Warps pictures of one size, taken by the cameras of one car, or crops of them."""
 
     def __init__(
-        self, geometry: CarGeometry, width_px: int, height_px: int, *, of_crops: PictureSpec | None = None
+        self, geometry: Car, width_px: int, height_px: int, *, of_crops: PictureSpec | None = None
     ) -> None:
         """`of_crops`: what is warped are these crops of such pictures."""
         self.geometry = geometry
@@ -69,7 +69,8 @@ class Viewpoint:
         beside_px = (width_px - scale * OUTLINE_PX[0]) / 2
         outline = shown @ np.array([[scale, 0.0, beside_px], [0.0, scale, 0.0], [0.0, 0.0, 1.0]])
         self._bonnets = {
-            name: _bonnet(line, outline, self.width_px, self.height_px) for name, line in geometry.bonnet.items()
+            name: _bonnet(geometry.bonnet.get(name, ()), outline, self.width_px, self.height_px)
+            for name in CAMERAS
         }
 
     def nearest(self, left_m: float, turn_rad: float, cameras: Collection[Camera]) -> Camera:
@@ -158,8 +159,9 @@ class _Bonnet:
 
 
 def _bonnet(outline: Outline, shown: Matrix, width_px: int, height_px: int) -> _Bonnet:
-    """`shown`: from the outline's pixels to those of the picture."""
-    columns, rows, _ = shown @ np.column_stack([np.array(outline, np.float64), np.ones(len(outline))]).T
+    """`shown`: from the outline's pixels to those of the picture. Without corners there is none."""
+    corners = np.array(outline or ((0.0, 1e6),), np.float64)
+    columns, rows, _ = shown @ np.column_stack([corners, np.ones(len(corners))]).T
     column = np.arange(width_px) + 0.5
     top = np.floor(np.interp(column, columns, rows, left=np.inf, right=np.inf).clip(0, height_px)).astype(np.intp)
     row = np.arange(height_px)[:, None]

@@ -82,6 +82,8 @@ class Drive:
     """Address to listen on; other machines are let in by 0.0.0.0."""
     port: int = 4567
     """Port to listen on; the simulator connects to 4567."""
+    car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
+    """The car that is driven, as in bc-record; by default the one of the run's sessions."""
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     seed: int = 0
     """Seed of the first reset of --gym's environment."""
@@ -122,6 +124,7 @@ def drive(config: Drive) -> int:
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
     run = find_run(config.run, config.runs)
     _load_named(config, run)
+    settings = _with_car(config, settings, run)
     pilot = load_pilot(run, config.precision)
     pilot.warm_up()
     prepare_process()
@@ -157,6 +160,17 @@ def drive(config: Drive) -> int:
     return _print_drives(server.sessions)
 
 
+def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
+    """The settings of a drive, with the car that is driven, where it is known."""
+    from drive.driven_car import driven_car, other_steering
+    from recorder.log.session_car import built_in
+
+    car = driven_car(run, config.car) if config.simulator is None else built_in()
+    if line := other_steering(run, car):
+        _notify(line)
+    return replace(settings, car=car)
+
+
 def _load_named(config: Drive, run: Path) -> None:
     """Run the code of --network, if the run needs it."""
     from model.runs.network_of_run import load_named
@@ -185,11 +199,15 @@ def _refuse_contradictions(config: Drive) -> None:
         raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
     if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):
         raise UsageError(f"{flags}: only with --simulator TRACK or --aggregate N: else it drives until Ctrl-C")
+    if config.simulator is not None and (flags := flags_given(config, "car")):
+        raise UsageError(f"{flags}: the built-in simulator's car is known; leave it out")
     if config.simulator is not None and (flags := flags_given(config, "host", "port")):
         raise UsageError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
     if config.aggregate is None and (flags := flags_given(config, "epochs", "sessions")):
         raise UsageError(f"{flags}: only with --aggregate N")
-    if config.aggregate is not None and (flags := flags_given(config, "log", "viewer", "precision", "force")):
+    if config.aggregate is not None and (
+        flags := flags_given(config, "log", "viewer", "precision", "force", "car")
+    ):
         raise UsageError(
             f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"
             " fastest arithmetic; leave it out"
@@ -209,6 +227,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
         check_pedals(car)
         _load_named(config, run)
+        settings = _with_car(config, settings, run)
         pilot = load_pilot(run, config.precision)
         pilot.warm_up()
         told = {"simulator": car.name, "gym.args": config.environment.gym_args, "gym.action": car.actions.text}

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
@@ -19,6 +19,8 @@ from drive.config import DriveConfig
 from drive.drive_session import DriveSession
 from model import Pilot
 from recorder import LogWriter
+from recorder.log.session_car import built_in
+from recorder.log.session_car import metadata_of as car_metadata
 from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
 
 NO_TELEMETRY_S: Final = 3.0
@@ -65,6 +67,8 @@ class DriveServer:
         self.config = config
         self._log = log
         self._is_built_in = is_built_in
+        if is_built_in:
+            config = replace(config, car=built_in())
         self.notify = notify
         self._show_status = show_status
         self._notified: set[str] = set()
@@ -260,7 +264,9 @@ def drive_metadata(pilot: Pilot, config: DriveConfig) -> dict[str, str]:
         "arithmetic": pilot.arithmetic,
         **{
             name: f"{value:g}" if isinstance(value, float) else str(value)
-            for name, value in asdict(config).items()
+            for name, value in asdict(replace(config, car=None)).items()
+            if name != "car"
         },
+        **car_metadata(config.car),
         **metadata_of(pilot.picture),
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from simulator import SimulatorClient, SimulatorTelemetry, SteerCommand
 
-STEP_S, SPEED_MPS, WHEELBASE_M, HALF_WIDTH_M, CAMERA_M = 0.05, 6.0, 2.6, 2.5, 1.4
+STEP_S, SPEED_MPS, MAX_DEG, WHEELBASE_M, HALF_WIDTH_M, CAMERA_M = 0.05, 6.0, 30.0, 2.6, 2.5, 1.4
 AHEAD_M = np.arange(1.9, 60.0, 0.5)
 
 
@@ -27,7 +27,7 @@ class Car:
     def next_telemetry(self, command: Any) -> SimulatorTelemetry | None:
         """After each answer: a SteerCommand, "manual" where the driving is ours, None at the beginning."""
         self.steering = command.steering if isinstance(command, SteerCommand) else self.expert()
-        wheels_rad = math.radians(25) * np.clip(self.steering, -1, 1)  # positive steers to the right
+        wheels_rad = math.radians(MAX_DEG) * np.clip(self.steering, -1, 1)  # positive steers to the right
         self.heading_rad -= STEP_S * SPEED_MPS / WHEELBASE_M * math.tan(wheels_rad)
         self.x_m += STEP_S * SPEED_MPS * math.cos(self.heading_rad)
         self.y_m += STEP_S * SPEED_MPS * math.sin(self.heading_rad)
@@ -36,7 +36,7 @@ class Car:
 
     def expert(self) -> float:  # towards the point of the centre line 6 m ahead
         angle_rad = math.atan2(road_y(self.x_m + 6.0) - self.y_m, 6.0) - self.heading_rad
-        return float(np.clip(-math.atan(2 * WHEELBASE_M * math.sin(angle_rad) / 6.0) / math.radians(25), -1, 1))
+        return float(np.clip(-math.degrees(math.atan2(WHEELBASE_M * math.sin(angle_rad), 3.0)) / MAX_DEG, -1, 1))
 
     def telemetry(self) -> SimulatorTelemetry:
         offset = (self.y_m - road_y(self.x_m)) / HALF_WIDTH_M
@@ -57,4 +57,4 @@ class Car:
 
 
 if __name__ == "__main__":
-    SimulatorClient().run(Car(telemetries=1200).next_telemetry)
+    SimulatorClient(max_steering_deg=MAX_DEG).run(Car(telemetries=1200).next_telemetry)

@@ -68,7 +68,7 @@ def train(config: Train) -> int:
     from model.runs.history import read_history
     from model.runs.network_of_run import choice_of
     from model.runs.run_arguments import run_argument
-    from model.runs.run_folder import WEIGHTS, find_run, load_config, picture_of_run
+    from model.runs.run_folder import WEIGHTS, find_any_run, find_run, load_config, picture_of_run
     from model.runs.training_outcome import verdict
     from model.training.distributed import FirstRankError, local_rank_of_process, rank_of_process
     from model.training.other_network import refuse_other_network
@@ -79,7 +79,10 @@ def train(config: Train) -> int:
     # all that can fail at once, before the minutes that an index may take
     run = _run_of(config)
     init = find_run(config.init, config.runs) if config.init is not None else None
-    machine = choose_machine(settings, local_rank_of_process())
+    repeated = config.resume if config.resume is not None else config.like
+    like = find_any_run(repeated, config.runs) if repeated is not None else None
+    begun = load_config(like).get("machine") if like is not None else None
+    machine = choose_machine(settings, local_rank_of_process(), begun)
     if config.resume is None:
         network = choose_network(settings)
         picture = chosen_picture(settings, network)
@@ -103,7 +106,7 @@ def train(config: Train) -> int:
     try:
         with _viewer(config, run) if is_first else contextlib.nullcontext():
             is_resumed = config.resume is not None
-            trained = train_network(index, run, settings, listeners, init=init, resume=is_resumed)
+            trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
     except (KeyboardInterrupt, RunWriteError):
         if is_first and run.exists():
             print_message(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}`")

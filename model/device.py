@@ -2,17 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final, Literal
 
+import msgspec
 import torch
 
 from common.memory_allocator import keep_freed_memory
 from model.config import Precision, TrainConfig
 from model.errors import RunError
 
-CPU_MICRO_BATCH: Final = 64
-"""As fast as the whole batch of 256 at once, in half the memory."""
+
+@dataclass(frozen=True)
+class ProcessorWay:
+    """How to train on the processors that have an instruction."""
+
+    instruction: str  # as `torch.cpu.get_capabilities` names it; empty: every processor
+    arithmetic: Literal["float32", "bfloat16"]
+    micro_batch: int
+
+
+PROCESSOR_WAYS: Final = (
+    ProcessorWay("amx_bf16", "bfloat16", 128),
+    ProcessorWay("avx512_bf16", "bfloat16", 64),
+    ProcessorWay("bf16", "bfloat16", 64),  # Arm's
+    ProcessorWay("", "float32", 64),
+    ProcessorWay("", "bfloat16", 64),  # only if it is asked for
+)
+"""The first that a processor has is its way. A table of what was measured (benchmarks/README.md): a trial at the
+start of a training would not always end alike, and the same machine and seed have to give the same weights.
+
+Cores and caches are not asked for: what 16 pictures give in the first layer is already more than fits into a
+core's cache, and from there on more of them at once were faster, if not by much. With AMX it is more, as
+convolutions take less of the time; 256 would be a few percent faster again, and take 0.4 GB more."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +50,19 @@ class Machine:
         return str(self.dtype).removeprefix("torch.")
 
 
-def choose_machine(config: TrainConfig, local_rank: int = 0) -> Machine:
+class _Begun(msgspec.Struct):
+    """The machine that a run was begun on, as its config.json has it."""
+
+    device: str
+    arithmetic: Literal["float32", "bfloat16"]
+    micro_batch: Annotated[int, msgspec.Meta(ge=1, le=10**9)]
+
+
+def choose_machine(config: TrainConfig, local_rank: int = 0, begun: object = None) -> Machine:
     """The machine that `config` asks for; `local_rank` is this process's number among those of its computer.
 
+    What `config` leaves open is as the device has it, or for a run that goes on or is repeated as it was `begun`
+    with (the machine in its config.json), as far as a device of the same kind has that, too.
     Raises RunError if there is no such device here.
     """
     has_gpu = torch.cuda.is_available()
@@ -47,18 +80,44 @@ def choose_machine(config: TrainConfig, local_rank: int = 0) -> Machine:
         keep_freed_memory()
     if config.threads:
         torch.set_num_threads(config.threads)
-    dtype = training_dtype(config.precision, device)
-    micro_batch = config.micro_batch or (CPU_MICRO_BATCH if device.type == "cpu" else config.batch)
-    return Machine(device, dtype, micro_batch)
+    precision, micro_batch = config.precision, config.micro_batch
+    before = _begun_on(device, begun)
+    if before is not None:
+        micro_batch = micro_batch or before.micro_batch
+        has_its_arithmetic = before.arithmetic == "float32" or training_dtype("auto", device) == torch.bfloat16
+        if precision == "auto" and has_its_arithmetic:
+            precision = before.arithmetic
+    if not micro_batch:
+        is_cpu = device.type == "cpu"
+        micro_batch = (
+            processor_way(torch.cpu.get_capabilities(), precision).micro_batch if is_cpu else config.batch
+        )
+    return Machine(device, training_dtype(precision, device), micro_batch)
+
+
+def processor_way(capabilities: Mapping[str, object], precision: Precision = "auto") -> ProcessorWay:
+    """How to train on a processor of these capabilities, in the arithmetic that is asked for."""
+    return next(
+        way
+        for way in PROCESSOR_WAYS
+        if (not way.instruction or capabilities.get(way.instruction)) and precision in ("auto", way.arithmetic)
+    )
 
 
 def training_dtype(precision: Precision, device: torch.device) -> torch.dtype:
     """The arithmetic to train in on `device`."""
-    if precision != "auto":
-        return torch.bfloat16 if precision == "bfloat16" else torch.float32
-    if device.type == "cuda":
-        has_bfloat16 = torch.cuda.is_bf16_supported(including_emulation=False)
-    else:
-        capabilities = torch.cpu.get_capabilities()
-        has_bfloat16 = any(capabilities.get(name) for name in ("avx512_bf16", "amx_bf16", "bf16"))
-    return torch.bfloat16 if has_bfloat16 else torch.float32
+    if precision == "auto":
+        if device.type == "cuda":
+            precision = "bfloat16" if torch.cuda.is_bf16_supported(including_emulation=False) else "float32"
+        else:
+            precision = processor_way(torch.cpu.get_capabilities()).arithmetic
+    return torch.bfloat16 if precision == "bfloat16" else torch.float32
+
+
+def _begun_on(device: torch.device, begun: object) -> _Begun | None:
+    """None if it was begun on another kind of device, or does not say."""
+    try:
+        before = msgspec.convert(begun, _Begun)
+    except msgspec.ValidationError:
+        return None
+    return before if before.device == device.type else None

@@ -55,6 +55,7 @@ class Measures:
     mean: Errors  # of always predicting those frames' own mean: no constant does better
     bins: tuple[BinErrors, ...]
     mean_balanced_rmse_deg: float = math.nan  # of always predicting that mean; NaN where it is not known
+    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1
 
     @property
     def balanced_rmse_deg(self) -> float:
@@ -73,25 +74,29 @@ class Measures:
         return self.balanced_rmse_deg / of_the_mean + 1 - correlation
 
 
-def measure(predicted: Floats, recorded: Floats, bins: int = BINS) -> Measures:
-    """Compare two steering arrays (N,), -1..1, also within `bins` equal bins of the recorded steering."""
+def measure(
+    predicted: Floats, recorded: Floats, bins: int = BINS, *, max_deg: float = MAX_STEERING_DEG
+) -> Measures:
+    """Compare two steering arrays (N,), -1..1, also within `bins` equal bins of the recorded steering. `max_deg`
+    is the wheels' angle at steering 1."""
     mean = float(np.mean(recorded)) if len(recorded) else float("nan")
     return Measures(
         len(recorded),
-        errors(predicted, recorded),
-        constant_errors(0.0, recorded),
-        constant_errors(mean, recorded),
-        tuple(_bin_errors(predicted, recorded, bins)),
-        _balanced_rmse_deg(_bin_errors(np.full(len(recorded), mean), recorded, bins)),
+        errors(predicted, recorded, max_deg),
+        constant_errors(0.0, recorded, max_deg),
+        constant_errors(mean, recorded, max_deg),
+        tuple(_bin_errors(predicted, recorded, bins, max_deg)),
+        _balanced_rmse_deg(_bin_errors(np.full(len(recorded), mean), recorded, bins, max_deg)),
+        max_deg,
     )
 
 
-def errors(predicted: Floats, recorded: Floats) -> Errors:
+def errors(predicted: Floats, recorded: Floats, max_deg: float = MAX_STEERING_DEG) -> Errors:
     """Compare two steering arrays (N,), -1..1."""
     nan = float("nan")
     if not len(recorded):
         return Errors(nan, nan, nan, nan)
-    off = _off_deg(predicted, recorded)
+    off = _off_deg(predicted, recorded, max_deg)
     turning = np.abs(recorded) > TURNING
     varies = predicted.min() < predicted.max() and recorded.min() < recorded.max()
     return Errors(
@@ -102,21 +107,21 @@ def errors(predicted: Floats, recorded: Floats) -> Errors:
     )
 
 
-def constant_errors(value: float, recorded: Floats) -> Errors:
+def constant_errors(value: float, recorded: Floats, max_deg: float = MAX_STEERING_DEG) -> Errors:
     """The errors of always predicting `value`."""
-    return errors(np.full(len(recorded), value), recorded)
+    return errors(np.full(len(recorded), value), recorded, max_deg)
 
 
 def _balanced_rmse_deg(bins: Sequence[BinErrors]) -> float:
     return math.sqrt(sum(part.rmse_deg**2 for part in bins) / len(bins)) if bins else math.nan
 
 
-def _off_deg(predicted: Floats, recorded: Floats) -> NDArray[np.float64]:
-    return MAX_STEERING_DEG * (predicted.astype(np.float64) - recorded.astype(np.float64))
+def _off_deg(predicted: Floats, recorded: Floats, max_deg: float) -> NDArray[np.float64]:
+    return max_deg * (predicted.astype(np.float64) - recorded.astype(np.float64))
 
 
-def _bin_errors(predicted: Floats, recorded: Floats, bins: int) -> list[BinErrors]:
-    off = _off_deg(predicted, recorded)
+def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float) -> list[BinErrors]:
+    off = _off_deg(predicted, recorded, max_deg)
     exact: NDArray[np.float64] = recorded.astype(np.float64)
     bin_index = bin_of(np.round(exact, 6), bins)  # in float32, a value on an edge is beside it
     found = []

@@ -21,13 +21,13 @@ from common import atomic_file
 from common.errors import printable
 from common.files import refuse_existing
 from common.versions import TOOLKIT, version_of
-from dataset import MAX_STEERING_DEG
 from dataset.picture_spec import PictureSpec, metadata_of
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork
 from model.onnx_graph import onnx_graph
+from model.runs.car_of_run import max_steering_deg_of_run
 from model.runs.run_files import run_write_errors
 from model.runs.run_folder import (
     load_answer_scale,
@@ -87,6 +87,7 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
 def description(run: Path, picture: PictureSpec, targets: Sequence[TargetName] = STEERING_ONLY) -> dict[str, str]:
     """The metadata of the file: its input, its outputs, and the run it is of."""
     top, bottom = picture.description["crop_top"], picture.description["crop_bottom"]
+    max_deg = max_steering_deg_of_run(run)
     size = f"{picture.width_px}x{picture.height_px}"
     colours = "" if picture.channels == "BGR" else f" Then from BGR to {picture.channels} (cv2.cvtColor)."
     convert = "" if picture.channels == "BGR" else f"crop = cv2.cvtColor(crop, cv2.COLOR_BGR2{picture.channels})\n"
@@ -97,8 +98,8 @@ def description(run: Path, picture: PictureSpec, targets: Sequence[TargetName] =
             f" INTER_LINEAR).{colours} Nothing else: the network scales by itself."
         ),
         **metadata_of(picture),
-        "steering": f"-1 (left) .. 1 (right), not clamped; 1 is {MAX_STEERING_DEG:g} degrees",
-        "steering.degrees_per_unit": f"{MAX_STEERING_DEG:g}",
+        "steering": f"-1 (left) .. 1 (right), not clamped; 1 is {max_deg:g} degrees",
+        "steering.degrees_per_unit": f"{max_deg:g}",
         **{TARGETS[name].answer_name: _ABOUT[name] for name in targets[1:]},
         "example": (
             "import sys\n"

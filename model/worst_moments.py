@@ -26,9 +26,10 @@ class WorstFrame:
     error_deg: float  # predicted - recorded: positive is too far to the right
 
 
-def worst_frames(frames: pa.Table, count: int) -> list[WorstFrame]:
+def worst_frames(frames: pa.Table, count: int, max_deg: float = MAX_STEERING_DEG) -> list[WorstFrame]:
     """The `count` frames with the largest errors, the largest first; those of a session at least a second apart,
-    so that they are different moments. `frames` has the columns of `Evaluation.frames`."""
+    so that they are different moments. `frames` has the columns of `Evaluation.frames`. `max_deg` is the
+    wheels' angle at steering 1."""
     session = frames["session"].combine_chunks().dictionary_encode().indices.to_numpy()
     columns = ("log_time_ns", "row", "predicted", "recorded")
     time_ns, row, predicted, recorded = (frames[name].to_numpy() for name in columns)
@@ -41,7 +42,7 @@ def worst_frames(frames: pa.Table, count: int) -> list[WorstFrame]:
         near = (taken.get((drive, now_ns // _APART_NS + step)) for step in (-1, 0, 1))
         if all(other is None or abs(other - now_ns) >= _APART_NS for other in near):
             taken[drive, now_ns // _APART_NS] = now_ns
-            predicted_deg, recorded_deg = (MAX_STEERING_DEG * float(of[at]) for of in (predicted, recorded))
+            predicted_deg, recorded_deg = (max_deg * float(of[at]) for of in (predicted, recorded))
             found.append(
                 WorstFrame(
                     frames["session"][at].as_py(),

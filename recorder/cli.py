@@ -15,6 +15,7 @@ from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
+from recorder.log.session_car import named_car
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
@@ -52,6 +53,9 @@ class Record:
     """Address that --listen listens on; other machines are let in by 0.0.0.0."""
     port: int = 4567
     """Port that --listen listens on; the simulator connects to 4567."""
+    car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
+    """The car that is recorded: how far its wheels turn, where its cameras stand, the unit of its speeds; kept in
+    the log. By default Udacity's, and the built-in simulator's own."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     all_catalogs: bool = False
     """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
@@ -85,6 +89,7 @@ def record(config: Record) -> int:
 
 
 def _record_to(config: Record, log: Path) -> Imported:
+    car = None if config.car is None else named_car(config.car)
     with contextlib.ExitStack() as stack:
 
         def show(growing: Path) -> None:
@@ -100,12 +105,13 @@ def _record_to(config: Record, log: Path) -> Imported:
                 port=config.port,
                 idle_s=config.idle,
                 overwrite=config.force,
+                car=car,
                 on_started=show,
             )
         if config.environment.gym is not None:
             from recorder.sources.record_gymnasium import record_gymnasium
 
-            return record_gymnasium(_gym_recording(config), log, overwrite=config.force)
+            return record_gymnasium(replace(_gym_recording(config), car=car), log, overwrite=config.force)
         if config.source is not None and config.watch:
             from recorder.sources.udacity_follow import watch_udacity
 
@@ -115,6 +121,7 @@ def _record_to(config: Record, log: Path) -> Imported:
                 log,
                 rate_hz=config.rate,
                 idle_s=config.idle,
+                car=car,
                 overwrite=config.force,
                 on_started=show,
             )
@@ -125,6 +132,7 @@ def _record_to(config: Record, log: Path) -> Imported:
                 config.topics,
                 rate_hz=config.rate,
                 all_catalogs=config.all_catalogs,
+                car=car,
                 overwrite=config.force,
             )
         if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps --from was forgotten
@@ -176,6 +184,8 @@ def _refuse_contradictions(config: Record) -> None:
     if config.environment.gym is not None:
         _refuse_beside_gym(config)
         return
+    if config.car is not None and config.source is None and not config.listen:
+        raise UsageError("--car goes with --from, --listen or --gym: the built-in simulator's is known")
     if (flags := flags_given(config.environment, *GYM_FLAGS)) or (flags := flags_given(config, "wander")):
         raise UsageError(f"{flags}: only with --gym ID")
     with usage_errors(RecordingError):

@@ -16,9 +16,8 @@ import rerun.blueprint as rrb
 
 from common import UserError
 from common.locks import is_being_written
-from dataset import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGETS, TargetName
-from model.metrics import Errors
+from model.metrics import Errors, Measures
 from model.runs.history import History, HistoryReader, read_history
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
 from model.target_metrics import TargetErrors
@@ -47,9 +46,9 @@ class _Line:
     value: Callable[[Epoch], float]
 
 
-def _squared(errors: Errors) -> float:
+def _squared(errors: Errors, of: Measures) -> float:
     """The mean squared error of steering (-1..1) for a root in degrees."""
-    return (errors.rmse_deg / MAX_STEERING_DEG) ** 2
+    return (errors.rmse_deg / of.max_deg) ** 2
 
 
 _LINES: Final = (
@@ -65,8 +64,8 @@ _LINES: Final = (
 )
 
 _STEERING_LOSSES: Final = (
-    _Line("/loss/mean", "always the mean", GREY, lambda epoch: _squared(epoch.measures.mean)),
-    _Line("/loss/zero", "always zero", _DARK_GREY, lambda epoch: _squared(epoch.measures.zero)),
+    _Line("/loss/mean", "always the mean", GREY, lambda epoch: _squared(epoch.measures.mean, epoch.measures)),
+    _Line("/loss/zero", "always zero", _DARK_GREY, lambda epoch: _squared(epoch.measures.zero, epoch.measures)),
 )
 """Beside a loss of steering alone: of a sum over targets they would be a part."""
 

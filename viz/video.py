@@ -103,7 +103,9 @@ def write_video(
         pictures = _Pictures(log)
         plan = schedule(pictures.times_ns, speed)
         readings = Readings(log) if overlay else None
-        panel = Panel(pictures.width, readings.top_mph) if readings is not None else None
+        panel = (
+            Panel(pictures.width, readings.top_mph, readings.max_steering_deg) if readings is not None else None
+        )
         height = pictures.height + (panel.height if panel is not None else 0)
         canvas = np.zeros((height, pictures.width, 3), np.uint8)
         with atomic_file(video, overwrite=overwrite) as part, _Mp4(part, video, pictures.width, height) as mp4:

@@ -60,8 +60,9 @@ class Reading:
 class Panel:
     """Draws readings on panels of one width, which are a quarter as high."""
 
-    def __init__(self, width: int, top_mph: float) -> None:
-        """`top_mph` is where the bar of the speed ends."""
+    def __init__(self, width: int, top_mph: float, max_steering_deg: float = MAX_STEERING_DEG) -> None:
+        """`top_mph` is where the bar of the speed ends, `max_steering_deg` the wheels' angle at steering 1."""
+        self._max_steering_deg = max_steering_deg
         self.width, self.height = width, max(2, width * _HEIGHT // _WIDTH // 2 * 2)
         self._top_mph = top_mph
         self._scale = width / _WIDTH
@@ -141,7 +142,7 @@ class Panel:
             ("network", reading.predicted_steering, 133, PREDICTED),
         ):
             if math.isfinite(steering):
-                text = f"{word} {MAX_STEERING_DEG * _clamped(steering):+z.1f} deg"
+                text = f"{word} {self._max_steering_deg * _clamped(steering):+z.1f} deg"
                 self._text(text, right, y, 15, color, is_right=True)
 
     def _text(

@@ -9,7 +9,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dataset import MAX_STEERING_DEG
 from dataset.preprocess import decode
 from model.runs.worst_pictures import WORST_COUNT, WorstPictures
 from model.worst_moments import WorstFrame
@@ -39,7 +38,7 @@ def send_worst(recording: rr.RecordingStream, worst: WorstPictures, times: Seque
         recording.log(entity, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
         height, width = decode(jpeg).shape[:2]
         for name, color, radius in _ARCS:
-            steering = np.array([getattr(frame, f"{name}_deg") / MAX_STEERING_DEG])
+            steering = np.array([getattr(frame, f"{name}_deg") / worst.max_deg])
             arc = arcs(steering, (width, height))
             recording.log(f"{entity}/{name}", rr.LineStrips2D(arc, colors=[color], radii=[-radius]))
     for number in range(len(worst.frames) + 1, WORST_COUNT + 1):  # of the epoch before

@@ -14,15 +14,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from common.car import CAMERAS
+from common.car import CAMERAS, MAX_STEERING_DEG
 from common.progress import track
 from dataset.config import IndexConfig
-from dataset.drawn_views import can_be_warped
 from dataset.errors import DatasetError, index_write_errors
 from dataset.frames.frames_file import (
     FRAMES_FORMAT,
@@ -57,11 +57,11 @@ from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
 from recorder.errors import RecordingError
-from recorder.log.car_geometry import geometry_of
 from recorder.log.log_info import driven_by, first_picture_sizes, set_speeds_mph
 from recorder.log.mcap_file import WITHOUT_CRCS
+from recorder.log.session_car import CAR_KEY, Car, car_of, max_steering_deg_of, metadata_of, told_car
 from recorder.log.tags import read_tags
-from recorder.log.topics import camera_topic
+from recorder.log.topics import QUALITY_METADATA, camera_topic
 from recorder.pictures.picture_size import width_and_height
 
 
@@ -114,13 +114,12 @@ def build_index(
     by_name = dict(sorted((session_name(Path(path)), Path(path)) for path in logs))
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
-        if config.viewpoints:
-            _refuse_to_warp(list(by_name.values()))
+        cars = _cars_to_warp(by_name) if config.viewpoints else {}
         finish_interrupted_build(index)
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
-                return _build(by_name, index, config, state, leave_out_unreadable, passed_over, damaged)
+                return _build(by_name, index, config, state, leave_out_unreadable, passed_over, damaged, cars)
             except _StaleStateError:
                 state = BuildState.nothing()
             except UnreadablePictureError as error:  # nobody else looks at pictures here
@@ -146,21 +145,34 @@ def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> No
         Condition(config.where).check(FRAMES_SCHEMA.empty_table())
 
 
-def _refuse_to_warp(logs: Sequence[Path]) -> None:
-    """Raise DatasetError for a log whose pictures cannot be warped: nothing tells where its cameras stand, or what
-    their crops show."""
-    for path in logs:
+def _cars_to_warp(by_name: Mapping[str, Path]) -> dict[str, Car]:
+    """The car of each session. Raises DatasetError for one whose pictures cannot be warped: nothing tells where
+    its cameras stand, or how much their crops show to either side."""
+    cars: dict[str, Car] = {}
+    for name, path in by_name.items():
         with contextlib.suppress(LogError), Log(path) as log:  # what cannot be read is told where it is read
             try:
-                geometry_of(log)
+                cars[name] = car_of(log)
             except RecordingError as error:
                 raise DatasetError(f"--viewpoints: {error}") from None
-            for width, height in _sizes_px(log):
-                if not can_be_warped(width, height):
-                    raise DatasetError(
-                        f"--viewpoints: {path}: pictures of {width:,} x {height:,} px; views are warped only from"
-                        " pictures twice as wide as high"
-                    )
+            if "picture_sizes" in log.read_metadata(QUALITY_METADATA):
+                raise DatasetError(
+                    f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from"
+                    " pictures of one (`bc-log trim`, `bc-log split`)"
+                )
+    return cars
+
+
+def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
+    """Raise DatasetError where the same number would be another angle of the wheels."""
+    (first, one), *others = held.items()
+    for name, other in others:
+        if other.max_steering_deg != one.max_steering_deg:
+            raise DatasetError(
+                f"sessions {first} and {name}: steering 1 is {one.max_steering_deg:g} degrees in one and"
+                f" {other.max_steering_deg:g} in the other; give each kind an index of its own (`bc-index"
+                f" {name} ... --index PATH`)"
+            )
 
 
 def _build(
@@ -171,8 +183,10 @@ def _build(
     leave_out_unreadable: bool,
     passed_over: Sequence[str],
     damaged: Mapping[str, str],
+    cars: Mapping[str, Car],
 ) -> Indexed:
-    """`damaged`: what was found of logs that look sound while their pictures are not read."""
+    """`damaged`: what was found of logs that look sound while their pictures are not read. `cars`: of the sessions
+    that views are taken of."""
     entries: dict[str, BuiltLog] = {}
     with staged(index) as stage:
         for name, path in track(by_name.items(), "indexing", len(by_name)):
@@ -191,12 +205,14 @@ def _build(
         notices = [entry.notice for entry in entries.values() if entry.notice]
         if not held:
             raise LogError("; ".join(notices))
+        _refuse_different_steering(held)
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         places = {
             name: {
                 "log": relative_log_path(by_name[name], index),
                 "fingerprint": entry.fingerprint,
                 **file_if_rewritten(entry.fingerprint, entry.file),
+                **_about_car(entry, cars.get(name)),
             }
             for name, entry in held.items()
         }
@@ -211,7 +227,7 @@ def _build(
                 refuse_shared_pictures(frames, by_name)
                 labels = labels_of_sessions(frames, by_name, held, index, config)
                 with index_write_errors(index / SAMPLES_NAME):
-                    made = (*write_samples(frames, samples, config, places, labels), labels)
+                    made = (*write_samples(frames, samples, config, places, labels, cars), labels)
             except (LogError, FramesError):
                 if state.logs:
                     raise _StaleStateError from None
@@ -274,6 +290,8 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
             driven_by=driven_by(log),
             set_speeds_mph=set_speeds_mph(log),
             sizes_px=_sizes_px(log),
+            max_steering_deg=max_steering_deg_of(log),
+            car=metadata_of(told_car(log)).get(CAR_KEY, ""),
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
@@ -283,6 +301,16 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         new.unlink()
         return msgspec.structs.replace(entry, frames=stat_of(file))
     return msgspec.structs.replace(entry, frames=stat_of(new))
+
+
+def _about_car(entry: BuiltLog, seen_from: Car | None) -> dict[str, Any]:
+    """What the samples' metadata tells of a session's car: what its log does, and what its views are taken by."""
+    steering = {"max_steering_deg": entry.max_steering_deg}
+    car = metadata_of(seen_from).get(CAR_KEY, entry.car)
+    return {
+        **(steering if entry.max_steering_deg != MAX_STEERING_DEG else {}),
+        **({CAR_KEY: json.loads(car)} if car else {}),
+    }
 
 
 def _sizes_px(log: Log) -> list[tuple[int, int]]:

@@ -13,6 +13,7 @@ from typing import Final
 import msgspec
 
 from common import atomic_file
+from common.car import MAX_STEERING_DEG
 from dataset.frames.image_check_cache import image_check_path
 from recorder.log.tags import tags_path
 
@@ -36,6 +37,8 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     driven_by: str = ""  # the machine that drove it
     set_speeds_mph: tuple[float, ...] | None = None  # of its driver; None in what earlier versions have written
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
+    max_steering_deg: float = MAX_STEERING_DEG  # of its wheels, at steering 1
+    car: str = ""  # as the log tells it, in JSON
 
 
 class BuildState(msgspec.Struct, frozen=True):

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from common.car import MAX_STEERING_DEG
 from common.progress import track
 from dataset.config import IndexConfig
 from dataset.findings_file import read_findings, write_findings
@@ -41,7 +42,7 @@ def labels_of_sessions(
 ) -> dict[str, SessionLabels]:
     """By session, from its frames file, its log, and what is known of that. Pictures are decoded of sessions only
     whose labels may depend on them. Raises LogError or FramesError for a damaged file."""
-    habits = {name: habits_of_frames(file) for name, file in frames.items()}
+    habits = {name: habits_of_frames(file, built[name].max_steering_deg) for name, file in frames.items()}
     is_asked = config.labels == "auto" and config.label_shift_s is None
     asked = [name for name in frames if is_asked and goes_by_lag(habits[name], built[name].driven_by)]
     lags = {name: _read_lag(index, name, built[name].fingerprint) for name in asked}
@@ -79,14 +80,15 @@ def _labels(config: IndexConfig, habits: SteeringHabits, known: _Stored | None, 
     return SessionLabels(habits, lag, plan)
 
 
-def habits_of_frames(file: Path) -> SteeringHabits:
-    """How the rows of a session that have pictures were steered. Raises FramesError for a damaged file."""
+def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
+    """How the rows of a session that have pictures were steered; `max_steering_deg` is that of its car
+    (steering 1). Raises FramesError for a damaged file."""
     names = ("row", "log_time_ns", *VEHICLE_COLUMNS)
     frames: pa.Table = read_frames(file, names)
     columns = [frames[name].to_numpy() for name in names]
     _, rows = number_distinct(columns[1], columns[0])
     row, time_ns, *values = (column[rows] for column in columns)
-    return steering_habits(States(row.astype(np.int64), time_ns.astype(np.int64), *values))
+    return steering_habits(States(row.astype(np.int64), time_ns.astype(np.int64), *values), max_steering_deg)
 
 
 class _Stored(msgspec.Struct):

@@ -25,6 +25,7 @@ from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
+from recorder.log.session_car import max_steering_deg_of, metadata_of, told_car
 from recorder.log.topics import camera_topic
 
 _AT_ONCE: Final = 4  # batches that are worked on
@@ -54,6 +55,16 @@ class LogCrops(Closeable):
     def fingerprint(self) -> str:
         """Of the log: see `Log`."""
         return self._log.fingerprint
+
+    @property
+    def max_steering_deg(self) -> float:
+        """The wheels' angle at steering 1."""
+        return max_steering_deg_of(self._log)
+
+    @property
+    def about_car(self) -> dict[str, str]:
+        """What the log's metadata tells of its car."""
+        return metadata_of(told_car(self._log))
 
     @property
     def notice(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -19,12 +19,10 @@ from dataset.recorded_line import DrivableStretch, stretches_to_drive
 from dataset.viewpoint import Viewpoint
 from recorder import Log, LogError
 from recorder.errors import damaged_pictures
-from recorder.log.car_geometry import CarGeometry, KnownCar, geometry_of
 from recorder.log.row_quality import States
+from recorder.log.session_car import Car, car_of
 from recorder.log.tags import EXCLUDE, read_tags
 from recorder.log.topics import camera_topic
-
-AnyCar = KnownCar | Literal["auto"]
 
 _CENTER: Final[Camera] = "center"
 
@@ -33,7 +31,7 @@ class LogViews(Closeable):
     """A log's rows, finished or not, numbered from 0, and what is seen at them. Use it as a context manager, or
     call `close()`."""
 
-    def __init__(self, path: Path | str, car: AnyCar = "auto", picture: PictureSpec = ORIGINAL) -> None:
+    def __init__(self, path: Path | str, car: str = "auto", picture: PictureSpec = ORIGINAL) -> None:
         """Raises LogError for a damaged log or tags, RecordingError where nothing tells of which car it is."""
         self.path = Path(path)
         self.session = session_name(self.path)
@@ -41,7 +39,7 @@ class LogViews(Closeable):
         self.skipped = Skipped()  # each picture once
         self._log = Log(self.path)
         try:
-            self.geometry: CarGeometry = geometry_of(self._log, car)
+            self.geometry: Car = car_of(self._log, car)
             # as the wheels stood, also where an expert drove: of what he commanded they came later
             self.states = States.of(self._log.vehicle())
             self._tags = read_tags(self.path, self._log.fingerprint)

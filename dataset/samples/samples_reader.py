@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from common.car import MAX_STEERING_DEG
 from common.closeable import Closeable
 from common.files import short_path
 from common.open_file_limit import allow_open_files
@@ -128,6 +129,15 @@ class Samples(Closeable):
             return seen.set_column(seen.schema.get_field_index("label"), "label", seen["recorded"])
         except _UNREADABLE as error:
             raise self._damaged(error) from None
+
+    @cached_property
+    def max_steering_deg(self) -> float:
+        """How far the front wheels turn at steering 1, in all sessions. Raises DatasetError for no angle."""
+        told = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
+        degrees = told.pop() if len(told) == 1 else None
+        if not isinstance(degrees, int | float) or not 0 < degrees < 90:
+            raise self._damaged(ValueError("no one angle of the wheels at steering 1"))
+        return float(degrees)
 
     @property
     def fingerprint(self) -> str:

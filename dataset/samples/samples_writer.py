@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -33,6 +33,7 @@ from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balan
 from dataset.samples.viewpoint_labels import has_way_back, label_back
 from dataset.steering_bins import bin_of
 from recorder.log.label_plan import LabelPlan
+from recorder.log.session_car import UDACITY, Car
 from recorder.log.tags import EXCLUDE
 
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
@@ -59,13 +60,15 @@ def write_samples(
     frames: Mapping[str, Path],
     path: Path,
     config: IndexConfig,
-    logs: Mapping[str, Mapping[str, str]],
+    logs: Mapping[str, Mapping[str, Any]],
     labels: Mapping[str, SessionLabels],
+    cars: Mapping[str, Car] | None = None,
 ) -> tuple[Balance, dict[str, SessionCounts]]:
     """Write the samples of some sessions' frames files: mirrored, labelled, and the training split balanced.
 
     Validation holds every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint)
-    and `labels` are kept in the file's metadata. Raises DatasetError if no frame can be used.
+    and `labels` are kept in the file's metadata; `cars` are those of the sessions that views are taken of. Raises
+    DatasetError if no frame can be used.
     """
     condition = Condition(config.where) if config.where is not None else None
     sessions: list[_Session] = []
@@ -74,8 +77,8 @@ def write_samples(
     random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
         slower_mph = [mph for mph in labels[name].set_speeds_mph if mph < fastest_mph]
-        plan = labels[name].plan
-        session, counts[name] = _usable(read_frames(file), config, plan, slower_mph, condition, random)
+        plan, car = labels[name].plan, (cars or {}).get(name, UDACITY)
+        session, counts[name] = _usable(read_frames(file), config, plan, slower_mph, condition, car, random)
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
@@ -125,6 +128,7 @@ def _usable(
     plan: LabelPlan,
     slower_mph: Sequence[float],
     condition: Condition | None,
+    car: Car,
     random: np.random.Generator,
 ) -> tuple[_Session, SessionCounts]:
     camera = codes(frames["camera"], CAMERAS)
@@ -170,7 +174,7 @@ def _usable(
     if config.viewpoints:
         speed_mph = frames["speed_mph"].to_numpy()[at]
         is_seen = session.is_training & (camera[at] == CAMERAS.index("center")) & has_way_back(speed_mph)
-        session = _with_views(session, speed_mph, is_seen, config.viewpoints, random)
+        session = _with_views(session, speed_mph, is_seen, config.viewpoints, car, random)
     return session, counts
 
 
@@ -179,6 +183,7 @@ def _with_views(
     speed_mph: NDArray[np.float64],
     is_seen: NDArray[np.bool_],
     each: int,
+    car: Car,
     random: np.random.Generator,
 ) -> _Session:
     """A session's frames, and behind each that `is_seen` its views from beside the line."""
@@ -188,7 +193,7 @@ def _with_views(
     is_view[np.cumsum(times) - times] = False
     found = session.taken(frame)
     found.view[is_view] = draw_views(int(is_view.sum()), random)
-    found.label[is_view] = label_back(found.label[is_view], speed_mph[frame[is_view]], found.view[is_view])
+    found.label[is_view] = label_back(found.label[is_view], speed_mph[frame[is_view]], found.view[is_view], car)
     return found
 
 

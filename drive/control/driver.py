@@ -19,6 +19,7 @@ from drive.control.takeover import Takeover
 from drive.control.telemetry_picture import camera_picture
 from model import Pilot
 from model.pilot import NetworkAnswer
+from recorder.log.session_car import UDACITY
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.server.world import World, WorldNotices
@@ -72,8 +73,9 @@ class Driver:
         self._pilot = pilot
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
+        self._car = config.car or UDACITY
         ahead_s = max(pilot.speed_ahead_s, LEAST_AHEAD_S)
-        self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves, ahead_s)
+        self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves, ahead_s, config.car)
         self._brake = EmergencyBrake()
         self._last_brake: EmergencyBrake | None = None
         self._takeover = Takeover() if config.takeover else None
@@ -96,7 +98,9 @@ class Driver:
         """
         now_s = time.monotonic() if now_s is None else now_s
         try:
-            telemetry = data if isinstance(data, Telemetry) else parse_telemetry(data, self._decimal_separator)
+            telemetry = (
+                data if isinstance(data, Telemetry) else parse_telemetry(data, self._decimal_separator, self._car)
+            )
         except TelemetryError as error:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = error.world, error.world_problems, error.speed_mph

@@ -8,6 +8,7 @@ from typing import Final
 
 from common.car import MPS_PER_MPH
 from drive.control.braking import WALKING_MPH
+from recorder.log.session_car import Car
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import BRAKE_MPS2, MAX_WHEEL_RAD, THROTTLE_MPS2, WHEELBASE_M, resistance_mps2
 
@@ -30,10 +31,16 @@ class SpeedController:
     """
 
     def __init__(
-        self, set_speed_mph: float, slow_in_curves: bool = False, target_ahead_s: float = TARGET_AHEAD_S
+        self,
+        set_speed_mph: float,
+        slow_in_curves: bool = False,
+        target_ahead_s: float = TARGET_AHEAD_S,
+        car: Car | None = None,
     ) -> None:
+        """`car` is the one that is driven; by default the built-in simulator's."""
         self.set_speed_mph = set_speed_mph
         self._slow_in_curves = slow_in_curves
+        self._car = car
         self._integral = 0.0
         self._target_ahead_s = target_ahead_s
         self._slope_mps2 = 0.0  # what gravity takes off, and whatever else the car lacks
@@ -43,7 +50,7 @@ class SpeedController:
         """The speed in mph that is driven: the set speed, or the target if that is lower; less in a curve, which
         the steering of -1..1 tells, if that was asked for."""
         speed_mph = min(self.set_speed_mph, max(target_mph, 0.0))
-        return min(speed_mph, max_curve_speed_mph(steering)) if self._slow_in_curves else speed_mph
+        return min(speed_mph, max_curve_speed_mph(steering, self._car)) if self._slow_in_curves else speed_mph
 
     def throttle(self, speed_mph: float, steering: float = 0.0) -> float:
         """-1 (full brake) .. 1 (full throttle); never below 0 at walking pace, where it would reverse the car."""
@@ -104,10 +111,12 @@ def _full_mps2(throttle: float) -> float:
     return THROTTLE_MPS2 if throttle > 0.0 else BRAKE_MPS2
 
 
-def max_curve_speed_mph(steering: float) -> float:
-    """The speed at which the wheels at this steering, -1..1, throw the car outwards by the expert's `BEND_MPS2`.
+def max_curve_speed_mph(steering: float, car: Car | None = None) -> float:
+    """The speed at which the wheels at this steering, -1..1, throw a car outwards by the expert's `BEND_MPS2`; by
+    default that of the built-in simulator.
 
     The bicycle model without slip: the curvature is tan(wheel angle) / wheelbase, the acceleration v² times it.
     """
-    curvature_per_m = math.tan(abs(steering) * MAX_WHEEL_RAD) / WHEELBASE_M
+    most_rad, wheelbase_m = (MAX_WHEEL_RAD, WHEELBASE_M) if car is None else (car.max_wheel_rad, car.wheelbase_m)
+    curvature_per_m = math.tan(abs(steering) * most_rad) / wheelbase_m
     return math.sqrt(BEND_MPS2 / curvature_per_m) / MPS_PER_MPH if curvature_per_m else math.inf

@@ -75,10 +75,8 @@ class Eval:
     it has steered the car."""
     departure: Annotated[float | None, _default("METRES", "1")] = None
     """Distance from the recorded line from which on the car is put back, which is an intervention."""
-    car: Annotated[Literal["auto", "udacity", "built-in"] | None, _default("{auto,udacity,built-in}", "auto")] = (
-        None
-    )
-    """Of which simulator's car a recording is, whose cameras and wheelbase are known; auto asks the log."""
+    car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one that the log tells")] = None
+    """The car that a recording is of: where its cameras stand, and how it turns."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
     """Let it drive these tracks instead: lake, mountain, random:SEED, hairpins:SEED; the same run gives the same
     numbers."""
@@ -183,7 +181,7 @@ def _measure(config: Eval) -> int:
     (run,) = _found_runs(config, config.run)
     what, (found,) = _evaluations(config, [run])
     _keep(run, "frames", {**what, **found.as_dict()})
-    worst = worst_frames(found.frames, 10 if config.worst is None else config.worst)
+    worst = worst_frames(found.frames, 10 if config.worst is None else config.worst, found.max_deg)
     if config.json:
         print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
     else:
@@ -346,9 +344,12 @@ def _driven(
     config: Eval, run: Path, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]], logs: Path
 ) -> Iterator[DriveResult]:
     """The results of a run's drives, as they come."""
+    from drive.driven_car import other_steering
     from drive.evaluation.closed_loop import evaluate as evaluate_run
     from model import load_pilot
 
+    if line := other_steering(run, None):
+        print_message(f"bc-eval: {line}")
     pilot = load_pilot(run, config.precision or "auto")
     pilot.warm_up()
     yield from evaluate_run(
@@ -359,8 +360,10 @@ def _driven(
 def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     """Let the network drive recordings."""
     from dataset import find_logs
+    from dataset.loader.log_views import LogViews
     from model import load_pilot
-    from model.evaluation.recorded_drive import DEPARTURE_M, drive_recording
+    from model.evaluation.recorded_drive import DEPARTURE_M, drive_views
+    from model.runs.car_of_run import refuse_other_steering
     from recorder import RecordingError
 
     logs = find_logs(sessions, config.sessions or Path("sessions"))
@@ -372,11 +375,11 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     try:
         for log in logs:
             try:
-                drive = drive_recording(
-                    pilot.predict, log, departure_m=departure_m, car=config.car or "auto", picture=pilot.picture
-                )
+                with LogViews(log, config.car or "auto", pilot.picture) as views:
+                    refuse_other_steering(run, views.geometry.max_steering_deg, str(log))
+                    drive = drive_views(pilot.predict, views, departure_m)
             except RecordingError as error:
-                raise UserError(f"{error}; if it is of one of these, give --car") from None
+                raise UserError(f"{error}; else tell it by --car") from None
             drives.append(drive)
             _keep(run, "recording", drive.as_dict())
             if config.json:

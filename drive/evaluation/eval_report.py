@@ -118,7 +118,7 @@ def _measures_table(evaluation: Evaluation) -> Table:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"
         table.add_row(heading, *(_number(each.rmse_deg) for each in (others.network, others.zero, others.mean)))
     if is_scaled:
-        table.caption = f"answers: {evaluation.answers}"
+        table.caption = f"answers: {evaluation.answers.in_degrees(evaluation.max_deg)}"
     return table
 
 

@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from common import Skipped
+from common.car import MAX_STEERING_DEG
 from common.errors import counted
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.crash_frames import in_crashes
@@ -29,6 +30,7 @@ from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
 from model.runs.answer_scale import AnswerScale
+from model.runs.car_of_run import refuse_other_steering
 from model.runs.run_files import without_nan
 from model.runs.run_folder import (
     load_answer_scale,
@@ -67,10 +69,11 @@ class Evaluation:
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames tell
+    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1, in the frames and the answers
 
     @cached_property
     def measures(self) -> Measures:
-        return _measure(self.frames)
+        return self._measure(self.frames)
 
     @cached_property
     def other_targets(self) -> tuple[TargetErrors, ...]:
@@ -89,26 +92,29 @@ class Evaluation:
     def without_crashes(self) -> Measures | None:
         """The measures of all other frames; None where that are all of them, or none."""
         others = self.frames.filter(pc.invert(self.frames["crash"]))
-        return _measure(others) if 0 < len(others) < len(self.frames) else None
+        return self._measure(others) if 0 < len(others) < len(self.frames) else None
 
     @cached_property
     def as_learnt(self) -> Errors:
         """The errors of what the network has learnt, without the scale of its answers."""
         learnt = self.answers.learnt(self.frames["predicted"].to_numpy())
-        return errors(learnt, self.frames["recorded"].to_numpy())
+        return errors(learnt, self.frames["recorded"].to_numpy(), self.max_deg)
 
     @cached_property
     def sessions(self) -> dict[str, Measures]:
         """The measures of each session that has frames here."""
-        return {session: _measure(part) for session, part in by_session(self.frames).items()}
+        return {session: self._measure(part) for session, part in by_session(self.frames).items()}
 
     @cached_property
     def balanced_rmse_deg(self) -> dict[str, float]:
         """The balanced RMSE of the network, of always predicting zero, and of always predicting the mean."""
         recorded = self.frames["recorded"].to_numpy()
-        zero = measure(np.zeros(len(recorded)), recorded)
+        zero = measure(np.zeros(len(recorded)), recorded, max_deg=self.max_deg)
         mean_deg = self.measures.mean_balanced_rmse_deg
         return {"network": self.measures.balanced_rmse_deg, "zero": zero.balanced_rmse_deg, "mean": mean_deg}
+
+    def _measure(self, frames: pa.Table) -> Measures:
+        return measure(frames["predicted"].to_numpy(), frames["recorded"].to_numpy(), max_deg=self.max_deg)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
@@ -197,6 +203,8 @@ def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | 
 
 def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Evaluation]:
     configs = [load_config(run) for run in runs]
+    for run in runs:
+        refuse_other_steering(run, samples.max_steering_deg, str(samples.path))
     loaders: list[Loader] = []
 
     def batches(picture: PictureSpec) -> Iterable[tuple[NDArray[np.int64], Image]]:
@@ -231,6 +239,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
             notices,
             answers=load_answer_scale(run),
             targets=(*STEERING_ONLY, *recorded),
+            max_deg=samples.max_steering_deg,
         )
         for run, predicted, config, recorded in zip(runs, answers, configs, labels, strict=True)
     ]
@@ -289,10 +298,6 @@ def _in_crashes(frames: pa.Table, samples: Samples) -> NDArray[np.bool_]:
         at = np.flatnonzero(session.indices.to_numpy() == number)
         crash[at] = in_crashes(frames.take(pa.array(at)), samples.logs[name])
     return crash
-
-
-def _measure(frames: pa.Table) -> Measures:
-    return measure(frames["predicted"].to_numpy(), frames["recorded"].to_numpy())
 
 
 def _as_dict(measures: Measures) -> dict[str, Any]:

@@ -32,10 +32,11 @@ class LogPredictions:
     about: dict[str, str] = field(default_factory=dict)  # which log, which weights: metadata
     skipped: Skipped = field(default_factory=Skipped)  # pictures that do not decode
     notice: str = ""  # that the log was never finished
+    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1
 
     def error_deg(self, run: str) -> Values:
         """Predicted - recorded, in degrees: positive is too far to the right; NaN where nothing was recorded."""
-        return MAX_STEERING_DEG * (self.predicted[run] - self.recorded)
+        return self.max_deg * (self.predicted[run] - self.recorded)
 
     def worst(self, run: str, count: int = WORST_MOMENTS) -> list[WorstFrame]:
         """The moments at which a run is off the most: see `worst_frames`."""
@@ -47,14 +48,14 @@ class LogPredictions:
             "recorded": self.recorded[known],
             "predicted": self.predicted[run][known],
         }
-        return worst_frames(pa.table(frames), count)
+        return worst_frames(pa.table(frames), count, self.max_deg)
 
     def summary(self, run: str) -> str:
         """The errors of a run, in a line."""
         known = np.isfinite(self.recorded)
         if not known.any():
             return f"{run}: {counted(len(self.row), 'frame')}, nothing recorded with them to compare with"
-        found = measure(self.predicted[run][known], self.recorded[known])
+        found = measure(self.predicted[run][known], self.recorded[known], max_deg=self.max_deg)
         return (
             f"{run}: {counted(found.frames, 'frame')}, RMSE {found.network.rmse_deg:.2f} degrees from what was"
             f" recorded (always the mean: {found.mean.rmse_deg:.2f}), MAE {found.network.mae_deg:.2f}"

@@ -89,9 +89,11 @@ def predict_log(
                     for name, run in zip(names, folders, strict=True)
                 },
                 **_preprocessing(names, folders),
+                **crops.about_car,
             },
             crops.skipped,
             crops.notice,
+            crops.max_steering_deg,
         )
 
 

@@ -22,7 +22,7 @@ from common.autonomy import autonomy_percent
 from common.car import MPS_PER_MPH
 from common.progress import progress_bar
 from dataset.errors import DatasetError
-from dataset.loader.log_views import AnyCar, LogViews
+from dataset.loader.log_views import LogViews
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.recorded_line import SHORTEST_S, SLOW_MPH, CarBesideLine, DrivableStretch
@@ -86,7 +86,7 @@ def drive_recording(
     log: Path | str,
     *,
     departure_m: float = DEPARTURE_M,
-    car: AnyCar = "auto",
+    car: str = "auto",
     picture: PictureSpec = ORIGINAL,
 ) -> RecordedDrive:
     """Let a network drive a log, finished or not, with a progress bar. The same network and log, the same drive.

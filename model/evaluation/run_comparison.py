@@ -66,14 +66,19 @@ class Comparison:
     def answers_apart_deg(self) -> float:
         """Root of the mean square of B's answers minus A's, in degrees: 0 for the same network."""
         a, b = (each.frames["predicted"].to_numpy() for each in (self.a, self.b))
-        return MAX_STEERING_DEG * float(np.sqrt(np.square(b - a).mean()))
+        return self.a.max_deg * float(np.sqrt(np.square(b - a).mean()))
 
     @cached_property
     def differences(self) -> tuple[Difference, ...]:
         targets = [name for name in self.a.targets[1:] if name in self.b.targets]
         measures = (*MEASURES, *map(_rmse_of, targets))
         a, b = (
-            np.hstack([sums_of_blocks(each.frames, self.unit), *_sums_of_targets(each.frames, self.unit, targets)])
+            np.hstack(
+                [
+                    sums_of_blocks(each.frames, self.unit, each.max_deg),
+                    *_sums_of_targets(each.frames, self.unit, targets),
+                ]
+            )
             for each in (self.a, self.b)
         )
         return compare_sums(a, b, measures, measures_of_sums, self.tolerance)
@@ -103,10 +108,11 @@ def blocks_of(session: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray
     return block_numbers(time_ns, np.concatenate([[0], np.cumsum(is_apart)]), BLOCK_S)
 
 
-def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64]) -> Floats:
-    """The sums of each block, (blocks, K), of which `measures_of_sums` makes measures."""
+def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float = MAX_STEERING_DEG) -> Floats:
+    """The sums of each block, (blocks, K), of which `measures_of_sums` makes measures. `max_deg` is the wheels'
+    angle at steering 1."""
     predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
-    off_deg = MAX_STEERING_DEG * (predicted - recorded)
+    off_deg = max_deg * (predicted - recorded)
     is_turning = np.abs(recorded) > TURNING
     in_bin = bin_of(np.round(recorded, 6), BINS)[:, None] == np.arange(BINS)  # rounded as in model.metrics
     per_frame = np.column_stack(

@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import MAX_STEERING_DEG
-
 if TYPE_CHECKING:  # a run's history is read and shown without PyTorch
     from torch import Tensor
 
@@ -76,10 +74,10 @@ class AnswerScale:
         """For a file of weights."""
         return {_PREFIX + name: repr(value) for name, value in asdict(self).items()}
 
-    def __str__(self) -> str:
-        """In degrees: "0.10 x + 0.04 x|x| of what was learnt, -0.20"."""
-        curve = f" + {self.curve / MAX_STEERING_DEG:.3f} x|x|" if self.curve else ""
-        return f"{self.scale:.2f} x{curve} of the x degrees learnt, {MAX_STEERING_DEG * self.offset:+.2f}"
+    def in_degrees(self, max_deg: float) -> str:
+        """In words, where steering 1 is `max_deg`: "0.10 x + 0.04 x|x| of the x degrees learnt, -0.20"."""
+        curve = f" + {self.curve / max_deg:.3f} x|x|" if self.curve else ""
+        return f"{self.scale:.2f} x{curve} of the x degrees learnt, {max_deg * self.offset:+.2f}"
 
     def natural(self, learnt: Steering) -> Steering:
         return learnt * (self.scale + self.curve * abs(learnt)) + self.offset

@@ -11,6 +11,7 @@ import json
 import math
 from typing import Any, Final
 
+from common.car import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGET_NAMES
 from dataset.preprocess import decode, may_be_crop
 from model.metrics import BinErrors, Errors, Measures
@@ -35,7 +36,9 @@ def parse_epoch(line: bytes) -> Epoch:
         _count(values["epoch"], least=1),
         _number(values["training_loss"]),
         _number(values["validation_loss"]),
-        Measures(sum(part.frames for part in bins), network, zero, mean, bins, mean_balanced_rmse_deg),
+        Measures(
+            sum(part.frames for part in bins), network, zero, mean, bins, mean_balanced_rmse_deg, _max_deg(values)
+        ),
         values["is_best"] is True,
         _number(values["seconds"]),
         _number(values["samples_per_s"]),
@@ -67,7 +70,14 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
         if not may_be_crop(jpeg):
             raise ValueError("no crop that a network sees")
         decode(jpeg)  # a ValueError for what is none
-    return WorstPictures(epoch, frames, jpegs)
+    return WorstPictures(epoch, frames, jpegs, _max_deg(values))
+
+
+def _max_deg(values: Any) -> float:
+    found = _number(values.get("max_deg", MAX_STEERING_DEG))
+    if not 0 < found < 90:
+        raise ValueError("no angle of the wheels")
+    return found
 
 
 def _answers(values: Any) -> AnswerScale:

@@ -49,9 +49,10 @@ def write_run_figures(run: Path, predicted: Floats, recorded: Floats) -> list[Pa
     history, skipped = read_history(run)
     if len(skipped):
         raise RunError(f"{run}: no figures, as not all of its history can be read: {'; '.join(skipped.lines())}")
+    max_deg = history.epochs[-1].measures.max_deg if history.epochs else MAX_STEERING_DEG
     draw: dict[str, Callable[[], Figure]] = {
         CURVES: lambda: draw_curves(history),
-        STEERING: lambda: draw_steering(predicted, recorded),
+        STEERING: lambda: draw_steering(predicted, recorded, max_deg),
     }
     with figure_style():
         for name, figure in draw.items():
@@ -111,19 +112,19 @@ def draw_curves(history: History) -> Figure:
     return figure
 
 
-def draw_steering(predicted: Floats, recorded: Floats) -> Figure:
+def draw_steering(predicted: Floats, recorded: Floats, max_deg: float = MAX_STEERING_DEG) -> Figure:
     """Predicted against recorded steering (N,) of the frames held out, errors by bin, and a stretch of frames."""
     if not len(recorded):
         figure = new_figure(1)
         _write_note(figure.subplots(), "no frames were held out")
         return figure
-    measures = measure(predicted, recorded)
+    measures = measure(predicted, recorded, max_deg=max_deg)
     figure = new_figure(5.4)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.1, 1), height_ratios=(1, 1, 1.05))
     errors = figure.add_subplot(grid[0, 1])
     frames = figure.add_subplot(grid[1, 1], sharex=errors)
     _draw_scatter(figure.add_subplot(grid[:2, 0]), predicted, recorded, measures)
-    _draw_bins(errors, frames, measures.bins, measure(np.zeros(len(recorded)), recorded).bins)
+    _draw_bins(errors, frames, measures.bins, measure(np.zeros(len(recorded)), recorded, max_deg=max_deg).bins)
     _draw_stretch(figure.add_subplot(grid[2, :]), predicted, recorded)
     figure.align_ylabels((errors, frames))
     return figure
@@ -133,7 +134,7 @@ def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
     """Draw the errors of predictors that know nothing on the same frames: the same in every epoch."""
     mean, zero = epoch.measures.mean, epoch.measures.zero
     for constant, label, style in ((mean, "always the mean", "--"), (zero, "always zero", ":")):
-        squared = (constant.rmse_deg / MAX_STEERING_DEG) ** 2
+        squared = (constant.rmse_deg / epoch.measures.max_deg) ** 2
         # the axis is logarithmic; of a sum over targets, steering is a part
         if squared > 0 and not epoch.targets:
             loss.axhline(squared, color=GREY, linestyle=style, linewidth=1, label=label)

@@ -50,7 +50,7 @@ def _of_natural_answers(best: Epoch) -> list[str]:
     if best.learnt is None or best.answers == AnswerScale():
         return []
     return [
-        f"natural answers: {best.answers}:"
+        f"natural answers: {best.answers.in_degrees(best.measures.max_deg)}:"
         f" RMSE {best.measures.network.rmse_deg:.2f} instead of {best.learnt.rmse_deg:.2f} degrees"
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Protocol
 
+from common.car import MAX_STEERING_DEG
 from model.metrics import Errors, Measures
 from model.runs.answer_scale import AnswerScale
 from model.target_metrics import TargetErrors
@@ -53,6 +54,7 @@ class Epoch:
             "mean": {**asdict(measures.mean), "balanced_rmse_deg": measures.mean_balanced_rmse_deg},
             "balanced_rmse_deg": measures.balanced_rmse_deg,
             "bins": [asdict(part) for part in measures.bins],
+            **({"max_deg": measures.max_deg} if measures.max_deg != MAX_STEERING_DEG else {}),
             "answers": asdict(self.answers),
             "learnt": None if self.learnt is None else asdict(self.learnt),
             **({"targets": [target.as_dict() for target in self.targets]} if self.targets else {}),

@@ -37,38 +37,47 @@ class WorstPictures:
     epoch: int  # from 1
     frames: tuple[WorstFrame, ...]
     jpegs: tuple[bytes, ...]
+    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1
 
     def as_dict(self) -> dict[str, Any]:
         frames = [
             {**asdict(frame), "jpeg": base64.b64encode(jpeg).decode()}
             for frame, jpeg in zip(self.frames, self.jpegs, strict=True)
         ]
-        return {"epoch": self.epoch, "frames": frames}
+        steering = {"max_deg": self.max_deg} if self.max_deg != MAX_STEERING_DEG else {}
+        return {"epoch": self.epoch, **steering, "frames": frames}
 
 
 def find_worst(
-    epoch: int, seen: pa.Table, loader: Loader, predicted: NDArray[np.float64], recorded: NDArray[np.float64]
+    epoch: int,
+    seen: pa.Table,
+    loader: Loader,
+    predicted: NDArray[np.float64],
+    recorded: NDArray[np.float64],
+    max_deg: float = MAX_STEERING_DEG,
 ) -> WorstPictures:
     """The worst of the frames that a network was measured on.
 
-    `seen` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode.
+    `seen` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode;
+    `max_deg` is the wheels' angle at steering 1.
     """
     decoded = np.flatnonzero(loader.decoded)
     frames = seen.take(decoded).append_column("predicted", pa.array(predicted))
-    worst = worst_frames(frames.append_column("recorded", pa.array(recorded)), min(WORST_COUNT, loader.batch))
+    frames = frames.append_column("recorded", pa.array(recorded))
+    worst = worst_frames(frames, min(WORST_COUNT, loader.batch), max_deg)
     time_ns, row = (frames[name].to_numpy() for name in ("log_time_ns", "row"))
     samples = [
         decoded[
             np.argmax(
-                (time_ns == frame.log_time_ns)
-                & (row == frame.row)
-                & (MAX_STEERING_DEG * predicted == frame.predicted_deg)
+                (time_ns == frame.log_time_ns) & (row == frame.row) & (max_deg * predicted == frame.predicted_deg)
             )
         ]
         for frame in worst
     ]
     pictures = loader.pictures_of(np.array(samples, np.int64)) if samples else ()
-    return WorstPictures(epoch, tuple(worst), tuple(_jpeg(as_bgr(picture, loader.seen)) for picture in pictures))
+    return WorstPictures(
+        epoch, tuple(worst), tuple(_jpeg(as_bgr(picture, loader.seen)) for picture in pictures), max_deg
+    )
 
 
 def _jpeg(crop: Image) -> bytes:

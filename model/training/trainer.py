@@ -25,6 +25,7 @@ from model.device import choose_machine
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice, choose_network, chosen_picture
 from model.progress_bar import open_bar
+from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
 from model.runs.run_folder import (
@@ -70,13 +71,15 @@ def train(
     listeners: Sequence[Listener] = (),
     *,
     init: Path | str | None = None,
+    like: Path | str | None = None,
     resume: bool = False,
     show_progress: bool = True,
     figures: bool = True,
 ) -> Trained:
     """Train a network on `index` and keep it in the new folder `run`.
 
-    `init` is a run whose weights it starts from. `resume` goes on with the run where it was stopped, or killed;
+    `init` is a run whose weights it starts from, `like` one whose arithmetic it has, and as many pictures at once,
+    where `config` leaves that open. `resume` goes on with the run where it was stopped, or killed;
     the weights are then those of a run that never was, on the same processor with as many threads. One that was
     killed before anything of it was saved begins again from its seed.
     `figures` draws its curves, for which matplotlib is needed.
@@ -94,7 +97,8 @@ def train(
     else:
         refuse_existing_run(run)
     config = config or TrainConfig()
-    machine = choose_machine(config, local_rank_of_process())
+    before = stored if resume or like is None else load_config(Path(like))
+    machine = choose_machine(config, local_rank_of_process(), before.get("machine"))
     network = choice_of(stored, run) if resume else choose_network(config)
     picture = picture_of_run(run) if resume else chosen_picture(config, network)
     parameters = network.try_out(picture, machine.device)
@@ -117,6 +121,8 @@ def train(
             "index": relative_place(run, index),
             **provenance(samples, config, network, parameters, machine, group.ranks),
         }
+        if init is not None:
+            refuse_other_steering(init, samples.max_steering_deg, str(samples.path))
         if resume:
             refuse_other_samples(run, stored, samples)
             group.on_first_rank(lambda: stack.enter_context(locked_for_training(run)))

@@ -35,6 +35,7 @@ class Validation:
         self, samples: Samples, batch: int, budget_bytes: int, config: TrainConfig, seen: PictureSpec
     ) -> None:
         self._config = config
+        self._max_deg = samples.max_steering_deg
         frames = samples.driving_view("validation")
         self.loader = Loader(
             samples,
@@ -60,7 +61,7 @@ class Validation:
         """The measures of an epoch that has been learnt up to its end, `position`: those of what the network has
         `learnt`, and of what it answers in the scale of `answers`, `predicted`."""
         config = self._config
-        measures = measure(steering_in(predicted), steering_in(recorded))
+        measures = measure(steering_in(predicted), steering_in(recorded), max_deg=self._max_deg)
         return Epoch(
             position.epoch,
             position.squared_error / position.samples,
@@ -70,7 +71,7 @@ class Validation:
             position.seconds,
             position.samples / position.seconds,
             answers,
-            errors(steering_in(learnt), steering_in(recorded)),
+            errors(steering_in(learnt), steering_in(recorded), self._max_deg),
             other_targets(config.targets, predicted, recorded),
         )
 
@@ -81,7 +82,8 @@ class Validation:
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
         if not len(recorded):
             return None
-        return find_worst(epoch, self.frames, self.loader, steering_in(predicted), steering_in(recorded))
+        steering = steering_in(predicted), steering_in(recorded)
+        return find_worst(epoch, self.frames, self.loader, *steering, self._max_deg)
 
 
 def _loss(predicted: Floats, recorded: Floats, weights: Sequence[float]) -> float:

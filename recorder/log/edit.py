@@ -35,6 +35,7 @@ from recorder.log.derived_log import (
 )
 from recorder.log.reader import Log
 from recorder.log.row_quality import drive_numbers
+from recorder.log.session_car import max_steering_deg_of
 from recorder.log.tags import Tag, read_tags
 from recorder.log.topics import ROW_TOPICS
 from recorder.log.writer import LogWriter
@@ -89,13 +90,14 @@ def trim_times(path: Path, to: Path, start_s: float, end_s: float, *, overwrite:
 def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Written:
     """Write several logs into one, in the order given: the rows of each are numbered on from those before.
 
-    Raises LogError if the numbers do not suffice.
+    Raises LogError if the numbers do not suffice, or if the wheels turn by another angle at steering 1.
     """
     refuse_taken(to, paths, overwrite)
     skipped = Skipped()
     count = row_count = following = 0
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context(Log(path)) for path in paths]
+        _refuse_different_steering(logs)
         tags = [read_tags(log.path, log.fingerprint) for log in logs]
         merged_tags: list[Tag] = []
         metadata = {"source": "merged", "merged_from": ", ".join(path.name for path in paths)}
@@ -121,6 +123,13 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
             copy_rest(log, log.all_metadata(), writer, skipped)
         close_with_tags(writer, merged_tags)
     return Written(to, count, row_count, skipped)
+
+
+def _refuse_different_steering(logs: Sequence[Log]) -> None:
+    first, *others = [(log.path, max_steering_deg_of(log)) for log in logs]
+    for path, degrees in others:
+        if degrees != first[1]:
+            raise LogError(f"{path}: steering 1 is {degrees:g} degrees in it, and {first[1]:g} in {first[0]}")
 
 
 def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]:

@@ -15,6 +15,7 @@ from recorder.log import topics
 from recorder.log.label_plan import goes_by_lag, plan_labels
 from recorder.log.reader import Log
 from recorder.log.row_quality import ROW_FLAGS, States, summary
+from recorder.log.session_car import max_steering_deg_of
 from recorder.log.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits
 from recorder.log.tags import Tag, read_tags, stale_tags, tags_path
 
@@ -167,7 +168,7 @@ def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
     if noted := habits_from(quality.get("steering", "")):
         return noted
     states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
-    return steering_habits(states) if states else None
+    return steering_habits(states, max_steering_deg_of(log)) if states else None
 
 
 def _states(log: Log) -> States | None:

@@ -87,8 +87,9 @@ def habits_from(text: str) -> SteeringHabits | None:
         return None
 
 
-def steering_habits(states: States) -> SteeringHabits:
-    """Of the rows of a log. Whatever these hold, nothing is raised."""
+def steering_habits(states: States, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
+    """Of the rows of a log, whose wheels turn by `max_steering_deg` at steering 1. Whatever these hold, nothing is
+    raised."""
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     flags = row_flags(states)
     steering, time_ns = states.steering[in_range], states.time_ns[in_range]
@@ -114,8 +115,8 @@ def steering_habits(states: States) -> SteeringHabits:
         presses=len(presses),
         press_s=float(np.median(presses)) * step_s if len(presses) and step_s else None,
         keys=_is_of_keys(steering, time_ns, same),
-        spread_deg=float(steering.std()) * MAX_STEERING_DEG if rows else None,
-        largest_deg=float(np.abs(steering).max()) * MAX_STEERING_DEG if rows else None,
+        spread_deg=float(steering.std()) * max_steering_deg if rows else None,
+        largest_deg=float(np.abs(steering).max()) * max_steering_deg if rows else None,
         ceiling=ceiling,
         crashes=_share(flags["crash"]),
     )

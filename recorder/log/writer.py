@@ -28,10 +28,12 @@ from common.interrupts import uninterrupted
 from common.locks import lock
 from common.versions import version_of
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
+from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.compressed_image import image_data, is_image_channel
 from recorder.log.copied_channels import CopiedChannels
 from recorder.log.row_quality import StatesWritten, summary
+from recorder.log.session_car import UDACITY, car_in
 from recorder.log.split_chunks import SplitChunks
 from recorder.log.steering_habits import steering_habits
 from recorder.log.topics import (
@@ -96,6 +98,7 @@ class LogWriter:
         self._adders: dict[str, AddMessage] = {}
         self._schemas: dict[str, int] = {}
         self._has_messages = False
+        self._max_steering_deg = UDACITY.max_steering_deg
         self.same_as = ""
         """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
         self._is_split = metadata is not None
@@ -127,6 +130,8 @@ class LogWriter:
         self._to_disk(self._chunks.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
+            with contextlib.suppress(LogError):  # copied of another log, whose readers will tell
+                self._max_steering_deg = (car_in(metadata, self.path) or UDACITY).max_steering_deg
 
     def picture(
         self, camera: Camera, time_ns: int, sequence: int, picture: bytes, size: tuple[int, int] | None = None
@@ -242,7 +247,7 @@ class LogWriter:
                 **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
             }
             states = self._states.states()
-            steering = json.dumps(asdict(steering_habits(states)), allow_nan=False)
+            steering = json.dumps(asdict(steering_habits(states, self._max_steering_deg)), allow_nan=False)
             self.add_metadata(topics.QUALITY_METADATA, summary(states) | {"steering": steering} | sizes)
         if self.same_as:
             self._to_disk(self._chunks.flush)

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from common.car import MAX_STEERING_DEG
 from common.errors import counted, printable
+from recorder.log.session_car import UDACITY, Car
 from recorder.pictures.jpeg import whole_jpeg_size
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, parse_world
@@ -65,11 +65,11 @@ class Telemetry:
     world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
 
 
-def parse_telemetry(data: object, known_separator: str | None = None) -> Telemetry:
+def parse_telemetry(data: object, known_separator: str | None = None, car: Car = UDACITY) -> Telemetry:
     """Parse a message's data. Raises TelemetryError with the reason, and what could be read all the same.
 
     `known_separator` is the decimal separator of the same connection's earlier telemetry: whole numbers, and
-    1,234, do not show it.
+    1,234, do not show it. `car` tells how far its wheels turn at steering 1, and in which unit its speed is.
     """
     if not isinstance(data, dict):
         raise TelemetryError(f"not an object but a {type(data).__name__}")
@@ -82,7 +82,7 @@ def parse_telemetry(data: object, known_separator: str | None = None) -> Telemet
     for name in _NUMBERS:
         if name not in missing:
             try:
-                numbers[name] = _number(data[name], name, decimal)
+                numbers[name] = _number(data[name], name, decimal, car.mph if name == "speed" else 1.0)
             except TelemetryError as error:
                 problems.append(error)
     try:
@@ -96,7 +96,7 @@ def parse_telemetry(data: object, known_separator: str | None = None) -> Telemet
         problem.world, problem.world_problems = world, world_problems
         raise problem
     return Telemetry(
-        steering=numbers["steering_angle"] / MAX_STEERING_DEG,
+        steering=numbers["steering_angle"] / car.max_steering_deg,
         throttle=numbers["throttle"],
         speed_mph=numbers["speed"],
         jpeg=jpeg,
@@ -149,8 +149,8 @@ def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
     )
 
 
-def _number(value: object, field: str, decimal: str) -> float:
-    """The number in a field that is there. Raises TelemetryError if it holds none."""
+def _number(value: object, field: str, decimal: str, unit: float) -> float:
+    """The number in a field that is there, times `unit`. Raises TelemetryError if it holds none."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise TelemetryError(f"{field} is not a number but a {type(value).__name__}")
     try:
@@ -161,6 +161,7 @@ def _number(value: object, field: str, decimal: str) -> float:
         raise TelemetryError(f"{field} is not a number", f" ({_shortened(value)})")
     if not math.isfinite(number):
         raise TelemetryError(f"{field} is not finite")
+    number *= unit
     if field == "speed" and abs(number) > MAX_SPEED_MPH:
         raise TelemetryError(f"speed is beyond {MAX_SPEED_MPH:,.0f} mph")
     return number

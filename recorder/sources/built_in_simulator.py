@@ -18,6 +18,7 @@ from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.pose_message import pose_message
+from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
 from simulator.driving.recovery_driving import MOST_RECOVERY, DriveStep, drive_for_recording, steps_each
@@ -79,6 +80,7 @@ def record_simulated(
         "drive.speed": " ".join(f"{speed_mph:g}" for speed_mph in drive.speed),
         **{f"drive.{name}": f"{getattr(drive, name):g}" for name in ("rate", "recovery", "noise")},
         "drive.seed": str(drive.seed),
+        **metadata_of(built_in()),
     }
     length_m = len(drive.speed) * drive.laps * simulation.track.line.length_m
     rows = put_back = 0

@@ -16,6 +16,7 @@ from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
@@ -40,13 +41,19 @@ class _UnusableRecordError(Exception):
 
 
 def import_tub(
-    folder: Path, log: Path, *, rate_hz: float | None = None, all_catalogs: bool = False, overwrite: bool = False
+    folder: Path,
+    log: Path,
+    *,
+    rate_hz: float | None = None,
+    all_catalogs: bool = False,
+    car: Car | None = None,
+    overwrite: bool = False,
 ) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
     `rate_hz` is for a tub whose records have no times: 20 without it. `all_catalogs` takes those catalogues, too,
-    that the manifest does not name; DonkeyCar does not read them.
+    that the manifest does not name; DonkeyCar does not read them. `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     check_rate(rate_hz)
@@ -72,7 +79,7 @@ def import_tub(
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
         metadata["start"] = "1970, because the tub does not tell it"
     rows = 0
-    with LogWriter(log, metadata, overwrite=overwrite) as writer:
+    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
         for frame in itertools.chain([first], frames):
             events.at(writer, frame.time_ns)
             writer.picture("center", frame.time_ns, rows, frame.jpeg)

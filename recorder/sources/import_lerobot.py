@@ -23,6 +23,7 @@ from common.stretches import consecutive
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.lerobot.dataset_format import LOG_TIME
+from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
@@ -54,13 +55,14 @@ def import_lerobot(
     image: str | None = None,
     steering: str | None = None,
     steering_scale: float = 1.0,
+    car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write the LeRobot dataset in `folder` to `log`: images byte for byte, frames of videos encoded anew.
 
     `image` names the feature that is the camera's pictures, `steering` the number that is the steering, as
     `action.steering` or `action.0`; without them, names tell. Episodes are drives. An export of ours comes back
-    with its own times and all digits; of others the times begin in 1970.
+    with its own times and all digits; of others the times begin in 1970. `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)
@@ -79,7 +81,8 @@ def import_lerobot(
         if first is None:
             raise RecordingError(f"{folder}: no frame of it can be used{events.skipped.error_suffix()}")
         rows = pictures = 0
-        with LogWriter(log, _metadata(dataset, chosen, steering_scale), overwrite=overwrite) as writer:
+        metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(car)
+        with LogWriter(log, metadata, overwrite=overwrite) as writer:
             for frame in itertools.chain([first], frames):
                 events.at(writer, frame.time_ns)
                 for camera, picture in frame.pictures.items():

@@ -27,6 +27,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
+from recorder.log.session_car import Car, metadata_of
 from recorder.log.topics import PROFILE
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported, SkippedEvents
@@ -127,10 +128,13 @@ def check_scale(steering_scale: float) -> None:
         raise RecordingError(f"--steering-scale {steering_scale:g}: a number other than 0 was expected")
 
 
-def import_mcap(source: Path, log: Path, topics: McapTopics, *, overwrite: bool = False) -> Imported:
+def import_mcap(
+    source: Path, log: Path, topics: McapTopics, *, car: Car | None = None, overwrite: bool = False
+) -> Imported:
     """Write the pictures of another program's log to `log`, byte for byte, each with the last steering before it.
 
     Pictures without a steering that is at most a second old are left out. Speed is NaN, the pedals are 0.
+    `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, LogError if a chunk of it is damaged, and UserError if
     `log` exists and `overwrite` is off.
     """
@@ -157,7 +161,7 @@ def import_mcap(source: Path, log: Path, topics: McapTopics, *, overwrite: bool 
     count = 0
     has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
     notices = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
-    with LogWriter(log, metadata, overwrite=overwrite) as writer:
+    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
         for notice in notices:
             writer.event(first.time_ns, notice, "WARNING", "recorder")
         for row in itertools.chain([first], rows):

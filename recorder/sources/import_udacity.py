@@ -10,6 +10,7 @@ from common import Skipped
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
+from recorder.log.session_car import UDACITY, Car, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.frame_rate import describe_clock
@@ -22,15 +23,18 @@ NOT_WHOLE = "pictures that are not whole JPEG files"
 UNREADABLE_PICTURES = "pictures that cannot be read"
 
 
-def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, overwrite: bool = False) -> Imported:
+def import_udacity(
+    folder: Path, log: Path, *, rate_hz: float | None = None, car: Car | None = None, overwrite: bool = False
+) -> Imported:
     """Write the Udacity recording in `folder` to `log`; its pictures byte for byte, its rows in their order.
 
     `rate_hz` is for a recording whose pictures' names hold no times: its rows are so many a second, from 1970 on.
+    `car` is the one that was recorded, if that is not Udacity's.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     events = SkippedEvents()
     recording = UdacityRecording(folder, events.skipped, rate_hz)
-    metadata = udacity_metadata(folder, rate_hz)
+    metadata = udacity_metadata(folder, rate_hz, car)
     row_count = pictures = 0
     rows = recording.rows()
     first = next(rows)  # without any, nothing is begun
@@ -43,14 +47,14 @@ def import_udacity(folder: Path, log: Path, *, rate_hz: float | None = None, ove
                 if jpeg is not None:
                     writer.picture(camera, row.time_ns, row_count, jpeg)
                     pictures += 1
-            writer.vehicle(row.time_ns, row_count, vehicle_state(row))
+            writer.vehicle(row.time_ns, row_count, vehicle_state(row, car))
             row_count += 1
     return Imported(log, row_count, pictures, events.skipped, writer.notices)
 
 
-def udacity_metadata(folder: Path, rate_hz: float | None) -> dict[str, str]:
+def udacity_metadata(folder: Path, rate_hz: float | None, car: Car | None) -> dict[str, str]:
     """The metadata of a Udacity recording's log."""
-    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name}
+    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name} | metadata_of(car)
     if rate_hz is not None:
         metadata["clock"] = describe_clock(rate_hz)
         metadata["start"] = "1970, because the recording does not tell it"
@@ -70,5 +74,6 @@ def _jpeg(path: str, skipped: Skipped) -> bytes | None:
     return jpeg
 
 
-def vehicle_state(row: Row) -> VehicleState:
-    return VehicleState(steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=row.speed_mph)
+def vehicle_state(row: Row, car: Car | None) -> VehicleState:
+    speed_mph = row.speed_mph * (car or UDACITY).mph
+    return VehicleState(steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=speed_mph)

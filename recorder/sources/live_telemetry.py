@@ -18,6 +18,7 @@ from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
 from recorder.log.pose_message import pose_message
+from recorder.log.session_car import UDACITY, Car, metadata_of
 from recorder.log.writer import EventLevel, LogWriter
 from recorder.server.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
@@ -34,6 +35,7 @@ def listen_for_telemetry(
     port: int = 4567,
     idle_s: float | None = None,
     overwrite: bool = False,
+    car: Car | None = None,
     on_started: Callable[[Path], None] | None = None,
 ) -> Imported:
     """Record the telemetry of Socket.IO clients on host:port (port 0: a free one) to `log`. Every telemetry is
@@ -41,15 +43,18 @@ def listen_for_telemetry(
 
     Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last telemetry; outside the main thread, which alone
     hears signals, only on the latter. `on_started` gets the path of the growing file, once the server listens.
+    `car` is theirs, if that is not Udacity's or the built-in one's.
 
     Raises RecordingError if not one telemetry came that can be used, ListenError if the port is taken, UserError
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
     refuse_existing(log, overwrite)
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
-        writer = writing.enter_context(LogWriter(log, {"source": "telemetry"}, overwrite=overwrite, live=True))
+        writer = writing.enter_context(
+            LogWriter(log, {"source": "telemetry"} | metadata_of(car), overwrite=overwrite, live=True)
+        )
         with StatusLine() as status:
-            session = _Session(writer, status)
+            session = _Session(writer, status, car or UDACITY)
             server = TelemetryServer(session, host=host, port=port, notify=session.warn, first_command="manual")
             session.say(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
@@ -66,7 +71,8 @@ def listen_for_telemetry(
 class _Session:
     """Writes telemetry to a log; rows are numbered from 0, and no time is the same as or before the last one."""
 
-    def __init__(self, writer: LogWriter, status: StatusLine) -> None:
+    def __init__(self, writer: LogWriter, status: StatusLine, car: Car) -> None:
+        self._car = car
         self._writer = writer
         self._status = status
         self._text = ""
@@ -161,7 +167,7 @@ class _Session:
                 self._event(received_ns, "manual: a human drives")
             return
         try:
-            telemetry = parse_telemetry(data, self._separators.get(sid))
+            telemetry = parse_telemetry(data, self._separators.get(sid), self._car)
             if telemetry.observed_separator is not None:
                 self._separators[sid] = telemetry.observed_separator
             size = check_whole_jpeg(telemetry.jpeg)

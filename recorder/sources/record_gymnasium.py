@@ -16,6 +16,7 @@ from common.versions import version_of
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.log_time import BREAK_NS
+from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.built_in_simulator import CLOCK_START_NS
 from recorder.sources.frame_rate import check_rate
@@ -38,6 +39,7 @@ class GymRecording:
     seed: int = 0  # of the first episode's reset, and of the wandering
     rate_hz: float | None = None  # rows a second; it must divide the environment's; by default each step is a row
     wander: float = 0.0
+    car: Car | None = None  # the environment's
 
 
 def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = False) -> Imported:
@@ -116,7 +118,7 @@ def _steps_a_row(rows_hz: float | None, steps_hz: float) -> int:
 
 
 def _metadata(recording: GymRecording, car: GymnasiumCar) -> dict[str, str]:
-    return {
+    return metadata_of(recording.car) | {
         "source": "gymnasium",
         "simulator": car.name,
         "driver": str(recording.environment.expert),

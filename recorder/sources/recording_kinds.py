@@ -10,6 +10,7 @@ import tyro
 
 from common.files import PART_SUFFIX
 from recorder.errors import RecordingError
+from recorder.log.session_car import Car
 from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.import_donkeycar import import_tub
@@ -38,11 +39,12 @@ def import_recording(
     *,
     rate_hz: float | None = None,
     all_catalogs: bool = False,
+    car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
     ROS 2 bag (which need `topics`), a LeRobot dataset (which may). `rate_hz` and `all_catalogs` are as for
-    `import_tub`.
+    `import_tub`; `car` is what was driven.
 
     Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
     `overwrite` is off.
@@ -63,7 +65,7 @@ def import_recording(
         what = "messages" if is_log else "frames"
         raise RecordingError(f"{source}: --rate: its {what} tell their times; leave it out")
     if is_log:
-        return import_mcap(source, log, _mcap_topics(source, log, topics), overwrite=overwrite)
+        return import_mcap(source, log, _mcap_topics(source, log, topics), car=car, overwrite=overwrite)
     if is_dataset:
         from recorder.sources.import_lerobot import import_lerobot  # Arrow's parquet, OpenCV
 
@@ -73,11 +75,12 @@ def import_recording(
             image=topics.image,
             steering=topics.steering,
             steering_scale=topics.steering_scale,
+            car=car,
             overwrite=overwrite,
         )
     if is_donkeycar:
-        return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, overwrite=overwrite)
-    return import_udacity(source, log, rate_hz=rate_hz, overwrite=overwrite)
+        return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, car=car, overwrite=overwrite)
+    return import_udacity(source, log, rate_hz=rate_hz, car=car, overwrite=overwrite)
 
 
 def _mcap_topics(source: Path, log: Path, topics: Topics) -> McapTopics:

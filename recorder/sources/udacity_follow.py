@@ -22,6 +22,7 @@ from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
+from recorder.log.session_car import Car
 from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.find_recording import is_udacity, recordings_near
@@ -46,20 +47,21 @@ def watch_udacity(
     *,
     rate_hz: float | None = None,
     idle_s: float | None = None,
+    car: Car | None = None,
     overwrite: bool = False,
     on_started: Callable[[Path], None] | None = None,
 ) -> Imported:
     """Write the recording in `folder` to `log` while it grows; neither the folder nor its csv need be there yet.
 
     Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last new row or picture; called outside the main
-    thread, only on the latter. `on_started` is called with the path of the growing file. `rate_hz` is as for
-    `import_udacity`.
+    thread, only on the latter. `on_started` is called with the path of the growing file. `rate_hz`
+    and `car` are as for `import_udacity`.
 
     Raises RecordingError if there was no usable row, and UserError if `log` exists and `overwrite` is off, or
     cannot be written any more.
     """
     check_rate(rate_hz)
-    metadata = udacity_metadata(folder, rate_hz)
+    metadata = udacity_metadata(folder, rate_hz, car)
     if folder.exists() and not folder.is_dir():
         raise RecordingError(f"{folder}: a file; give the folder that {CSV_NAME} is in, or will be")
     with (
@@ -67,7 +69,7 @@ def watch_udacity(
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
         StatusLine() as status,
     ):
-        recording = _GrowingRecording(folder, writer, rate_hz)
+        recording = _GrowingRecording(folder, writer, rate_hz, car)
         if on_started is not None:
             on_started(writer.part)
         if not recording.has_csv():
@@ -110,7 +112,8 @@ class CsvTail(FileTail):
 class _GrowingRecording:
     """A recording that grows: counts what is in the log by now, and knows which pictures are still awaited."""
 
-    def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None) -> None:
+    def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None, car: Car | None) -> None:
+        self._car = car
         self.rows = 0
         self.pictures = 0
         self._events = SkippedEvents()
@@ -201,7 +204,7 @@ class _GrowingRecording:
                 continue
             self._last_ns = row.time_ns
             self._events.at(self._writer, row.time_ns)
-            self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row))
+            self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row, self._car))
             for camera, name in zip(CSV_CAMERAS, row.names, strict=True):
                 if not name:
                     continue

@@ -67,15 +67,22 @@ class SimulatorClient:
     """Runs the simulator's loop against a server; a reconnection happens by itself, as in the real one."""
 
     def __init__(
-        self, host: str = "127.0.0.1", port: int = 4567, *, wait_s: float = 60.0, decimal_comma: bool = False
+        self,
+        host: str = "127.0.0.1",
+        port: int = 4567,
+        *,
+        wait_s: float = 60.0,
+        decimal_comma: bool = False,
+        max_steering_deg: float = MAX_STEERING_DEG,
     ) -> None:
         """``wait_s`` limits the wait for a server that is not there. ``decimal_comma`` writes (and reads) numbers
-        as a machine with such a locale does."""
+        as a machine with such a locale does. ``max_steering_deg`` is how far the wheels turn at steering 1."""
         self._address = host.strip("[]"), port
         host = f"[{self._address[0]}]" if ":" in host else host  # IPv6
         self.url = f"ws://{host}:{port}/socket.io/?EIO=4&transport=websocket"
         self.wait_s = wait_s
         self.decimal_comma = decimal_comma
+        self.max_steering_deg = max_steering_deg
         self.telemetries = 0  # sent
         self.steers = 0  # received and understood
         self.manuals = 0  # received
@@ -200,7 +207,7 @@ class SimulatorClient:
         if telemetry == "manual":
             return '42["telemetry",null]'
         fields: dict[str, Any] = {
-            "steering_angle": self._n4(telemetry.steering * MAX_STEERING_DEG),
+            "steering_angle": self._n4(telemetry.steering * self.max_steering_deg),
             "throttle": self._n4(telemetry.throttle),
             "speed": self._n4(telemetry.speed_mph),
             "image": base64.b64encode(telemetry.jpeg).decode("ascii"),

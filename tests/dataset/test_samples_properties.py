@@ -65,7 +65,7 @@ def write_index(
         frames += table.to_pylist()
         files[f"s{number}"] = folder / f"s{number}.parquet"
         write_table(files[f"s{number}"], table, {})
-    built = {name: BuiltLog(("", None, None, None)) for name in files}
+    built = {name: BuiltLog(("", None, None, None), set_speeds_mph=()) for name in files}
     labels = labels_of_sessions(files, files, built, folder, config)  # so short, that no log is looked into
     write_samples(files, folder / "samples.parquet", config, {}, labels)
     return frames, pq.read_table(folder / "samples.parquet").to_pylist()

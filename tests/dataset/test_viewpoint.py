@@ -12,7 +12,7 @@ from common.car import CAMERAS, Camera
 from dataset.preprocess import Image, decode
 from dataset.viewpoint import Viewpoint
 from painted_road import render
-from recorder.log.car_geometry import UDACITY, CarGeometry, built_in
+from recorder.log.session_car import UDACITY, Car, built_in
 from simulator.driving.simulation import Simulation
 
 WITHOUT_BONNET = replace(UDACITY, bonnet=dict.fromkeys(CAMERAS, ((0, 160), (320, 160))))
@@ -26,7 +26,7 @@ OTHER_CAR = replace(
 )
 
 
-def moment(geometry: CarGeometry, width_px: int = 320, height_px: int = 160) -> dict[Camera, Image]:
+def moment(geometry: Car, width_px: int = 320, height_px: int = 160) -> dict[Camera, Image]:
     return {
         camera: render(geometry, beside_m=geometry.left_m[camera], width_px=width_px, height_px=height_px)
         for camera in CAMERAS
@@ -37,7 +37,7 @@ def moment(geometry: CarGeometry, width_px: int = 320, height_px: int = 160) -> 
 @pytest.mark.parametrize("camera", CAMERAS)
 @pytest.mark.parametrize(("left_m", "turn_deg"), [(0.7, 0), (0, 8), (0.5, -6), (-1.1, 10)])
 def test_it_is_the_picture_that_a_camera_there_takes(
-    geometry: CarGeometry, camera: Camera, left_m: float, turn_deg: float
+    geometry: Car, camera: Camera, left_m: float, turn_deg: float
 ) -> None:
     turn_rad = math.radians(turn_deg)
     view = Viewpoint(geometry, 320, 160).view(moment(geometry), left_m, turn_rad, camera)

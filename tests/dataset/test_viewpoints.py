@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,25 +18,48 @@ from dataset import DatasetError, IndexConfig, build_index, load, preprocess
 from dataset.augment import alter
 from logs import START_NS
 from painted_road import render
-from recorder import LogWriter
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.car_geometry import UDACITY
+from recorder.log.session_car import UDACITY, Car, built_in, metadata_of
+from recorder.log.topics import POSE
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from simulator.driving.simulation import Simulation
+from simulator.pose import Pose
 
 ROWS = 60
 MPS = 0.44704  # metres a second in a mile an hour
 SPEED_MPH = 20.0
 
 
-def png(camera: Camera, width_px: int) -> bytes:
-    ok, encoded = cv2.imencode(".png", render(UDACITY, beside_m=UDACITY.left_m[camera], width_px=width_px))
+OTHER_CAR = Car(
+    max_steering_deg=40.0,
+    wheelbase_m=1.8,
+    focal=1.2,
+    horizon=0.42,
+    height_m=0.8,
+    forward_m=-0.3,
+    left_m={"left": 0.4, "right": -0.4},
+    bonnet={},
+)
+
+
+def png(camera: Camera, width_px: int, car: Car = UDACITY) -> bytes:
+    ok, encoded = cv2.imencode(".png", render(car, beside_m=car.left_m[camera], width_px=width_px))
     assert ok
     return encoded.tobytes()
 
 
-def record(path: Path, source: str = "udacity", speed_mph: float = SPEED_MPH, width_px: int = 320) -> Path:
-    pictures = {camera: png(camera, width_px) for camera in CAMERAS}
-    with LogWriter(path, {"source": source}) as writer:
-        for row in range(ROWS):
+def record(
+    path: Path,
+    source: str = "udacity",
+    speed_mph: float = SPEED_MPH,
+    width_px: int = 320,
+    car: Car | None = None,
+    rows: int = ROWS,
+) -> Path:
+    pictures = {camera: png(camera, width_px, car or UDACITY) for camera in CAMERAS}
+    with LogWriter(path, {"source": source} | metadata_of(car)) as writer:
+        for row in range(rows):
             time_ns = START_NS + row * 100_000_000
             for camera in CAMERAS:
                 writer.picture(camera, time_ns, row, pictures[camera])
@@ -77,9 +102,13 @@ def test_the_same_inputs_give_the_same_bytes_and_another_seed_other_views(tmp_pa
     assert built("three", 1) != built("one", 0)
 
 
-def test_a_view_shows_what_a_camera_there_would_see(tmp_path: Path, log: Path) -> None:
+@pytest.mark.parametrize(("car", "width_px"), [(UDACITY, 320), (UDACITY, 200), (OTHER_CAR, 320), (OTHER_CAR, 200)])
+def test_a_view_shows_what_a_camera_there_would_see(tmp_path: Path, car: Car, width_px: int) -> None:
     """Also mirrored: then it is the view from the other side of a mirrored road."""
-    index = build_index([log], tmp_path / "index", IndexConfig(viewpoints=1, alter=("none",))).path
+    told = None if car == UDACITY else car
+    log = record(tmp_path / "road.mcap", width_px=width_px, car=told, rows=20)
+    config = IndexConfig(viewpoints=1, alter=("none",), validation_share=0.0)
+    index = build_index([log], tmp_path / "index", config).path
     samples = pq.read_table(index / "samples.parquet")
     train = samples.filter(pc.equal(samples["split"], "train"))
     chosen = [row for row, name in enumerate(train["alteration"].to_pylist()) if name == "viewpoint"][:12]
@@ -88,21 +117,23 @@ def test_a_view_shows_what_a_camera_there_would_see(tmp_path: Path, log: Path) -
             left_m, turn_rad = place(train["seed"][row].as_py())
             is_flipped = train["flip"][row].as_py()
             sign = -1 if is_flipped else 1
-            there = preprocess(render(UDACITY, left_m=sign * left_m, turn_rad=sign * turn_rad))
+            there = preprocess(render(car, left_m=sign * left_m, turn_rad=sign * turn_rad, width_px=width_px))
             expected = there[:, ::-1] if is_flipped else there
             middle = slice(24, 104)  # what a camera that looked straight ahead has seen
             shown = loader.pictures_of(np.array([row]))[0]
             assert np.abs(shown[:100, middle].astype(float) - expected[:100, middle]).mean() < 4
 
 
-def test_labels_begin_the_way_back_to_the_line_and_its_direction_in_two_seconds(tmp_path: Path, log: Path) -> None:
+@pytest.mark.parametrize("car", [UDACITY, OTHER_CAR])
+def test_labels_begin_the_way_back_to_the_line_and_its_direction_in_two_seconds(tmp_path: Path, car: Car) -> None:
     """The way that bends least is a cubic (a spline): the label's bend, less the line's own, is how it begins."""
+    log = record(tmp_path / "road.mcap", car=None if car == UDACITY else car)
     samples = build_index([log], tmp_path / "index", IndexConfig(viewpoints=1, flip=False)).samples
     views = samples.filter(pc.starts_with(samples["alteration"], "viewpoint"))
     way_m = 2 * SPEED_MPH * MPS
 
     def bend(steering: float) -> float:
-        return math.tan(math.radians(25) * steering) / UDACITY.wheelbase_m
+        return math.tan(math.radians(car.max_steering_deg) * steering) / car.wheelbase_m
 
     columns = (views[name].to_pylist() for name in ("seed", "label", "recorded"))
     for seed, label, recorded in zip(*columns, strict=True):
@@ -126,11 +157,64 @@ def test_where_the_speed_is_not_known_or_the_camera_no_label_comes_out_of_nothin
         IndexConfig(viewpoints=-1)
 
 
+def test_each_session_of_an_index_has_the_car_of_its_own(tmp_path: Path) -> None:
+    """Udacity's, another, and the built-in simulator's, whose views are what it renders there: on the lake, which
+    begins level."""
+    record_simulated(SimulatedDrive(laps=0.015), tmp_path / "lake.mcap")
+    other = replace(OTHER_CAR, max_steering_deg=25.0)
+    cars = {"road": UDACITY, "other": other, "lake": built_in()}
+    record(tmp_path / "road.mcap")
+    record(tmp_path / "other.mcap", car=other)
+    config = IndexConfig(viewpoints=1, alter=("none",), validation_share=0.0, flip=False, balance=False)
+    logs = [tmp_path / f"{name}.mcap" for name in cars]
+    index = build_index(logs, tmp_path / "index", config).path
+    views = pq.read_table(index / "samples.parquet").to_pylist()
+    simulation = Simulation("lake")
+    with Log(tmp_path / "lake.mcap") as log:
+        poses = {message.sequence: each.pose for message, each in log.decoded(POSE)}
+        states = log.vehicle()
+    speeds = {name: dict.fromkeys(range(ROWS), SPEED_MPH) for name in ("road", "other")}
+    speeds["lake"] = dict(zip(states["row"].to_pylist(), states["speed_mph"].to_pylist(), strict=True))
+    off, unmoved = [], []
+    with load(index, batch=1) as loader:
+        for number, row in enumerate(views):
+            if row["alteration"] != "viewpoint":
+                continue
+            left_m, turn_rad = place(row["seed"])
+            car, way_m = cars[row["session"]], 2 * speeds[row["session"]][row["row"]] * MPS
+            bend = np.tan(math.radians(25) * np.array([row["label"], row["recorded"]])) / car.wheelbase_m
+            if abs(row["label"]) < 1:
+                assert bend[0] - bend[1] == pytest.approx((6 * left_m / way_m + 4 * turn_rad) / way_m, abs=1e-9)
+            if row["session"] == "lake" and row["row"] % 3 == 0:
+                true = preprocess(simulation.picture("center", beside(poses[row["row"]], left_m, turn_rad)))
+                here = preprocess(simulation.picture("center", beside(poses[row["row"]], 0.0, 0.0)))
+                near = slice(20, 90), slice(30, 98)  # of the road, without the bonnet and the picture's sides
+                shown = loader.pictures_of(np.array([number]))[0]
+                off.append(np.abs(shown[near].astype(float) - true[near]).mean())
+                unmoved.append(np.abs(here[near].astype(float) - true[near]).mean())
+    assert len(off) > 5
+    assert np.mean(off) < 0.6 * np.mean(unmoved)
+
+
+def beside(pose: Any, left_m: float, turn_rad: float) -> Pose:
+    heading_rad = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
+    at = pose.position
+    return Pose(
+        at.x - left_m * math.sin(heading_rad), at.y + left_m * math.cos(heading_rad), at.z, heading_rad + turn_rad
+    )
+
+
 def test_what_cannot_be_warped_is_refused_before_anything_is_built(tmp_path: Path) -> None:
-    """A crop does not tell how much of the world it shows to either side."""
-    upright = record(tmp_path / "upright.mcap", width_px=200)
-    with pytest.raises(DatasetError, match=r"--viewpoints.*upright\.mcap.*200 x 160 px.*twice as wide as high"):
-        build_index([upright], tmp_path / "index", IndexConfig(viewpoints=1))
+    """A crop does not tell how much of the world it shows to either side: that is of a session, in which all
+    pictures are alike."""
+    mixed = tmp_path / "mixed.mcap"
+    with LogWriter(mixed, {"source": "udacity"}) as writer:
+        for row in range(30):
+            writer.picture("center", START_NS + row * 100_000_000, row, png("center", 320 - row))
+            state = VehicleState(steering=0.0, throttle=0.5, brake=0.0, speed_mph=SPEED_MPH)
+            writer.vehicle(START_NS + row * 100_000_000, row, state)
+    with pytest.raises(DatasetError, match=r"--viewpoints.*mixed\.mcap.*several sizes"):
+        build_index([mixed], tmp_path / "index", IndexConfig(viewpoints=1))
     assert not (tmp_path / "index" / "samples.parquet").exists()
     with pytest.raises(ValueError, match=r"--cameras left right.*center.*--viewpoints"):
         IndexConfig(viewpoints=1, cameras=("left", "right"))

@@ -62,7 +62,7 @@ def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
         for name, track, laps in (("lake", "lake", 0.01), ("hurt", "mountain", 0.005))
     ]
     build_index(logs, folder / "index", SETTINGS)
-    config = TrainConfig(epochs=1, batch=32)
+    config = TrainConfig(network="small", epochs=1, batch=32)
     train(folder / "index", folder / "runs" / run_name, config, figures=False, show_progress=False)
     with logs[1].open("r+b") as hurt:
         summary = make_reader(hurt).get_summary()

@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.log.car_geometry import CarGeometry
+from recorder.log.session_car import Car
 
 
 def render(
-    geometry: CarGeometry,
+    geometry: Car,
     x_m: float = 0.0,
     left_m: float = 0.0,
     turn_rad: float = 0.0,

@@ -46,12 +46,17 @@ def test_weights_and_moments_are_those_of_pytorchs_own_bit_for_bit(device: str) 
             assert tensor.device == expected[name].device
 
 
-def test_a_step_does_not_load_pytorchs_compiler() -> None:
+def test_neither_a_step_nor_the_trial_of_a_network_loads_pytorchs_compiler() -> None:
+    """Nor the algebra that it needs: each is a second of imports."""
     code = (
-        "import sys, torch; from model.adam import Adam\n"
+        "import sys, torch; from model import TrainConfig; from model.adam import Adam\n"
+        "from model.network.choice import choose_network\n"
         "weight = torch.ones(2, requires_grad=True); adam = Adam([weight], 0.1)\n"
         "weight.sum().backward(); adam.step(); adam.zero_grad()\n"
-        "print(weight.grad, *(round(value, 3) for value in weight.tolist()), 'torch._dynamo' in sys.modules)\n"
+        "print(weight.grad, *(round(value, 3) for value in weight.tolist()))\n"
+        "network = choose_network(TrainConfig())\n"
+        "parameters = network.try_out(network.picture, torch.device('cpu'))\n"
+        "print(parameters, {'torch._dynamo', 'sympy'} & {*sys.modules})\n"
     )
     done = run_code(code)
-    assert done.stdout == "None 0.9 0.9 False\n", done.stderr
+    assert done.stdout == "None 0.9 0.9\n5022327 set()\n", done.stderr

@@ -24,14 +24,14 @@ from model.evaluation.differences import overall
 from model.evaluation.evaluate import evaluate_runs_on_sessions
 from model.evaluation.run_comparison import Comparison
 from model.runs.run_folder import load_network, save_weights
-from toy import TINY
+from toy import SMALL
 from udacity import call
 
 LEARNT = [round(0.8 * math.sin(row / 3), 3) for row in range(60)]
 STEERING = [round(0.7 * math.sin(row / 2 + 1), 3) for row in range(60)]
 STEP_NS = 1_000_000_000  # 12 blocks of 5 s
-PEOPLE = replace(TINY, recipe="people", average_steps=TrainConfig.average_steps, answers="natural")
-CROP_PX = 320 / 128  # of the camera's picture, a pixel of the network's
+PEOPLE = replace(SMALL, recipe="people", average_steps=TrainConfig.average_steps, answers="natural")
+CROP_PX = 320 / 96  # of the camera's picture, a pixel of the network's
 
 Json = dict[str, Any]
 Weights = dict[str, Tensor]
@@ -59,8 +59,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("compared")
     write_log(folder / "sessions" / "new.mcap", STEERING, posts(STEERING), cameras=["center"], step_ns=STEP_NS)
     for name, shift_px, config, init in (
-        ("good", 0.0, replace(PEOPLE, epochs=7, rate=4e-4), None),
-        ("shifted", -5 * CROP_PX, replace(PEOPLE, epochs=3), folder / "runs" / "good"),
+        ("good", 0.0, replace(PEOPLE, epochs=14, rate=1e-3), None),
+        ("shifted", -5 * CROP_PX, replace(PEOPLE, epochs=5), folder / "runs" / "good"),
     ):
         log = write_log(folder / f"{name}.mcap", LEARNT, posts(LEARNT, shift_px), cameras=["center"])
         settings = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)

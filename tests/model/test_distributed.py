@@ -24,7 +24,20 @@ from repository import ROOT
 from toy import toy_index
 from waiting import PATIENCE_S
 
-FLAGS = ["--epochs", "1", "--batch", "10", "--dropout", "0", "--precision", "float32", "--threads", "1"]
+FLAGS = [
+    "--network",
+    "small",
+    "--epochs",
+    "1",
+    "--batch",
+    "10",
+    "--dropout",
+    "0",
+    "--precision",
+    "float32",
+    "--threads",
+    "1",
+]
 
 
 def torchrun(
@@ -59,7 +72,7 @@ def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path, batch: i
     done = torchrun("--name", "two", *FLAGS, "--batch", batch, *places)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("epoch  1:") == 1  # one of them speaks, and writes
-    config = TrainConfig(epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
+    config = TrainConfig(network="small", epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
     (one,), (two,) = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "two")
     assert two["training_loss"] == pytest.approx(one["training_loss"], rel=1e-5)
@@ -96,7 +109,7 @@ def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Pa
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
     done = torchrun("--name", "three", *FLAGS, "--batch", 25, *places, processes=3)
     assert done.returncode == 0, done.stderr
-    config = TrainConfig(epochs=1, batch=25, dropout=0.0, precision="float32", threads=1)
+    config = TrainConfig(network="small", epochs=1, batch=25, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
     (expected,), (found,) = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "three")
     assert found["training_loss"] == pytest.approx(expected["training_loss"], rel=1e-5)
@@ -109,7 +122,7 @@ def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path)
     flags = [*FLAGS, "--micro-batch", 3, *places]
     assert torchrun("--name", "run", *flags).returncode == 0
     assert torchrun("--resume", "run", "--epochs", 2, *places).returncode == 0
-    config = TrainConfig(epochs=2, batch=10, dropout=0.0, precision="float32", threads=1)
+    config = TrainConfig(network="small", epochs=2, batch=10, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
     found, expected = ([epoch["training_loss"] for epoch in epochs_of(tmp_path / name)] for name in ("run", "one"))
     assert found == pytest.approx(expected, rel=1e-4)

@@ -22,8 +22,8 @@ from model.evaluation.recorded_drive import drive_recording
 from painted_road import render
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.car_geometry import UDACITY
 from recorder.log.edit import merge
+from recorder.log.session_car import UDACITY
 from recorder.log.tags import Tag, add_tag
 from udacity import call
 

@@ -254,6 +254,21 @@ def test_fewer_epochs_than_were_learnt_are_refused_and_change_nothing(index: Pat
     assert (stopped / "config.json").read_bytes() == before
 
 
+def begun_with(run: Path, micro_batch: int) -> None:
+    """As if the run had been begun where so many pictures go through at once, and nobody had said so."""
+    config = json.loads((run / "config.json").read_text())
+    assert config["training"]["micro_batch"] == 0
+    config["machine"]["micro_batch"] = micro_batch
+    (run / "config.json").write_text(json.dumps(config))
+
+
+def test_a_run_goes_on_with_as_many_pictures_at_once_as_it_was_begun_with(index: Path, stopped: Path) -> None:
+    begun_with(stopped, 4)
+    train(index, stopped, replace(CONFIG, epochs=3), resume=True, figures=False)
+    config = json.loads((stopped / "config.json").read_text())
+    assert config["resumed"][-1]["machine"] == config["machine"]
+
+
 def test_a_run_goes_on_with_the_samples_it_was_begun_with_only(stopped: Path, tmp_path: Path) -> None:
     log = write_log(tmp_path / "toy.mcap", STEERING[:30], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1)).path
@@ -359,8 +374,10 @@ def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     flags = ["--epochs", 1, "--batch", 8, "--rate", 1e-3, "--threads", 1, "--seed", 3, "--precision", "float32"]
     assert call(main, "--name", "first", "--network", "small", *flags, *places) == 0
     assert call(main, "--name", "again", "--like", "first", *places) == 0
-    assert call(main, "--name", "other", "--like", "first", "--seed", 0, *places) == 0
     first, again, other = (tmp_path / name for name in ("first", "again", "other"))
+    begun_with(first, 5)
+    assert call(main, "--name", "other", "--like", "first", "--seed", 0, *places) == 0
+    assert json.loads((other / "config.json").read_text())["machine"]["micro_batch"] == 5
     assert (again / "model.safetensors").read_bytes() == (first / "model.safetensors").read_bytes()
     assert metrics(again) == metrics(first)
     assert settings_from(TrainConfig, json.loads((other / "config.json").read_text())["training"]) == TrainConfig(

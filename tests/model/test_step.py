@@ -10,13 +10,9 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from model import TrainConfig
-from model.device import choose_machine, training_dtype
 from model.network.onednn_layers import OneDnnLayers
 from model.network.original import SteeringNetwork
 from model.training.step import make_optimizer, training_step
-
-CPU = torch.device("cpu")
 
 
 def gradients(dtype: torch.dtype, micro_batch: int, **sharing: Any) -> tuple[float, torch.Tensor]:
@@ -105,17 +101,3 @@ def test_planes_of_any_size_are_pooled_alike(height_px: int, width_px: int) -> N
         found.append([outputs, *(p.grad for p in network.parameters())])
     for mine, other in zip(*found, strict=True):
         assert torch.equal(mine, other)
-
-
-def test_the_arithmetic_is_what_the_processor_has_unless_somebody_says_otherwise() -> None:
-    has_bfloat16 = any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16", "bf16"))
-    assert training_dtype("auto", CPU) == (torch.bfloat16 if has_bfloat16 else torch.float32)
-    assert training_dtype("float32", CPU) == torch.float32
-    assert training_dtype("bfloat16", CPU) == torch.bfloat16
-    before = torch.get_num_threads()
-    try:
-        machine = choose_machine(TrainConfig(device="cpu", precision="bfloat16", micro_batch=5, threads=1))
-        assert (machine.device, machine.arithmetic, machine.micro_batch) == (CPU, "bfloat16", 5)
-        assert torch.get_num_threads() == 1
-    finally:
-        torch.set_num_threads(before)

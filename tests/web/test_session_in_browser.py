@@ -32,6 +32,7 @@ ROWS = 600
 STUCK = (100, 149)  # the very same steering for five seconds of driving
 STANDING = (300, 339)
 GAP_AT = 450  # five seconds pass before this row
+FROZEN = (520, 539)  # the very same picture
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +49,10 @@ def bench(tmp_path: Path) -> Iterator[Served]:
 
 
 def gray(row: int) -> bytes:
-    """A picture as bright as its row says."""
-    ok, encoded = cv2.imencode(".png", np.full((16, 32), row * 255 // ROWS, np.uint8))
+    """A picture as bright as its row says; no two are the same."""
+    picture = np.full((16, 32), row * 255 // ROWS, np.uint8)
+    picture[0, :2] = row // 256, row % 256
+    ok, encoded = cv2.imencode(".png", picture)
     assert ok
     return encoded.tobytes()
 
@@ -63,7 +66,8 @@ def write_faulty(path: Path) -> None:
             steering = 0.25 if is_stuck else 0.3 * np.sin(row / 7)
             speed_mph = 0.0 if STANDING[0] <= row <= STANDING[1] else 20.0
             for camera in cameras():
-                writer.picture(camera, time_ns, row, gray(row))
+                is_frozen = FROZEN[0] <= row <= FROZEN[1]
+                writer.picture(camera, time_ns, row, gray(FROZEN[0] if is_frozen else row))
             writer.vehicle(
                 time_ns, row, VehicleState(steering=steering, throttle=0.5, brake=0.0, speed_mph=speed_mph)
             )
@@ -153,7 +157,7 @@ def test_the_commands_that_are_shown_do_the_same(browser: Browser, bench: Served
 
 
 def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Browser, bench: Served) -> None:
-    """Planted faults are found and removed with six keys."""
+    """Planted faults are found and removed with nine actions."""
     with opened(browser, bench) as page:
         selected = []
         for number in range(3):
@@ -170,16 +174,23 @@ def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Brows
         press(page, "u", 2)
         page.keyboard.press("k")  # the only one that is left
         wait_until(lambda: "gap; 1 of 3" in page.inner_text("#said"))
+        press(page, "x", 3)
+        page.click("#look")  # decodes all pictures
+        page.wait_for_selector("#look", state="hidden")
+        page.keyboard.press("j")
+        wait_until(lambda: "frozen picture; 1 of 4" in page.inner_text("#said"))
+        press(page, "x", 4)
     line = command("bc-log", "tag", bench.folder / "sessions" / "faulty.mcap")
     done = subprocess.run(line, env=environment(), capture_output=True, text=True, check=True)
-    assert done.stdout == "exclude: rows 100 to 149\nexclude: rows 300 to 339\n"
+    excluded = (STUCK, STANDING, (GAP_AT - 1, GAP_AT), FROZEN)
+    assert done.stdout == "".join(f"exclude: rows {first} to {last}\n" for first, last in excluded)
 
 
 def test_the_pictures_follow_the_mouse_and_the_keys(browser: Browser, bench: Served) -> None:
     with opened(browser, bench) as page:
         box = page.locator("#curves .u-over").first.bounding_box()
         assert box is not None
-        for share in (0.25, 0.5, 0.9):
+        for share in (0.25, 0.5, 0.75):
             page.mouse.move(box["x"] + share * box["width"], box["y"] + 30)
             assert_shown(page, round(share * (ROWS - 1)), within=2)
         at = now(page)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,11 +14,14 @@ import pytest
 
 import recorder.log_cli
 from common.car import Camera
+from disk import files_of_at_most
 from driving import road_jpeg
-from logs import write_log
-from recorder import Log
+from logs import START_NS, write_log
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags, read_tags
 from udacity import call
+from waiting import wait_until
 from workbench import Answer, Served, served
 
 AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
@@ -142,7 +147,7 @@ def test_pictures_are_given_byte_for_byte(bench: Served) -> None:
 
 
 def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
-    """Frozen pictures, where the index has looked at them."""
+    """Frozen pictures, where the index or the page has looked at them."""
     import dataset.cli
 
     log = write_log(
@@ -153,6 +158,12 @@ def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
     )
     with served(tmp_path) as bench:
         assert bench.get("/sessions/a/state").json["odd"] == [["stuck_steering", 10, 49]]
+        assert bench.ask("POST", "/sessions/a/look", b"").status == 200
+        wait_until(lambda: bench.get("/sessions/a/look").json["is_done"])
+        looked = bench.get("/sessions/a/state").json
+        assert looked["odd"] == [["stuck_steering", 10, 49], ["frozen_picture", 60, 79]]
+        shutil.rmtree(tmp_path / "cache")
+        assert bench.get("/sessions/a/state").json["looked"] is False
         flags = ("--sessions", log.parent, "--index", tmp_path / "index", "--look", "--block-s", 1, "--gap-s", 0)
         assert call(dataset.cli.main, *flags) == 0
         assert ["frozen_picture", 60, 79] in bench.get("/sessions/a/state").json["odd"]
@@ -204,3 +215,33 @@ def test_a_broken_file_of_tags_is_named_and_left_as_it_is(bench: Served, log: Pa
     for answer in (bench.get("/sessions/a/tags"), change(bench)):
         assert (answer.status, "line 1 is not a tag" in answer.json["error"]) == (422, True)
     assert tags.read_text() == '{"add": "exclude"}\n'
+
+
+def test_a_full_disk_is_told_and_leaves_the_tags_as_they_were(bench: Served, log: Path) -> None:
+    assert change(bench).status == 200
+    before = lines(log)
+    with files_of_at_most(log.with_name("a.tags.jsonl").stat().st_size + 10):
+        answer = change(bench, rows=[20, 30])
+    assert (answer.status, "cannot be written" in answer.json["error"]) == (422, True)
+    assert lines(log) == before
+    assert change(bench, rows=[20, 30]).json["changed"] is True
+
+
+def test_a_log_that_is_being_recorded_is_shown_as_far_as_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "sessions" / "new.mcap"
+    with served(tmp_path) as bench:
+        with LogWriter(path, {"source": "test"}, live=True) as writer:
+
+            def rows_shown_after(row: int) -> int:
+                writer.vehicle(START_NS + row * 100_000_000, row, VehicleState(steering=0.1))
+                return int(bench.get(f"{at}/state").json.get("rows", 0))  # an error until it has a beginning
+
+            (part,) = path.parent.glob("*.part")
+            at = f"/sessions/{part.name}"
+            numbers = itertools.count()
+            wait_until(lambda: rows_shown_after(next(numbers)) > 0)  # it is brought to the disk every second
+            assert bench.get(f"{at}/version").json["growing"] is True
+            assert "recording" in bench.get("/sessions").text
+            assert change(bench, at, rows=[0, 0]).status == 409
+        assert bench.get(f"{at}/state").status == 404
+        assert bench.get("/sessions/new/state").json["rows"] == next(numbers)

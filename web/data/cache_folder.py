@@ -25,7 +25,7 @@ class CacheFolder:
     """Bytes by key. Whatever goes wrong with the files, only time is lost."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self.folder = folder
 
     def get(self, key: str, make: Callable[[], bytes]) -> bytes:
         """What was kept under that key, or what `make` makes; an error that it raises is kept nowhere."""
@@ -46,7 +46,7 @@ class CacheFolder:
         """Remove the oldest files, if all of them are more than half a gigabyte."""
         found = []
         with contextlib.suppress(OSError):
-            for path in self._folder.glob("*/*"):
+            for path in self.folder.glob("*/*"):
                 status = path.stat()
                 found.append((status.st_mtime_ns, status.st_size, path))
         found.sort(reverse=True)
@@ -60,7 +60,7 @@ class CacheFolder:
 
     def _path(self, key: str) -> Path:
         name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()
-        return self._folder / name[:2] / name[2:]
+        return self.folder / name[:2] / name[2:]
 
     def _keep(self, path: Path, data: bytes) -> None:
         part = path.with_name(f"{path.name}.{secrets.token_hex(3)}")

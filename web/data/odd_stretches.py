@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import CAMERAS
 from common.stretches import stretches
 from dataset.config import IndexConfig
-from dataset.frames.frame_flags import PictureFlag, lists_with
-from dataset.frames.frames_table import frames_table
+from dataset.frames.frame_flags import ImageFindings, PictureFlag, lists_with
+from dataset.frames.frames_file import session_name
+from dataset.frames.frames_table import frames_of
 from recorder import Log
 from recorder.log.row_quality import States, row_flags
+from recorder.log.topics import camera_topic
 
 
 @dataclass(frozen=True)
@@ -26,13 +28,14 @@ class OddStretch:
     last: int
 
 
-def odd_stretches(log: Log, states: States, index: Path) -> list[OddStretch]:
-    """In their order. Frozen and broken pictures are among them where `index` holds a check of the log's pictures.
+def odd_stretches(log: Log, states: States, findings: ImageFindings | None) -> list[OddStretch]:
+    """In their order. Frozen and broken pictures are among them where `findings` of the log's pictures are given.
 
     A gap is a stretch of two rows: the last before it and the first after it.
     """
     masks: dict[str, NDArray[np.bool_]] = dict(row_flags(states).items())
-    frames = frames_table(log, index, IndexConfig(), ())
+    pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
+    frames = frames_of(states, pictures, session_name(log.path), IndexConfig(), findings=findings)
     for flag in get_args(PictureFlag):
         rows = frames["row"].to_numpy()[lists_with(frames["flags"], flag)]
         masks[flag] = np.isin(states.row, rows)

@@ -80,6 +80,12 @@ class OpenLogs:
                 if not found.users and self._kept.get(path) is not found:
                     found.log.close()
 
+    def drop_changed(self) -> None:
+        """Close those whose files were deleted or replaced: an open file keeps its space on the disk."""
+        with self._lock:
+            for path in [path for path, kept in self._kept.items() if kept.version != version_of(path)]:
+                self._drop(path)
+
     def close(self) -> None:
         with self._lock:
             for path in list(self._kept):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def version(request: Request) -> Response:
         """What tells whether `state`, `rows` or `tags` have to be asked for again."""
+        bench.logs.drop_changed()
         path = path_of(request)
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
         return JSONResponse({"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing})
@@ -76,6 +78,16 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         rows = [(tag.first_row, tag.last_row, number[tag.name]) for tag in found.tags]
         return JSONResponse({"version": found.version, "names": names, "tags": rows, "stale": found.stale})
 
+    def look(request: Request) -> Response:
+        """Begin to decode all pictures, to find those that are frozen or broken; or how far that is."""
+        path = path_of(request)
+        with bench.logs.open(path) as opened:
+            fingerprint = opened.log.fingerprint
+        if request.method == "POST":
+            bench.checks.start(path, fingerprint)
+        checking = bench.checks.checking(fingerprint)
+        return JSONResponse(None if checking is None else asdict(checking))
+
     def known_names(request: Request) -> Response:
         """The names that tags have in this folder."""
         return JSONResponse(sorted(names_used(path_of(request).parent)))
@@ -92,11 +104,13 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/tags", tags),
         Route(f"{at}/names", known_names),
         Route(f"{at}/tags", change, methods=["POST"]),
+        Route(f"{at}/look", look, methods=["GET", "POST"]),
     ]
 
 
 def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
     log, states = opened.log, opened.states
+    findings = bench.checks.findings(log)
     return {
         "version": opened.version,
         "fingerprint": log.fingerprint,
@@ -105,6 +119,7 @@ def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": [
             (stretch.flag, stretch.first, stretch.last)
-            for stretch in (odd_stretches(log, states, bench.folders.index) if len(states.row) else ())
+            for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())
         ],
+        "looked": findings is not None,
     }

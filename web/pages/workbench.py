@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 from web.data.cache_folder import CacheFolder
 from web.data.open_logs import OpenLogs
+from web.data.picture_checks import PictureChecks
 from web.data.project_folders import ProjectFolders
+from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 
@@ -20,3 +22,5 @@ class Workbench:
     logs: OpenLogs
     cards: SessionCards
     searches: WhereSearches
+    checks: PictureChecks
+    runs: RunCards

@@ -156,6 +156,7 @@ export class Curves {
 
   /** Show `factor` times as many rows, those around `center` in place. */
   zoom(factor, center = this.position) {
+    if (!this.plots.length) return; // a log without rows
     const { min, max } = this.plots[0].scales.x;
     const size = Math.min(Math.max((max - min) * factor, LEAST_ROWS), this.data.length - 1);
     const share = max > min ? (center - min) / (max - min) : 0.5;
@@ -163,12 +164,14 @@ export class Curves {
   }
 
   pan(rows) {
+    if (!this.plots.length) return; // a log without rows
     const { min, max } = this.plots[0].scales.x;
     this.show(min + rows, max + rows);
   }
 
   /** Show these rows, or as many at the nearer end. */
   show(min, max) {
+    if (!this.plots.length) return; // a log without rows
     const end = Math.max(this.data.length - 1, 1);
     const size = Math.min(max - min, end) || 1;
     const from = Math.max(0, Math.min(min, end - size));
@@ -179,6 +182,7 @@ export class Curves {
 
   /** Bring a stretch into view, with as much again on either side. */
   reveal({ first, last }) {
+    if (!this.plots.length) return; // a log without rows
     const { min, max } = this.plots[0].scales.x;
     const length = last - first + 1;
     if (first >= min && last <= max && length > (max - min) / 60) return;
@@ -196,7 +200,7 @@ export class Curves {
     this.plots.forEach((plot, at) => {
       const left = plot.valToPos(this.position, "x");
       this.markers[at].style.transform = `translateX(${left}px)`;
-      this.markers[at].hidden = left < 0 || left > plot.over.clientWidth;
+      this.markers[at].hidden = left < 0 || left > plot.bbox.width / devicePixelRatio;
     });
   }
 

@@ -6,7 +6,7 @@ import { Curves } from "./curves.js";
 import { History } from "./history.js";
 import { listen } from "./keys.js";
 import { listOdd, listTags } from "./lists.js";
-import { LogData } from "./log_data.js";
+import { ask, LogData } from "./log_data.js";
 import { following, grouped, left, words } from "./odd.js";
 import { Pictures } from "./pictures.js";
 import { Player } from "./player.js";
@@ -121,6 +121,7 @@ function goToOdd(step) {
 }
 
 function begin(edge) {
+  if (!data.length) return;
   const at = curves.position;
   if (edge === "first") select({ first: at, last: Math.max(at, selection?.last ?? at) });
   else select({ first: Math.min(at, selection?.first ?? at), last: at });
@@ -152,11 +153,31 @@ data.addEventListener("rows", () => {
   groups = grouped(data.state.odd);
   player.useRows();
   pictures.useCameras();
+  by("look").hidden = data.state.looked || !data.state.cameras.length;
   curves.odd = groups;
   curves.build();
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);
 });
+/** Frozen and broken pictures are found by decoding all of them, which is done when somebody asks for it. */
+async function look() {
+  by("look").disabled = true;
+  try {
+    let found = await (await ask(`${data.address}/look`, { method: "POST" })).json();
+    while (!found.is_done) {
+      by("look").textContent = `looking: ${found.pictures.toLocaleString("en")} pictures`;
+      await new Promise((resolve) => setTimeout(resolve, 300));
+      found = await (await ask(`${data.address}/look`)).json();
+    }
+    if (found.problem) say(found.problem);
+    else await data.load();
+  } catch (error) {
+    say(error.message);
+  }
+  by("look").textContent = "Look for frozen and broken pictures";
+  by("look").disabled = false;
+}
+
 data.addEventListener("tags", showTags);
 data.addEventListener("problem", (event) => {
   by("problem").textContent = event.detail;
@@ -169,6 +190,7 @@ by("next").addEventListener("click", () => goToOdd(1));
 by("before").addEventListener("click", () => goToOdd(-1));
 by("exclude").addEventListener("click", () => tag(EXCLUDE));
 by("undo").addEventListener("click", undo);
+by("look").addEventListener("click", look);
 by("redo").addEventListener("click", redo);
 by("name-form").addEventListener("submit", (event) => {
   event.preventDefault();

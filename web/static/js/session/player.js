@@ -18,6 +18,7 @@ export class Player {
   }
 
   toggle(position) {
+    if (!this.data.length) return;
     if (this.isPlaying) this.pause();
     else this.play(position >= this.data.length - 1 ? 0 : position);
   }

@@ -1,0 +1,157 @@
+"""The car of a session: told by `--car`, kept in the log, read back; what nobody tells is as Udacity's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from driving import one_line_in
+from logs import write_log
+from recorder import Log, LogWriter
+from recorder.cli import main as bc_record
+from recorder.errors import LogError, RecordingError
+from recorder.log.session_car import CAR_KEY, UDACITY, Car, built_in, car_of, max_steering_deg_of
+from recorder.log_cli import main as bc_log
+from recorder.server.telemetry import TelemetryError, parse_telemetry
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from serving import fields
+from udacity import call, jpeg, paths
+
+OWN = """\
+max_steering_deg = 30
+wheelbase_m = 2.4
+speed_unit = "m/s"
+height_m = 1.1
+left_m = { left = 0.5, right = -0.5 }
+bonnet = { center = [[0, 150], [320, 150]] }
+"""
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.toml").write_text(OWN)
+
+
+def recording() -> Path:
+    """Of one row, at a speed of 5."""
+    folder = Path("driven")
+    (folder / "IMG").mkdir(parents=True)
+    for name in paths(1).split(","):
+        (folder / name).write_bytes(jpeg(100))
+    (folder / "driving_log.csv").write_text(f"{paths(1)},0.5,0.2,0,5\n")
+    return folder
+
+
+def test_a_car_that_is_told_is_kept_and_read_back() -> None:
+    assert call(bc_record, "own", "--from", recording(), "--car", "own.toml") == 0
+    with Log("sessions/own.mcap") as log:
+        car = car_of(log)
+        stored = json.loads(log.metadata[CAR_KEY])
+        assert log.vehicle()["steering"].to_pylist() == [0.5]
+        assert log.vehicle()["speed_mph"].to_pylist() == [pytest.approx(5 * 3600 / 1609.344)]
+        assert max_steering_deg_of(log) == 30
+    assert (car.max_steering_deg, car.wheelbase_m, car.height_m) == (30, 2.4, 1.1)
+    assert car.left_m == {"center": 0, "left": 0.5, "right": -0.5}
+    assert car.bonnet == {"center": ((0, 150), (320, 150))}
+    # what the file leaves out is as Udacity's, and stands in the log all the same
+    assert stored["horizon"] == car.horizon == UDACITY.horizon == 0.375
+
+
+def test_a_log_that_tells_none_is_of_udacitys() -> None:
+    assert call(bc_record, "plain", "--from", recording()) == 0
+    with Log("sessions/plain.mcap") as log:
+        assert CAR_KEY not in log.metadata
+        assert car_of(log) == UDACITY
+        assert max_steering_deg_of(log) == 25
+        assert log.vehicle()["speed_mph"].to_pylist() == [5.0]
+
+
+def test_the_built_in_simulators_sessions_tell_its_own(tmp_path: Path) -> None:
+    record_simulated(SimulatedDrive(laps=0.001), tmp_path / "lake.mcap")
+    with Log(tmp_path / "lake.mcap") as log:
+        stored = json.loads(log.metadata[CAR_KEY])
+        assert car_of(log) == built_in()
+    assert stored["wheelbase_m"] == 2.6
+    # its cameras: 1.4 m up, 0.9 m beside the middle, with a horizon at row 60 of 160
+    assert (stored["height_m"], stored["left_m"]["left"], stored["horizon"]) == (1.4, 0.9, pytest.approx(0.375))
+
+
+def test_live_telemetry_is_in_the_degrees_and_the_unit_of_its_car() -> None:
+    told = fields(0) | {"steering_angle": "-15.0000", "speed": "10.0000"}
+    assert parse_telemetry(told).steering == -15 / 25
+    own = parse_telemetry(told, car=Car(max_steering_deg=30, speed_unit="km/h"))
+    assert own.steering == -0.5
+    assert own.speed_mph == pytest.approx(10 / 1.609344)
+    with pytest.raises(TelemetryError) as lost:  # what can be used of it is in mph, too
+        parse_telemetry(told | {"image": None}, car=Car(speed_unit="m/s"))
+    assert lost.value.speed_mph == pytest.approx(22.369363)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ("wheels = 4", "unknown settings: wheels"),
+        ('wheelbase_m = "long"', "$.wheelbase_m"),
+        ("wheelbase_m = 0", "wheelbase_m 0: expected 0.01 to 100"),
+        ("max_steering_deg = 90", "max_steering_deg 90"),
+        ("height_m = nan", "height_m nan"),
+        ("left_m = { roof = 1 }", "roof"),
+        ("left_m = { left = inf }", "left_m of left inf"),
+        ('speed_unit = "knots"', "knots"),
+        ("bonnet = { center = [[9, 150], [2, 150]] }", "bonnet of center"),
+        ("bonnet = { center = [[1], [2]] }", "$.bonnet"),
+        ("horizon 0.4", "line 1"),
+        ("\udcff", "own.toml"),
+    ],
+)
+def test_a_file_with_other_settings_is_refused_in_one_line(
+    settings: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("own.toml").write_bytes(settings.encode(errors="surrogateescape"))
+    assert call(bc_record, "own", "--from", recording(), "--car", "own.toml") == 1
+    assert expected in one_line_in(capsys)
+    assert not Path("sessions").exists()
+
+
+def test_a_file_that_is_not_there_and_a_car_of_the_simulators_own_are_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert call(bc_record, "own", "--from", recording(), "--car", "own.tml") == 1
+    assert "udacity, built-in or a file" in one_line_in(capsys)
+    assert call(bc_record, "own", "--car", "udacity") == 2
+    assert "--car goes with --from, --listen or --gym" in one_line_in(capsys)
+
+
+@pytest.mark.parametrize("car", ["{", "[]", '{"wheelbase_m": -1}', '{"max_steering_deg": "NaN"}', '"udacity"'])
+def test_a_log_with_settings_of_no_car_is_told_not_believed(car: str) -> None:
+    with LogWriter(Path("bad.mcap"), {"source": "udacity", CAR_KEY: car}):
+        pass
+    with Log("bad.mcap") as log, pytest.raises(LogError, match=r"bad\.mcap: what it tells of its car"):
+        car_of(log)
+
+
+def test_sessions_of_other_steering_are_not_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_record, "own", "--from", recording(), "--car", "own.toml") == 0
+    other = write_log(tmp_path / "other.mcap", [0.1], source="udacity")
+    capsys.readouterr()
+    assert call(bc_log, "merge", "sessions/own.mcap", other, "--to", "both.mcap") == 1
+    assert "steering 1 is 25 degrees in it, and 30 in sessions/own.mcap" in one_line_in(capsys)
+    assert not Path("both.mcap").exists()
+
+
+def test_a_merged_log_has_the_car_of_its_sessions_if_they_have_one(tmp_path: Path) -> None:
+    for name, wheelbase_m in (("a", 2.4), ("b", 2.4), ("c", 2.0)):
+        about = {"source": "mcap", CAR_KEY: json.dumps({"wheelbase_m": wheelbase_m, "max_steering_deg": 30.0})}
+        with LogWriter(tmp_path / f"{name}.mcap", about):
+            pass
+    assert call(bc_log, "merge", "a.mcap", "b.mcap", "--to", "ab.mcap") == 0
+    assert call(bc_log, "merge", "b.mcap", "c.mcap", "--to", "bc.mcap") == 0
+    with Log("ab.mcap") as log:
+        assert car_of(log).wheelbase_m == 2.4
+    with Log("bc.mcap") as log:
+        assert max_steering_deg_of(log) == 30
+        with pytest.raises(RecordingError, match="nothing in it tells where its cameras stand"):
+            car_of(log)
