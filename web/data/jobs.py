@@ -35,6 +35,10 @@ _ROOT: Final = Path(behavioural_cloning_toolkit.__file__).parent
 _KEPT: Final = 50  # of those that have ended
 _MOST_BYTES: Final = 64 << 10  # of its output that are shown: the last ones
 _RUNNER: Final = "import sys; sys.path.append(sys.argv[2]); from web.data.job_runner import main; main()"
+if sys.platform == "win32":
+    _NEW_GROUP: Final = subprocess.CREATE_NEW_PROCESS_GROUP
+else:
+    _NEW_GROUP: Final = 0
 _WORDS: Final = {
     0: "done",
     1: "failed",
@@ -152,7 +156,7 @@ class Jobs:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,
-                creationflags=subprocess.CREATE_NEW_PROCESS_GROUP if sys.platform == "win32" else 0,
+                creationflags=_NEW_GROUP,
             )
             (folder / "pid").write_text(str(process.pid), encoding="utf-8")
         threading.Thread(target=process.wait, name="a job", daemon=True).start()  # so that nothing is left of it
