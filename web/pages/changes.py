@@ -14,7 +14,9 @@ from web.pages.workbench import Workbench
 def change_routes(bench: Workbench) -> list[Route]:
     def changes(request: Request) -> Response:
         bench.logs.drop_changed()
-        return JSONResponse({"sessions": sessions_version(bench), "runs": runs_version(bench)})
+        return JSONResponse(
+            {"sessions": sessions_version(bench), "runs": runs_version(bench), "jobs": bench.jobs.version()}
+        )
 
     return [Route("/changes", changes)]
 

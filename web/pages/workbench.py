@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from web.data.cache_folder import CacheFolder
+from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
 from web.data.project_folders import ProjectFolders
@@ -24,3 +25,4 @@ class Workbench:
     searches: WhereSearches
     checks: PictureChecks
     runs: RunCards
+    jobs: Jobs
