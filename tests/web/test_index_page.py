@@ -25,12 +25,9 @@ AWKWARD = "<b>a 'b' é"
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("bench")
     sessions = folder / "sessions"
-    for name, turn in (("left", -0.05), (AWKWARD, 0.05)):
-        write_log(
-            sessions / f"{name}.mcap",
-            [turn * (row % 9) for row in range(400)],
-            lambda _, row, first=int(1e4 * (turn > 0)): road_jpeg(row + first),
-        )
+    turning = [0.05 * (row % 9) for row in range(400)]
+    write_log(sessions / "left.mcap", [-turn for turn in turning], lambda camera, row: road_jpeg(row))
+    write_log(sessions / f"{AWKWARD}.mcap", turning, lambda camera, row: road_jpeg(10_000 + row))
     arguments = ("--sessions", sessions, "--index", folder / "index", "--labels", "as-recorded")
     assert call(dataset.cli.main, *arguments) == 0
     with served(folder) as found:
