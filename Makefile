@@ -10,7 +10,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
 # compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
 test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader clean
+.PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader lerobot-reader clean
 
 install: $(VENV)/installed
 
@@ -71,6 +71,14 @@ proto:
 # Foxglove's own reader of MCAP files, by which tests/recorder/test_other_readers.py reads logs; needs npm
 foxglove-reader:
 	npm ci --prefix tests/helpers/foxglove_reader
+
+# LeRobot in an environment of its own, by which tests/recorder/test_lerobot_itself.py reads and writes datasets;
+# needs Python 3.12 or newer, and on Linux 3 GB more without the index of PyTorch's wheels for processors
+lerobot-reader: TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+lerobot-reader:
+	$(PYTHON) -m venv build/lerobot
+	build/lerobot/bin/pip install --quiet "torch<2.12" "torchvision<0.27" --index-url $(TORCH_INDEX)
+	build/lerobot/bin/pip install --quiet "lerobot[dataset]==0.6.*"
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -144,15 +144,15 @@ def start(name: str, command: list[str], folder: Path, stack: ExitStack) -> Cont
 
 
 def print_table(rates: dict[str, list[float]]) -> None:
-    """Medians (least to most) of samples/s, and of their ratios to the others' rates in the same round."""
-    keras = [rates[name] for name in KERAS_SETTINGS if name in rates]
-    others = [rates.get(STEP, []), [max(of_round) for of_round in zip(*keras, strict=True)]]
-    print("| | samples/s | to the step alone | to Keras' best of the round |")
+    """Medians (least to most) of samples/s, of their ratios to the step alone in the same round, and of those to
+    the best that Keras reached in any round with any setting: what disturbs it now and then should not flatter."""
+    keras = max((rate for name in KERAS_SETTINGS for rate in rates.get(name, [])[1:]), default=None)
+    print("| | samples/s | to the step alone | to Keras' best round of all |")
     print("|---|---|---|---|")
     for name, (first, *rest) in rates.items():
+        step = [mine / theirs for mine, theirs in zip(rest, rates[STEP][1:], strict=True)] if STEP in rates else []
         against = [
-            spread([mine / theirs for mine, theirs in zip(rest, other[1:], strict=True)], ".2f") if other else "-"
-            for other in others
+            spread(ratios, ".2f") if ratios else "-" for ratios in (step, [mine / keras for mine in rest if keras])
         ]
         if name == "`bc-train`":
             print(f"| `bc-train`, its first epoch: CRCs, decoding, warming up | {first:,.0f} | - | - |")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
+from recorder.log.row_quality import SPEED_RANGE_MPH
 
 Values = TypeVar("Values", NDArray[np.float32], NDArray[np.float64])
 
@@ -31,6 +32,7 @@ class Target:
     per_unit: float  # so many of these are 1 of what is learnt
     label_column: str  # of samples.parquet; in `unit`, but steering, which is -1..1
     answer_name: str  # of an answer, in `unit` but for steering: in tables and in ONNX
+    most: float  # that a label is, above 0 and below
 
 
 MOST_AHEAD_S: Final = 10.0
@@ -39,10 +41,10 @@ MOST_AHEAD_S: Final = 10.0
 TARGETS: Final = {
     target.name: target
     for target in (
-        Target("steering", "°", MAX_STEERING_DEG, "label", "steering"),
+        Target("steering", "°", MAX_STEERING_DEG, "label", "steering", 1.0),
         # 30 mph is as fast as the simulators drive; a network may answer more, or less than 0
-        Target("speed", "mph", 30.0, "later_speed_mph", "speed_mph"),
-        Target("throttle", "", 1.0, "throttle", "throttle"),  # -1: full brake
+        Target("speed", "mph", 30.0, "later_speed_mph", "speed_mph", SPEED_RANGE_MPH[1]),
+        Target("throttle", "", 1.0, "throttle", "throttle", 1.0),  # -1: full brake
     )
 }
 
@@ -51,6 +53,13 @@ def steering_in(values: Values) -> Values:
     """The steering (N,) in labels or answers, (N,) or (N, K)."""
     steering: Values = values if values.ndim == 1 else values[:, 0]
     return steering
+
+
+def speed_ahead_s_in(settings: object) -> float:
+    """How much later the speed is driven that is learnt, by the settings of an index (`IndexConfig`) as a file has
+    them; 0 where they do not say."""
+    seconds = settings.get("speed_ahead_s") if isinstance(settings, dict) else None
+    return float(seconds) if isinstance(seconds, int | float) and 0 <= seconds <= MOST_AHEAD_S else 0.0
 
 
 def check_targets(names: Sequence[str]) -> None:

@@ -39,7 +39,8 @@ class EpochPrinter:
             f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
         )
         for target in epoch.targets:
-            print_result(f"          {target}")
+            if target.frames:
+                print_result(f"          {target}")
 
     def close(self) -> None:
         """Nothing to close."""

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from common.memory_allocator import keep_freed_memory
 from dataset.picture_spec import PictureSpec
@@ -66,8 +67,11 @@ class Pilot:
         """Takes the network over: its weights are rounded to `dtype`, float32 or bfloat16, once and for all.
 
         `picture` is what it sees, if that is not what it says itself, `targets` what it answers; `speed_ahead_s`
-        is how much later the speed is to be driven that it answers.
+        is how much later the speed is to be driven that it answers. Raises ValueError for other targets than the
+        network has answers.
         """
+        if len(targets) != network.outputs:
+            raise ValueError(f"{len(targets)} targets of a network with {network.outputs} answers")
         self.run = run
         self.weights_sha256 = weights_sha256
         self.arithmetic = str(dtype).removeprefix("torch.")
@@ -85,15 +89,20 @@ class Pilot:
         """The crop that the network sees of a camera picture (height, width, 3) BGR: (`picture.shape`), in BGR."""
         return crop_of(picture, self.picture)
 
-    @torch.inference_mode()
     def answer(self, crop: Image) -> NetworkAnswer:
         """All that the network answers to a crop (`picture.shape`) BGR uint8."""
-        seen = np.ascontiguousarray(in_channels(crop, self.picture))
-        values = self._network(as_input(seen[None])).flatten().tolist()
+        values = self._answers(crop).tolist()
         found = {TARGETS[name].answer_name: value for name, value in zip(self.targets, values, strict=True)}
         if "speed_mph" in found:
             found["speed_mph"] *= TARGETS["speed"].per_unit
         return NetworkAnswer(**found)
+
+    @torch.inference_mode()
+    def _answers(self, crop: Image) -> NDArray[np.float32]:
+        """(K,) in the units that were learnt."""
+        seen = np.ascontiguousarray(in_channels(crop, self.picture))
+        answers: NDArray[np.float32] = self._network(as_input(seen[None])).flatten().float().numpy()
+        return answers
 
     def predict(self, crop: Image) -> float:
         """The steering of `answer`."""
@@ -116,16 +125,15 @@ class Pilot:
         """Put faster layers in the place of the network's, unless it answers otherwise with them: somebody's own
         may do with its layers what cannot be seen from outside."""
         noise = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
-        before = self.answer(noise)
+        before = self._answers(noise)
         if (undo := swap()) is None:
             return
         try:
-            after = self.answer(noise)
+            after = self._answers(noise)
         except Exception:
             undo()
             return
-        slow, fast = ([each for each in answer if each is not None] for answer in (before, after))
-        if not np.allclose(fast, slow, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
+        if not np.allclose(after, before, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
             undo()
 
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
     "newest": lambda run: _descending(run.written_at),
     "name": lambda run: run.name,
-    "rmse": lambda run: run.rmse_deg / run.mean_rmse_deg,
-    "balanced-rmse": lambda run: run.balanced_rmse_deg / run.mean_balanced_rmse_deg,
+    "rmse": lambda run: run.rmse_share,
+    "balanced-rmse": lambda run: run.balanced_rmse_share,
     "correlation": lambda run: -run.correlation,
     "interventions": lambda run: run.interventions_per_km,
 }
@@ -58,7 +58,7 @@ def list_runs(config: Runs) -> int:
     found = list(summarize_runs(config.runs))
     if not found:
         raise UserError(f"{config.runs}: no run in it; train one with `bc-train`")
-    runs = sorted((run for run in found if not run.problem), key=lambda run: _order(config.sort, run))
+    runs = sorted((run for run in found if not run.problem), key=lambda run: order_of(config.sort, run))
     if config.json:
         _print_json(runs)
     elif runs:
@@ -66,8 +66,8 @@ def list_runs(config: Runs) -> int:
     return max([DONE, *(warn(run.problem) for run in found if run.problem)])
 
 
-def _order(by: str, run: RunSummary) -> tuple[bool, Any, str]:
-    """Those without the number come last."""
+def order_of(by: str, run: RunSummary) -> tuple[bool, Any, str]:
+    """What runs are sorted by: those without the number come last."""
     value = SORTED_BY[by](run)
     is_unknown = isinstance(value, float) and math.isnan(value)
     return is_unknown, 0.0 if is_unknown else value, run.name
@@ -98,10 +98,10 @@ def _table(runs: Sequence[RunSummary]) -> Table:
             f"{len(run.sessions):,}",
             escape(printable(run.recipe)),
             f"{run.kept_epoch}/{run.epochs}",
-            _number(run.rmse_deg / run.mean_rmse_deg),
-            _number(run.balanced_rmse_deg / run.mean_balanced_rmse_deg),
+            _number(run.rmse_share),
+            _number(run.balanced_rmse_share),
             _number(run.correlation),
-            escape(printable(_driven(run.drives))),
+            escape(printable(driven_words(run.drives))),
         )
     return table
 
@@ -110,7 +110,7 @@ def _number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f}"
 
 
-def _driven(drives: Sequence[dict[str, Any]]) -> str:
+def driven_words(drives: Sequence[dict[str, Any]]) -> str:
     """The interventions on each track, by speed: "10 mph: lake 0, mountain 1"."""
     by_speed = groupby(sorted(drives, key=_speed_mph), key=_speed_mph)
     tracks = {

@@ -40,7 +40,7 @@ class Record:
     """Name of the session: a plain name, without folders or ending."""
     source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
     """What has been recorded: a folder of the Udacity simulator (driving_log.csv and IMG/), a DonkeyCar tub,
-    another program's log (.mcap), a ROS 2 bag, or a LeRobot dataset."""
+    another program's log (.mcap), a ROS 2 bag, a LeRobot dataset, or pictures with a csv (--columns)."""
     watch: bool = False
     """Follow the folder given to --from while the simulator writes it, also if it is not there yet."""
     listen: bool = False
@@ -57,6 +57,9 @@ class Record:
     """The car that is recorded: how far its wheels turn, where its cameras stand, the unit of its speeds; kept in
     the log. By default Udacity's, and the built-in simulator's own."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
+    """Columns of the csv of any folder of pictures that --from names: image=frame steering=angle; also left,
+    right, throttle, brake, speed_mph, and time_s, time_ms, time_us or time_ns. Without times, --rate is needed."""
     all_catalogs: bool = False
     """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
     rate: float | None = None
@@ -130,6 +133,7 @@ def _record_to(config: Record, log: Path) -> Imported:
                 config.source,
                 log,
                 config.topics,
+                columns=config.columns,
                 rate_hz=config.rate,
                 all_catalogs=config.all_catalogs,
                 car=car,
@@ -174,7 +178,9 @@ def _refuse_contradictions(config: Record) -> None:
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
         raise UsageError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
-        raise UsageError("--image, --steering and --steering-scale go with --from other.mcap or a LeRobot dataset")
+        raise UsageError("--image, --steering and --steering-scale go with --from")
+    if config.columns and (config.source is None or config.watch):
+        raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
     if config.all_catalogs and (config.source is None or config.watch):
         raise UsageError("--all-catalogs goes with --from ~/mycar/data")
     if config.idle is not None and not 0 <= config.idle < math.inf:

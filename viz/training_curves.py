@@ -54,13 +54,6 @@ def _squared(errors: Errors, of: Measures) -> float:
 _LINES: Final = (
     _Line("/loss/training", "training", BLUE, lambda epoch: epoch.training_loss),
     _Line("/loss/validation", "validation", ORANGE, lambda epoch: epoch.validation_loss),
-    _Line("/loss/mean", "always the mean", GREY, lambda epoch: _squared(epoch.measures.mean, epoch.measures)),
-    _Line(
-        "/loss/zero",
-        "always zero",
-        _DARK_GREY,
-        lambda epoch: _squared(epoch.measures.zero, epoch.measures),
-    ),
     _Line("/rmse_deg/network", "network", ORANGE, lambda epoch: epoch.measures.network.rmse_deg),
     _Line("/rmse_deg/balanced", "balanced", GREEN, lambda epoch: epoch.measures.balanced_rmse_deg),
     _Line("/rmse_deg/mean", "always the mean", GREY, lambda epoch: epoch.measures.mean.rmse_deg),
@@ -70,12 +63,24 @@ _LINES: Final = (
     _Line("/turning_mae_deg/zero", "always zero", _DARK_GREY, lambda epoch: epoch.measures.zero.turning_mae_deg),
 )
 
+_STEERING_LOSSES: Final = (
+    _Line("/loss/mean", "always the mean", GREY, lambda epoch: _squared(epoch.measures.mean, epoch.measures)),
+    _Line("/loss/zero", "always zero", _DARK_GREY, lambda epoch: _squared(epoch.measures.zero, epoch.measures)),
+)
+"""Beside a loss of steering alone: of a sum over targets they would be a part."""
 
-def _target_lines(target: TargetName, number: int) -> tuple[_Line, ...]:
-    """The lines of a target besides steering, which an epoch has at this place among them."""
+
+def _lines_of(targets: Sequence[TargetName]) -> tuple[_Line, ...]:
+    """All lines of a training that has these targets besides steering."""
+    of_targets = tuple(line for target in targets for line in _target_lines(target))
+    return _LINES + (of_targets or _STEERING_LOSSES)
+
+
+def _target_lines(target: TargetName) -> tuple[_Line, ...]:
+    """The lines of a target besides steering."""
 
     def of(epoch: Epoch) -> TargetErrors | None:
-        return epoch.targets[number] if number < len(epoch.targets) else None
+        return next((each for each in epoch.targets if each.target == target), None)
 
     def network(epoch: Epoch) -> float:
         return math.nan if (found := of(epoch)) is None else found.rmse
@@ -151,7 +156,8 @@ def follow_training(run: Path, url: str, viewer: Viewer | None) -> int:
 def training_layout(*, has_errors: bool, targets: Sequence[TargetName] = ()) -> rrb.Blueprint:
     """The layout for a training, with a view for each of `targets` besides steering; where nothing was held out,
     there is no view for errors."""
-    loss = _plot("/loss", "loss: mean squared error of steering -1 .. 1")
+    of = f"errors of steering, {', '.join(targets)}, summed up" if targets else "error of steering -1 .. 1"
+    loss = _plot("/loss", f"loss: mean squared {of}")
     errors = (
         _plot("/rmse_deg", "frames held out: RMSE, degrees"),
         _plot("/turning_mae_deg", "turning frames held out: MAE, degrees"),
@@ -177,7 +183,7 @@ class TrainingSender:
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
         self._laid_out: tuple[bool, tuple[TargetName, ...]] | None = None  # has errors, of which other targets
-        self._lines: tuple[_Line, ...] = _LINES
+        self._lines: tuple[_Line, ...] = ()
         self._has_epochs = False
         self._ends: dict[int, int] = {}  # of each epoch, in samples
 
@@ -187,9 +193,7 @@ class TrainingSender:
         targets = tuple(of.target for epoch in history.epochs[:1] for of in epoch.targets)
         # The first epoch decides; a later one must not change a layout that somebody has arranged meanwhile.
         if self._laid_out is None or (not self._has_epochs and (has_errors, targets) != self._laid_out):
-            self._lines = _LINES
-            for number, target in enumerate(targets):
-                self._lines += _target_lines(target, number)
+            self._lines = _lines_of(targets)
             self._prepare(has_errors, targets)
         self._has_epochs = self._has_epochs or bool(history.epochs)
         self._send_steps(history.steps)

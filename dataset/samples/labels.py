@@ -59,9 +59,12 @@ def planned_speed_mph(
 
 
 def recorded_throttle(frames: pa.Table) -> NDArray[np.float64]:
-    """The throttle less the brake of each frame (N,), -1..1; NaN where they are no such numbers."""
-    throttle: NDArray[np.float64] = frames["throttle"].to_numpy() - frames["brake"].to_numpy()
-    return np.where(np.abs(throttle) <= 1, throttle, np.nan)
+    """The throttle less the brake of each frame (N,), -1..1; NaN where they are no such numbers, and throughout a
+    session in which neither is ever touched: nothing drives so, nobody has told them."""
+    pedals = [frames[name].to_numpy() for name in ("throttle", "brake")]
+    throttle: NDArray[np.float64] = np.subtract(*pedals)
+    is_told = any(pedal.any() for pedal in pedals)
+    return np.where((np.abs(throttle) <= 1) & is_told, throttle, np.nan)
 
 
 def _is_good(frames: pa.Table) -> NDArray[np.bool_]:

@@ -77,8 +77,13 @@ def _labels(table: pa.Table, steering: NDArray[np.float64], targets: Sequence[Ta
 
 
 def target_labels(table: pa.Table, target: TargetName) -> NDArray[np.float64]:
-    """The labels (N,) of a target besides steering, in its unit; NaN where they are not known."""
-    return numbers(pc.fill_null(table[TARGETS[target].label_column], np.nan), np.float64)
+    """The labels (N,) of a target besides steering, in its unit; NaN where they are not known. Raises what
+    `rows_of` does."""
+    column, most = TARGETS[target].label_column, TARGETS[target].most
+    labels = numbers(pc.fill_null(table[column], np.nan), np.float64)
+    if (np.abs(labels) > most).any():  # False for NaN
+        raise ValueError(f"a {column} that is not in -{most:g}..{most:g}")
+    return labels
 
 
 def words_as_numbers(column: pa.ChunkedArray) -> tuple[NDArray[np.int32], tuple[str, ...]]:

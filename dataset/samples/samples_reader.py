@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
 from common.closeable import Closeable
@@ -23,7 +24,7 @@ from common.files import short_path
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.parquet_file import METADATA_KEY
-from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
 from recorder import Log, LogError
@@ -171,14 +172,17 @@ class Samples(Closeable):
         return {name: digest.hexdigest() for name, digest in digests.items()}
 
     @property
-    def has_targets(self) -> bool:
-        """Whether there are labels of all targets, as in every index but those of earlier versions."""
-        return all(target.label_column in self._columns for target in TARGETS.values())
+    def speed_ahead_s(self) -> float:
+        """How much later the speed was driven that is the label of a sample; 0 in an index that does not say."""
+        return speed_ahead_s_in(self.metadata.get("settings"))
+
+    def missing(self, targets: Sequence[TargetName]) -> list[TargetName]:
+        """Those of these targets that have no labels here, as in indexes of earlier versions."""
+        return [name for name in targets if TARGETS[name].label_column not in self._columns]
 
     def refuse_missing(self, targets: Sequence[TargetName]) -> None:
         """Raise DatasetError if this index has no labels of these targets."""
-        missing = [name for name in targets if TARGETS[name].label_column not in self._columns]
-        if missing:
+        if missing := self.missing(targets):
             raise DatasetError(
                 f"{self.path}: of format {self.metadata['format']}, which has no labels of {', '.join(missing)};"
                 " run `bc-index` again"
@@ -192,8 +196,16 @@ class Samples(Closeable):
         table = self._table([TARGETS[name].label_column for name in others])
         digest = hashlib.sha256()
         for name in others:
-            digest.update(target_labels(table, name).tobytes())
+            digest.update(self.target_labels(table, name).tobytes())
         return digest.hexdigest()
+
+    def target_labels(self, table: pa.Table, target: TargetName) -> NDArray[np.float64]:
+        """The labels (N,) of a target besides steering, in its unit, in samples of this index; NaN where they are
+        not known. Raises DatasetError for what no index holds."""
+        try:
+            return target_labels(table, target)
+        except _UNREADABLE as error:
+            raise self._damaged(error) from None
 
     def rows(self, table: pa.Table, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
         """Samples of this index as arrays, `table` with the columns of these targets' labels. Raises DatasetError

@@ -204,8 +204,7 @@ class Driver:
             if answer.speed_mph is not None:
                 return self._speed.follow(time_s, speed_mph, answer.speed_mph, steering)
             if answer.throttle is not None:
-                most = self._speed.follow(time_s, speed_mph, math.inf, steering)
-                return max(min(answer.throttle, most), -1.0 if speed_mph > WALKING_MPH else 0.0)
+                return self._speed.follow(time_s, speed_mph, math.inf, steering, at_most=answer.throttle)
             return self._speed.throttle(speed_mph, steering)
         expert = None if telemetry.world is None else telemetry.world.expert
         return 0.0 if expert is None else expert[1]

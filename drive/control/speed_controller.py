@@ -63,12 +63,16 @@ class SpeedController:
         least = -1.0 if speed_mph > WALKING_MPH else 0.0
         return min(max(KP * error + KI * self._integral, least), 1.0)
 
-    def follow(self, time_s: float, speed_mph: float, target_mph: float, steering: float = 0.0) -> float:
-        """-1 .. 1, as from `throttle`, for a target in mph that may be another one with each telemetry.
+    def follow(
+        self, time_s: float, speed_mph: float, target_mph: float, steering: float = 0.0, at_most: float = 1.0
+    ) -> float:
+        """-1 .. 1, as from `throttle`, for a target in mph that may be another one with each telemetry; no more
+        throttle than `at_most`, if somebody wants less.
 
         The car needs the acceleration that brings it to its target in `target_ahead_s`. The throttle is that and
         the resistances over what engine or brakes of the simulator's car give at most. Nobody tells of slopes:
-        they show in what is missing of the acceleration. `time_s` never goes back, all numbers are finite.
+        they show in what is missing of the acceleration. `time_s` never goes back; all numbers but the target are
+        finite.
         """
         speed_mps = speed_mph * MPS_PER_MPH
         if self._last is not None:
@@ -77,7 +81,7 @@ class SpeedController:
         resistance = resistance_mps2(speed_mps)
         pull = wanted_mps2 + resistance + self._slope_mps2
         least = -1.0 if speed_mph > WALKING_MPH else 0.0
-        throttle = min(max(pull / _full_mps2(pull), least), 1.0)
+        throttle = min(max(min(pull / _full_mps2(pull), at_most), least), 1.0)
         self._last = _Given(time_s, speed_mps, throttle * _full_mps2(throttle) - resistance)
         return throttle
 

@@ -6,7 +6,7 @@ bc-eval RUN
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +26,6 @@ from dataset.frames.frames_file import session_name
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
 from dataset.preprocess import Image
-from dataset.samples.sample_rows import target_labels
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
@@ -66,10 +65,10 @@ class Evaluation:
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
     trained_on: int | None  # number of the frames that the run was trained on; None where its config does not say
     skipped: Skipped  # pictures that do not decode
-    notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured
+    notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured; of all runs
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
-    targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have
+    targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames tell
     max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1, in the frames and the answers
 
     @cached_property
@@ -182,17 +181,18 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
 def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | str]) -> list[Evaluation]:
     """As `evaluate_sessions`, for several runs at once: each picture is decoded once, all have the same frames."""
     paths = {session_name(log): log for log in map(Path, logs)}
+    ahead_s = [speed_ahead_s_of_run(Path(run)) for run in runs if "speed" in targets_of_run(Path(run))]
     config = IndexConfig(
         validation=tuple(paths),
         balance=False,
         flip=False,
         labels="as-recorded",
-        speed_ahead_s=max(speed_ahead_s_of_run(Path(run)) for run in runs),  # 0 of those that have no speed
+        speed_ahead_s=ahead_s[0] if ahead_s else 0.0,
     )
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
         indexed = build_index(list(paths.values()), Path(folder), config)
         found = evaluate_runs(runs, folder)
-    notices = indexed.notices + [
+    notices = [*found[0].notices, *indexed.notices] + [
         f"{path}: not measured: no picture of the centre camera that can be used"
         for session, path in paths.items()
         if session not in found[0].sessions
@@ -222,32 +222,59 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
     frames = _from_index(seen, samples)
     frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
     sessions = by_session(frames.filter(pa.array(is_decoded)))
-    targets = [targets_of_run(run) if samples.has_targets else STEERING_ONLY for run in runs]
+    unmeasured = [_unmeasured(run, samples) for run in runs]
+    notices = tuple(dict.fromkeys(notice for of_run in unmeasured for notice in of_run.values()))
+    labels = [
+        {name: samples.target_labels(seen, name) for name in targets_of_run(run)[1:] if name not in left_out}
+        for run, left_out in zip(runs, unmeasured, strict=True)
+    ]
     return [
         Evaluation(
             run,
-            _with_answers(frames, seen, predicted, of_run).filter(pa.array(is_decoded)),
+            _with_answers(frames, recorded, predicted, targets_of_run(run)).filter(pa.array(is_decoded)),
             {session: log.path.resolve() for session, log in samples.logs.items()},
             {session: log.time_range_ns[0] for session, log in samples.logs.items()},
             count_trained_on(sessions, samples, config),
             skipped,
+            notices,
             answers=load_answer_scale(run),
-            targets=of_run,
+            targets=(*STEERING_ONLY, *recorded),
             max_deg=samples.max_steering_deg,
         )
-        for run, predicted, config, of_run in zip(runs, answers, configs, targets, strict=True)
+        for run, predicted, config, recorded in zip(runs, answers, configs, labels, strict=True)
     ]
 
 
+def _unmeasured(run: Path, samples: Samples) -> dict[TargetName, str]:
+    """The targets of a run that cannot be measured by these samples, and why."""
+    targets = targets_of_run(run)
+    found = {
+        name: f"{samples.path}: has no labels of the {name}, which is not measured; run `bc-index` again"
+        for name in samples.missing(targets)
+    }
+    answered_s, recorded_s = speed_ahead_s_of_run(run), samples.speed_ahead_s
+    if "speed" in targets and "speed" not in found and answered_s != recorded_s:
+        found["speed"] = (
+            f"{run}: answers the speed of {answered_s:g} s later, and the labels are of {recorded_s:g} s later:"
+            " its speed is not measured; measure it alone, with --session or an index of `bc-index"
+            f" --speed-ahead {answered_s:g}`"
+        )
+    return found
+
+
 def _with_answers(
-    frames: pa.Table, seen: pa.Table, answers: NDArray[np.float64], targets: Sequence[TargetName]
+    frames: pa.Table,
+    recorded: Mapping[TargetName, NDArray[np.float64]],
+    answers: NDArray[np.float64],
+    targets: Sequence[TargetName],
 ) -> pa.Table:
-    """The frames, with what a network answers to each (N,) or (N, K), and what was recorded of it."""
+    """The frames, with what a network answers to each of `targets`, (N,) or (N, K), and what was `recorded` of
+    those besides steering that are to be measured, (N,) each."""
     frames = frames.append_column("predicted", pa.array(steering_in(answers)))
-    for at, name in enumerate(targets[1:], 1):
-        predicted, recorded = target_columns(name)
-        frames = frames.append_column(predicted, pa.array(answers[:, at] * TARGETS[name].per_unit))
-        frames = frames.append_column(recorded, pa.array(target_labels(seen, name)))
+    for name, labels in recorded.items():
+        of_answers, of_labels = target_columns(name)
+        answered = answers[:, targets.index(name)] * TARGETS[name].per_unit
+        frames = frames.append_column(of_answers, pa.array(answered)).append_column(of_labels, pa.array(labels))
     return frames
 
 

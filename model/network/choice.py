@@ -62,8 +62,9 @@ class NetworkChoice:
 
     def build(self) -> PictureNetwork:
         """A new network, with random weights. Raises RunError where that fails."""
-        # one target needs no word; one's own network may have as many answers as it likes without being told
-        outputs = {"outputs": self.outputs} if self.outputs > 1 and _takes(self.make, "outputs") else {}
+        # of one target its default may tell, which need not mean the same in a network of before there were others
+        is_told = _takes(self.make, "outputs") and (self.outputs > 1 or _needs(self.make, "outputs"))
+        outputs = {"outputs": self.outputs} if is_told else {}
         try:
             made = self.make(**{**outputs, **self.arguments})
         except RunError:
@@ -194,6 +195,11 @@ def _takes(make: Callable[..., Any], argument: str) -> bool:
         return argument in inspect.signature(make).parameters
     except (TypeError, ValueError):  # of what is not written in Python
         return False
+
+
+def _needs(make: Callable[..., Any], argument: str) -> bool:
+    """Of an argument that it takes."""
+    return inspect.signature(make).parameters[argument].default is inspect.Parameter.empty
 
 
 def _why(error: Exception) -> str:

@@ -12,7 +12,7 @@ import math
 from typing import Any, Final
 
 from common.car import MAX_STEERING_DEG
-from dataset.prediction_targets import TARGETS
+from dataset.prediction_targets import TARGET_NAMES
 from dataset.preprocess import decode, may_be_crop
 from model.metrics import BinErrors, Errors, Measures
 from model.runs.answer_scale import AnswerScale
@@ -90,7 +90,7 @@ def _errors(values: Any) -> Errors:
 
 
 def _target_errors(values: Any) -> TargetErrors:
-    if values["target"] not in TARGETS:
+    if values["target"] not in TARGET_NAMES[1:]:
         raise ValueError("no target of a run")
     numbers = (_number(values[name]) for name in ("mae", "rmse", "bias", "correlation", "mean_rmse"))
     return TargetErrors(values["target"], _count(values["frames"]), *numbers)

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -31,6 +31,13 @@ class StoredNetwork(msgspec.Struct, frozen=True):
     name: str = "original"
     arguments: dict[str, Any] = {}
     file_sha256: str = ""
+
+
+class _StoredSettings(msgspec.Struct, frozen=True):
+    """The settings of a run's training that are about its network, as its config.json has them."""
+
+    network_args: tuple[str, ...] = ()
+    target_weights: tuple[Annotated[float, msgspec.Meta(ge=0)], ...] = ()
 
 
 def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
@@ -124,12 +131,17 @@ def is_own_network(config: dict[str, Any]) -> bool:
 
 def network_settings(config: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Settings of a `TrainConfig` for another training of the same network, which must be named if it is
-    somebody's own."""
+    somebody's own, and of the same targets. Raises RunError for what are none."""
     choice, picture = choice_of(config, folder), picture_of(config, folder)
-    stored = config.get("training")
+    try:
+        stored = msgspec.convert(config.get("training", {}), _StoredSettings)
+    except ValueError as error:
+        raise RunError(f"{folder}: its training settings cannot be used ({printable(str(error))})") from None
     return {
         "network": choice.name if choice.code is None else choice.code.name,
-        "network_args": tuple(stored.get("network_args", ())) if isinstance(stored, dict) else (),
+        "network_args": stored.network_args,
+        "targets": stored_targets(config, folder),
+        "target_weights": stored.target_weights,
         "picture_px": (picture.width_px, picture.height_px),
         "crop_rows": (picture.crop_top, picture.crop_bottom),
         "channels": picture.channels,

@@ -103,7 +103,8 @@ def draw_curves(history: History) -> Figure:
                 columnspacing=1,
                 handlelength=1.5,
             )
-    loss.set_ylabel("mean squared error of steering")
+    targets = ", ".join(("steering", *(of.target for epoch in epochs[:1] for of in epoch.targets)))
+    loss.set_ylabel(f"mean squared error of {targets}")
     if 0 < loss.dataLim.minposy < math.inf:
         loss.set_yscale("log")
     errors.set_ylabel("error on frames held out (degrees)")
@@ -133,7 +134,9 @@ def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
     """Draw the errors of predictors that know nothing on the same frames: the same in every epoch."""
     mean, zero = epoch.measures.mean, epoch.measures.zero
     for constant, label, style in ((mean, "always the mean", "--"), (zero, "always zero", ":")):
-        if (squared := (constant.rmse_deg / epoch.measures.max_deg) ** 2) > 0:  # the axis is logarithmic
+        squared = (constant.rmse_deg / epoch.measures.max_deg) ** 2
+        # the axis is logarithmic; of a sum over targets, steering is a part
+        if squared > 0 and not epoch.targets:
             loss.axhline(squared, color=GREY, linestyle=style, linewidth=1, label=label)
     for value, color in ((mean.rmse_deg, ORANGE), (mean.turning_mae_deg, BLUE)):
         if math.isfinite(value):

@@ -26,7 +26,7 @@ from torch import Tensor
 from common.files import remove_empty
 from common.untrusted import read_bounded
 from dataset.picture_spec import ORIGINAL, PictureSpec
-from dataset.prediction_targets import MOST_AHEAD_S, TargetName
+from dataset.prediction_targets import TargetName, speed_ahead_s_in
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.network.picture_network import PictureNetwork
@@ -191,9 +191,7 @@ def speed_ahead_s_of_run(folder: Path) -> float:
     """How much later the speed is driven that the run's network answers; 0 where its config does not say. Raises
     RunError as `load_config` does."""
     data = load_config(folder).get("data")
-    settings = data.get("settings") if isinstance(data, dict) else None
-    seconds = settings.get("speed_ahead_s") if isinstance(settings, dict) else None
-    return float(seconds) if isinstance(seconds, int | float) and 0 <= seconds <= MOST_AHEAD_S else 0.0
+    return speed_ahead_s_in(data.get("settings")) if isinstance(data, dict) else 0.0
 
 
 def choice_of_run(folder: Path) -> NetworkChoice:

@@ -60,6 +60,15 @@ class RunSummary:
     results: list[KeptResult] = field(default_factory=list)  # the last of each kind that its weights have given
 
     @property
+    def rmse_share(self) -> float:
+        """Of the error of always predicting the mean: runs hold out other frames."""
+        return _share(self.rmse_deg, self.mean_rmse_deg)
+
+    @property
+    def balanced_rmse_share(self) -> float:
+        return _share(self.balanced_rmse_deg, self.mean_balanced_rmse_deg)
+
+    @property
     def drives(self) -> list[dict[str, Any]]:
         """The last drive of each simulator's track at each speed, as `bc-eval --json` has it."""
         return [kept.result for kept in self.results if kept.way == "simulator"]
@@ -69,6 +78,10 @@ class RunSummary:
         """Over all of `drives`; NaN where it has not driven."""
         driven_m = sum(drive["distance_m"] for drive in self.drives)
         return 1000 * sum(drive["interventions"] for drive in self.drives) / driven_m if driven_m else math.nan
+
+
+def _share(value: float, whole: float) -> float:
+    return value / whole if whole else math.nan
 
 
 def summarize_runs(runs: Path) -> Iterator[RunSummary]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from dataset import Samples
 from dataset.prediction_targets import TARGETS, TargetName
-from dataset.samples.sample_rows import target_labels
 from model.errors import RunError
 
 
@@ -24,7 +23,7 @@ def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]
     session = np.asarray(training["session"])
     notices = []
     for name in targets[1:]:
-        is_known = np.isfinite(target_labels(training, name))
+        is_known = np.isfinite(samples.target_labels(training, name))
         told = set(session[is_known].tolist())
         if not told:
             raise RunError(f"{samples.path}: no session in it tells of the {name}; leave it out of --targets")

@@ -11,6 +11,7 @@ from dataset import Samples
 from model.config import TrainConfig
 from model.errors import RunError
 from model.network.names import is_own
+from model.runs.network_of_run import stored_targets
 from model.runs.provenance import is_trained_on, training_of
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, WEIGHTS
@@ -25,6 +26,11 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
     Raises RunError if `config` changes what may not change.
     """
     before = training_of(stored, str(run / CONFIG))
+    if before.targets != (answered := stored_targets(stored, run)):
+        raise RunError(
+            f"{run / CONFIG}: its network answers {' '.join(answered)}, its training settings are of"
+            f" {' '.join(before.targets)}; copy it again, or train the run again"
+        )
     if config is None:
         return before
     wanted = asdict(config)

@@ -34,6 +34,7 @@ def card(
     licence: str | None,
     picture: str,
     rate_hz: float,
+    max_steering_deg: float,
 ) -> str:
     """The text of a card. `picture`: the file name of an example."""
     is_video = info["video_path"] is not None
@@ -76,7 +77,8 @@ def card(
         "## What is in it",
         "",
         f"- {pictures}",
-        "- `action`: `steering` from -1 (left) to 1 (right), where 1 is 25 degrees; `throttle`, `brake`, 0 to 1.",
+        f"- `action`: `steering` from -1 (left) to 1 (right), where 1 is {max_steering_deg:g} degrees of the front"
+        " wheels; `throttle`, `brake`, 0 to 1.",
         *(
             ["- `observation.state`: `speed_mph`, miles an hour (1 is 0.44704 m/s)."]
             if "observation.state" in info["features"]

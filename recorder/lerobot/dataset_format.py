@@ -37,6 +37,8 @@ LOG_ROW: Final = "log_row"
 LOG_VEHICLE: Final = "log_vehicle"
 """The vehicle state as the log has it: the format's own columns have 32 bits."""
 LOG_FINGERPRINT: Final = "log_fingerprint"
+LOG_CAR: Final = "log_car"
+"""A column of meta/episodes: the car that the episode's log is of, as JSON; empty if nothing tells."""
 REQUIRED: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 IMAGE_TYPE: Final = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """An image in a data file, as the library `datasets` stores it."""

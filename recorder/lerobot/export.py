@@ -17,7 +17,7 @@ from common import Skipped, UserError
 from common.car import Camera
 from common.files import new_folder
 from common.progress import progress_bar
-from recorder.errors import LogError
+from recorder.errors import LogError, RecordingError
 from recorder.lerobot import dataset_format as form
 from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
 from recorder.lerobot.dataset_files import DatasetFiles, write_json, write_tasks
@@ -36,6 +36,7 @@ from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
 from recorder.log.reader import Log
 from recorder.log.row_quality import States
+from recorder.log.session_car import CAR_KEY, car_of, metadata_of
 from recorder.pictures.picture_size import PNG_START, can_be_decoded
 
 TASK: Final = "Drive along the road."
@@ -209,6 +210,7 @@ class _Export:
             "dataset_from_index": self.frames,
             "dataset_to_index": self.frames + frames,
             "log_name": _name(log),
+            form.LOG_CAR: _car(log),
             **{
                 f"stats/{feature}/{name}": values
                 for feature, of in as_json(statistics).items()
@@ -231,7 +233,15 @@ class _Export:
         write_tasks(root, self._task)
         picture = "picture.png" if self._example.startswith(PNG_START) else "picture.jpg"
         (root / picture).write_bytes(self._example)
-        text = card(info, self.sessions, task=self._task, licence=licence, picture=picture, rate_hz=plan.rate_hz)
+        text = card(
+            info,
+            self.sessions,
+            task=self._task,
+            licence=licence,
+            picture=picture,
+            rate_hz=plan.rate_hz,
+            max_steering_deg=plan.max_steering_deg,
+        )
         (root / CARD_PATH).write_text(text, encoding="utf-8")
 
 
@@ -253,6 +263,14 @@ def _decoded(picture: bytes) -> NDArray[np.uint8] | None:
         return None
     found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
     return None if found is None else found.astype(np.uint8, copy=False)
+
+
+def _car(log: Log) -> str:
+    """The car that a log is of, as logs keep it; empty where nothing tells."""
+    try:
+        return metadata_of(car_of(log))[CAR_KEY]
+    except (LogError, RecordingError):
+        return ""
 
 
 def _name(log: Log) -> str:

@@ -16,6 +16,7 @@ from recorder.errors import LogError
 from recorder.lerobot.dataset_format import LOG_TIME, LOG_VEHICLE, STATE
 from recorder.lerobot.log_episodes import log_episodes
 from recorder.log.reader import Log
+from recorder.log.session_car import max_steering_deg_of
 from recorder.log.topics import camera_topic
 
 RATES_DIFFER: Final = 1.2
@@ -28,6 +29,8 @@ class ExportPlan:
     has_speed: bool
     """Every row has one."""
     rate_hz: float
+    max_steering_deg: float
+    """How far the front wheels turn at steering 1."""
     rows: int
     """At most so many frames."""
     notices: tuple[str, ...]
@@ -39,12 +42,14 @@ class ExportPlan:
 
 
 def plan_export(paths: Sequence[Path]) -> ExportPlan:
-    """The plan for the logs at `paths`. Raises LogError if one cannot be read, or if no camera is in all."""
+    """The plan for the logs at `paths`. Raises LogError if one cannot be read, if no camera is in all, or if
+    their wheels turn differently."""
     cameras, notices = _cameras(paths)
-    steps, rates, row_count, known = [np.zeros(0, np.int64)], {}, 0, []
+    steps, rates, row_count, known, degrees = [np.zeros(0, np.int64)], {}, 0, [], set[float]()
     for path in paths:
         with Log(path, shows_progress=True) as log:
             taken = log_episodes(log, cameras, Skipped())
+            degrees.add(max_steering_deg_of(log))
         row_count += len(taken.states.row)
         its_steps = taken.steps_ns[taken.steps_ns > 0]
         if len(its_steps):
@@ -58,7 +63,13 @@ def plan_export(paths: Sequence[Path]) -> ExportPlan:
         notices.append(f"rows a second differ ({told}); the dataset says {rate_hz:.0f}, its {LOG_TIME} are right")
     if any(known) and not all(known):
         notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is left out")
-    return ExportPlan(cameras, bool(known) and all(known), rate_hz, row_count, tuple(notices))
+    if len(degrees) > 1:
+        told = " and ".join(f"{each:g}" for each in sorted(degrees))
+        raise LogError(
+            f"{', '.join(map(str, paths))}: at steering 1, wheels turn by {told} degrees, and a dataset has one"
+            " scale; export them one by one"
+        )
+    return ExportPlan(cameras, bool(known) and all(known), rate_hz, degrees.pop(), row_count, tuple(notices))
 
 
 def _cameras(paths: Sequence[Path]) -> tuple[tuple[Camera, ...], list[str]]:

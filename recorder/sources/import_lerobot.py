@@ -21,9 +21,9 @@ from common.files import refuse_existing
 from common.progress import track
 from common.stretches import consecutive
 from recorder.bc_pb2 import VehicleState
-from recorder.errors import RecordingError
-from recorder.lerobot.dataset_format import LOG_TIME
-from recorder.log.session_car import Car, metadata_of
+from recorder.errors import LogError, RecordingError
+from recorder.lerobot.dataset_format import LOG_CAR, LOG_TIME
+from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
@@ -62,7 +62,8 @@ def import_lerobot(
 
     `image` names the feature that is the camera's pictures, `steering` the number that is the steering, as
     `action.steering` or `action.0`; without them, names tell. Episodes are drives. An export of ours comes back
-    with its own times and all digits; of others the times begin in 1970. `car` is the one that was recorded.
+    with its own times and all digits; of others the times begin in 1970. `car` is the one that was
+    recorded; an export of ours tells it.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)
@@ -81,7 +82,8 @@ def import_lerobot(
         if first is None:
             raise RecordingError(f"{folder}: no frame of it can be used{events.skipped.error_suffix()}")
         rows = pictures = 0
-        metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(car)
+        told = _told_car(dataset) if car is None and chosen.is_own else car
+        metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(told)
         with LogWriter(log, metadata, overwrite=overwrite) as writer:
             for frame in itertools.chain([first], frames):
                 events.at(writer, frame.time_ns)
@@ -111,6 +113,19 @@ def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: f
         "clock": clock,
         **({} if chosen.has_log_time else {"start": "1970, because the dataset does not tell it"}),
     }
+
+
+def _told_car(dataset: LeRobotFolder) -> Car | None:
+    """The car that an export of ours tells, if all of its episodes tell the same."""
+    try:
+        told = set(dataset.episode_table([LOG_CAR])[LOG_CAR].to_pylist())
+    except RecordingError:  # of an earlier version
+        return None
+    session = {CAR_KEY: str(told.pop())} if len(told) == 1 and told != {""} else {}
+    try:
+        return car_in(session, dataset.root)
+    except LogError as error:
+        raise RecordingError(str(error)) from None
 
 
 def _frames(

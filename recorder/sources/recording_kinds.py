@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ from recorder.errors import RecordingError
 from recorder.log.session_car import Car
 from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.find_recording import is_udacity, recordings_near
+from recorder.sources.import_csv import has_csv, import_csv
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import McapTopics, import_mcap, is_mcap_or_bag, is_own_log
 from recorder.sources.import_result import Imported
@@ -37,24 +39,44 @@ def import_recording(
     log: Path,
     topics: Topics | None = None,
     *,
+    columns: Sequence[str] = (),
     rate_hz: float | None = None,
     all_catalogs: bool = False,
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
-    ROS 2 bag (which need `topics`), a LeRobot dataset (which may). `rate_hz` and `all_catalogs` are as for
-    `import_tub`; `car` is what was driven.
+    ROS 2 bag (which need `topics`), a LeRobot dataset (which may), or pictures with a csv (whose `columns` are as
+    for `import_csv`). `rate_hz` and `all_catalogs` are as for `import_tub`; `car` is what was driven.
 
     Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
     `overwrite` is off.
     """
     topics = topics or Topics()
+    if columns:
+        if topics.image is not None or topics.steering is not None or all_catalogs:
+            raise RecordingError(
+                "--columns says where everything is: leave out --image, --steering, --all-catalogs"
+            )
+        return import_csv(
+            source,
+            log,
+            columns,
+            rate_hz=rate_hz,
+            steering_scale=topics.steering_scale,
+            car=car,
+            overwrite=overwrite,
+        )
     is_log = is_mcap_or_bag(source)
     is_dataset = not is_log and is_lerobot(source)
     is_donkeycar = not (is_log or is_dataset) and is_tub(source)
     if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and (hint := recordings_near(source)):
         raise RecordingError(f"{source}: no recording itself;{hint}")
+    if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and has_csv(source):
+        raise RecordingError(
+            f"{source}: pictures with a csv? Say what its columns are: --columns image=COLUMN steering=COLUMN"
+            " --rate ROWS_A_SECOND"
+        )
     if all_catalogs and not is_donkeycar:
         raise RecordingError(f"{source}: --all-catalogs is for DonkeyCar tubs, which this is not")
     if topics != Topics() and not (is_log or is_dataset):

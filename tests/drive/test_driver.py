@@ -128,6 +128,23 @@ def test_the_throttle_that_the_network_wants_is_sent_below_the_set_speed(
     assert decision.predicted_throttle == pytest.approx(wanted)
 
 
+def test_a_network_that_was_long_content_with_little_throttle_is_kept_to_the_set_speed_all_the_same() -> None:
+    """What the car lacked meanwhile it lacked because of the network, not because of a hill."""
+    network = say(SteeringNetwork(outputs=2), 0.0)
+    network.outputs = 2
+    pilot, car = Pilot(network, targets=("steering", "throttle")), CarState(0.0, 0.0, 0.0, 8.0)
+    driver = Driver(pilot, DriveConfig(set_speed_mph=20.0))
+    fastest_mph = 0.0
+    for number in range(40):
+        with torch.no_grad():
+            network.head[-1].bias[1] = 0.2 if number < 10 else 1.0  # type: ignore[operator]
+        throttle = drive(driver, message(speed_mph=car.speed_mph), number / 10).throttle
+        for _ in range(round(0.1 / STEP_S)):
+            car = step(car, 0.0, throttle)
+        fastest_mph = max(fastest_mph, car.speed_mph)
+    assert 19.5 < fastest_mph < 20.1
+
+
 def test_a_speed_that_is_no_number_brakes() -> None:
     decision = drive(Driver(pilot_that_wants(speed=math.nan), DriveConfig()), message(speed_mph=10.0))
     assert (decision.driver, decision.problem) == ("brake", "the network gave no number")

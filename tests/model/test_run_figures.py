@@ -119,6 +119,13 @@ def test_what_constant_predictors_reach_stands_beside_the_curves(tmp_path: Path)
     assert constant == {ORANGE: 4.5, BLUE: 9.0}  # each in the colour of its own curve
 
 
+def test_a_loss_of_several_targets_has_no_constant_steering_beside_it(tmp_path: Path) -> None:
+    speed = {"target": "speed", "frames": 90, "mae": 1, "rmse": 2, "bias": 0, "correlation": 0.9, "mean_rmse": 6}
+    loss, _ = curves_of(write_run(tmp_path / "first", 2, targets=[speed]))
+    assert not {"always the mean", "always zero"} & lines_of(loss).keys()
+    assert loss.get_ylabel() == "mean squared error of steering, speed"
+
+
 def test_the_last_best_epoch_is_marked(tmp_path: Path) -> None:
     run = tmp_path / "first"
     run.mkdir()

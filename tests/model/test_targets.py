@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -21,10 +23,12 @@ from common.car import Camera
 from dataset import DatasetError, IndexConfig, SamplesDataset, build_index, decode, load
 from dataset.prediction_targets import TargetName
 from model import RunError, TrainConfig, export_onnx, load_pilot, predict_log, train
-from model.evaluation.evaluate import evaluate_runs
+from model.evaluation.evaluate import evaluate_runs, evaluate_runs_on_sessions, evaluate_sessions
 from model.evaluation.run_comparison import Comparison
 from model.network.choice import choose_network
 from model.runs.history import read_history
+from model.runs.network_of_run import network_settings
+from model.runs.run_folder import load_config
 from model.training.step import make_optimizer, training_step
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -264,7 +268,99 @@ def test_a_worse_speed_makes_a_run_worse(folder: Path) -> None:
     assert verdicts["speed_mph_rmse"] > 2
 
 
+def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path, tmp_path: Path) -> None:
+    """An index, or a run that is compared with it, may have the speed of another time; its run answers that of a
+    second later."""
+    build_index([folder / "drive.mcap"], tmp_path / "index", replace(SETTINGS, speed_ahead_s=0.5))
+    (found,) = evaluate_runs([folder / "run"], tmp_path / "index")
+    assert [of.target for of in found.other_targets] == ["throttle"]
+    (notice,) = found.notices
+    assert "answers the speed of 1 s later, and the labels are of 0.5 s later" in notice
+
+    half = replace(QUICK, targets=("steering", "speed"), epochs=1)
+    train(tmp_path / "index", tmp_path / "half", half, figures=False)
+    alone = replace(QUICK, targets=("steering",), epochs=1)
+    build_index([folder / "drive.mcap"], tmp_path / "late", replace(SETTINGS, speed_ahead_s=2.0))
+    train(tmp_path / "late", tmp_path / "alone", alone, figures=False)
+    by_itself = evaluate_sessions(tmp_path / "half", [folder / "drive.mcap"])
+    runs = [tmp_path / "alone", tmp_path / "half", folder / "run"]
+    _, second, third = evaluate_runs_on_sessions(runs, [folder / "drive.mcap"])
+    assert second.other_targets == by_itself.other_targets
+    assert [of.target for of in third.other_targets] == ["throttle"]
+    assert sum("answers the speed of 1 s later" in each for each in third.notices) == 1
+
+
+# What goes on from it
+
+
+def test_a_training_like_its_own_has_its_targets_and_their_weights(folder: Path, tmp_path: Path) -> None:
+    """As the rounds of `bc-drive --aggregate` train."""
+    config = load_config(folder / "run")
+    config["training"]["target_weights"] = [1.0, 0.5, 0.25]
+    settings = replace(TrainConfig(epochs=1), **network_settings(config, folder / "run"))
+    assert (settings.targets, settings.target_weights) == (ALL, (1.0, 0.5, 0.25))
+    settings = replace(settings, batch=8)
+    assert train(folder / "index", tmp_path / "next", settings, init=folder / "run", figures=False).epochs
+    config["training"]["target_weights"] = [-1.0]
+    with pytest.raises(RunError, match="training settings cannot be used"):
+        network_settings(config, folder / "run")
+
+
 # What cannot be
+
+
+def changed(index: Path, folder: Path, column: str, values: pa.Array) -> Path:
+    """The index, with another column."""
+    table = pq.read_table(index / "samples.parquet")
+    other = folder / column
+    other.mkdir()
+    metadata = dict(table.schema.metadata)
+    stored = json.loads(metadata[b"bc.index"])
+    for log in stored["logs"].values():
+        log["log"] = str((index / log["log"]).resolve())
+    table = table.set_column(table.schema.get_field_index(column), column, values)
+    pq.write_table(
+        table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), other / "samples.parquet"
+    )
+    return other
+
+
+def test_labels_that_are_none_are_damage_that_is_named(folder: Path, tmp_path: Path) -> None:
+    count = pq.read_metadata(folder / "index" / "samples.parquet").num_rows
+    for column, values in (
+        ("later_speed_mph", pa.array(["fast"] * count)),
+        ("throttle", pa.array([1e300] * count)),
+    ):
+        index = changed(folder / "index", tmp_path, column, values)
+        with pytest.raises(DatasetError, match="damaged"):
+            train(index, tmp_path / "run", QUICK, figures=False)
+        with pytest.raises(DatasetError, match="damaged"):
+            evaluate_runs([folder / "run"], index)
+
+
+def test_pedals_that_are_never_touched_were_not_told(tmp_path: Path) -> None:
+    """As of a ROS bag, which has the steering alone."""
+    with LogWriter(tmp_path / "bag.mcap", {"source": "test"}) as writer:
+        for row in range(ROWS):
+            time_ns = START_NS + round(row * STEP_S * 1e9)
+            writer.picture("center", time_ns, row, road("center", row))
+            writer.vehicle(time_ns, row, VehicleState(steering=steering(row), speed_mph=math.nan))
+    build_index([tmp_path / "bag.mcap"], tmp_path / "index", SETTINGS)
+    with pytest.raises(RunError, match="no session in it tells of the throttle"):
+        train(
+            tmp_path / "index", tmp_path / "run", replace(QUICK, targets=("steering", "throttle")), figures=False
+        )
+
+
+def test_settings_of_other_targets_than_its_networks_are_refused(folder: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(folder / "run", tmp_path / "run")
+    config = json.loads((run / "config.json").read_text())
+    config["training"]["targets"] = ["steering", "speed"]
+    (run / "config.json").write_text(json.dumps(config))
+    with pytest.raises(
+        RunError, match="answers steering speed throttle, its training settings are of steering speed"
+    ):
+        train(folder / "index", run, None, resume=True, figures=False)
 
 
 def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Path, tmp_path: Path) -> None:
@@ -323,6 +419,10 @@ class Told(nn.Sequential):
     def __init__(self, outputs=1):
         super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, outputs))
 
+class Asks(nn.Sequential):
+    def __init__(self, outputs):
+        super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, outputs))
+
 class One(nn.Sequential):
     def __init__(self):
         super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, 1))
@@ -333,6 +433,8 @@ def test_ones_own_network_is_told_how_many_answers_are_wanted(tmp_path: Path) ->
     (tmp_path / "own.py").write_text(OWN)
     told = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:Told"))
     assert told.try_out(told.picture, torch.device("cpu")) == 3 * (3 * 128 * 128 + 1)
+    asks = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:Asks", targets=("steering",)))
+    assert asks.try_out(asks.picture, torch.device("cpu")) == 3 * 128 * 128 + 1
     one = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:One"))
     with pytest.raises(RunError, match=r"one number for each and each target was expected, \(2, 3\)"):
         one.try_out(one.picture, torch.device("cpu"))

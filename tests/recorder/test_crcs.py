@@ -181,6 +181,7 @@ def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
         log.read(frame["offset"], frame["length"], frame["chunk"])
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_the_commands_say_so(
     forged: Path,
     damaged: str,
@@ -194,7 +195,8 @@ def test_the_commands_say_so(
     if damaged == "pictures":
         assert call(bc_index, forged, "--index", index, "--gap-s", 0, "--block-s", 0.5) == 0
         capsys.readouterr()
-        assert call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", "--index", index) == 3
+        flags = ["--network", "small", "--epochs", 1, "--runs", tmp_path / "runs"]
+        assert call(bc_train, *flags, "--index", index) == 3
         told = rf"pictures in damaged chunks of {re.escape(str(forged))} \(`bc-log recover \S+/a\.mcap` .*a row \d"
         assert re.search(told, capsys.readouterr().err)
         with monkeypatch.context() as in_folder:  # where a person types the log's name
@@ -383,15 +385,15 @@ def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
         assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_training_and_an_evaluation_that_index_such_a_log_say_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "sessions").mkdir()
     path = without_crcs(tmp_path / "sessions" / "other.mcap")
     places = ["--sessions", tmp_path / "sessions", "--index", tmp_path / "index"]
-    assert (
-        call(bc_train, "--epochs", 1, "--runs", tmp_path / "runs", *places) == 3
-    )  # too short to hold a frame out
+    flags = ["--network", "small", "--epochs", 1, "--runs", tmp_path / "runs"]
+    assert call(bc_train, *flags, *places) == 3  # too short to hold a frame out
     assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
     run_folder = untrained_run(tmp_path / "untrained")
     call(bc_eval, run_folder, "--session", path)

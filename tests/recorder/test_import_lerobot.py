@@ -17,10 +17,11 @@ from common import UserError
 from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
 from lerobot_logs import jpeg, write_drives
 from logs import read_messages
-from recorder import Imported, Log, RecordingError
+from recorder import Imported, Log, LogError, RecordingError
 from recorder.cli import main as bc_record
 from recorder.lerobot.export import export_lerobot
 from recorder.log.row_quality import drive_numbers
+from recorder.log.session_car import Car, metadata_of, told_car
 from recorder.sources.import_lerobot import import_lerobot
 from udacity import call
 
@@ -77,6 +78,17 @@ def test_an_export_comes_back_as_it_was(tmp_path: Path, speed_mph: float) -> Non
     with Log(done.path) as opened:
         assert opened.metadata["source"] == "lerobot"
         assert opened.metadata["clock"] == "recorded"
+
+
+def test_the_car_of_a_session_comes_back(tmp_path: Path) -> None:
+    car = Car(max_steering_deg=30.0, wheelbase_m=2.5)
+    log = write_drives(tmp_path / "two.mcap", metadata=metadata_of(car))
+    export_lerobot([log], tmp_path / "out")
+    with Log(imported(tmp_path / "out").path) as opened:
+        assert told_car(opened) == car
+    other = write_drives(tmp_path / "other.mcap")
+    with pytest.raises(LogError, match="at steering 1, wheels turn by 25 and 30 degrees"):
+        export_lerobot([log, other], tmp_path / "both")
 
 
 def test_an_export_as_videos_comes_back_with_other_pictures_and_says_so(tmp_path: Path) -> None:

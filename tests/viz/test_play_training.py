@@ -106,6 +106,9 @@ def test_a_target_besides_steering_has_a_view_of_its_own(tmp_path: Path) -> None
     assert "frames held out: RMSE of speed, mph" in view_names(tmp_path / "first.rrd")
     assert points(tmp_path / "first.rrd", "/speed_rmse/network") == list(zip(ends(2), [4.0, 2.0], strict=True))
     assert points(tmp_path / "first.rrd", "/speed_rmse/mean") == list(zip(ends(2), [6.0, 6.0], strict=True))
+    # the loss is a sum, of which the errors of constant steering are a part: they are no limit beside it
+    assert "loss: mean squared errors of steering, speed, summed up" in view_names(tmp_path / "first.rrd")
+    assert not {"/loss/mean", "/loss/zero"} & contents(tmp_path / "first.rrd").keys()
 
 
 def test_the_layout_has_views_of_errors_where_something_was_held_out(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, wait
 from pathlib import Path
@@ -17,7 +18,7 @@ class Background(Generic[Result]):
     """A result for each file, made anew when its version is another one."""
 
     def __init__(self, pool: Executor, make: Callable[[Path, str], Result]) -> None:
-        """`make` takes a file and its version. What it raises as UserError is the result."""
+        """`make` takes a file and its version. What it raises is the result, as UserError."""
         self._pool = pool
         self._make = make
         self._lock = threading.Lock()
@@ -49,6 +50,11 @@ class Background(Generic[Result]):
             return self._make(path, version)
         except UserError as error:
             return error
+        except OSError as error:  # deleted meanwhile, or not ours to read
+            return UserError(f"{path}: {error.strerror or error}")
+        except Exception as error:  # a bug: one log must not take the others out of the list
+            traceback.print_exception(error)
+            return UserError(f"{path}: a bug ({type(error).__name__}); the terminal of bc-web tells more")
         finally:
             with self._lock:
                 self.done += 1

@@ -16,6 +16,8 @@ Place = Literal["sessions", "drives"]
 """A folder of logs, as addresses name it."""
 PLACES: Final[tuple[Place, ...]] = get_args(Place)
 
+RUN_CONFIG: Final = "config.json"  # what makes a folder a run: `model.runs.run_folder.CONFIG`, without PyTorch
+
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 
@@ -43,6 +45,17 @@ class ProjectFolders:
             folder = getattr(self, place)
             raise WebError(f"{folder}: no log {key!r} in it; it may have been deleted, renamed or moved", 404)
         self._found[place, key] = path
+        return path
+
+    def run_folders(self) -> dict[str, Path]:
+        """The runs by the key that they have in addresses, also those that cannot be read."""
+        return {key_of(path.parent): path.parent for path in sorted(self.runs.glob(f"*/{RUN_CONFIG}"))}
+
+    def run(self, key: str) -> Path:
+        """Raises WebError if no run of that key is there (any more)."""
+        path = self.run_folders().get(key)
+        if path is None:
+            raise WebError(f"{self.runs}: no run {key!r} in it; it may have been deleted, renamed or moved", 404)
         return path
 
 

@@ -14,7 +14,9 @@ from web.pages.workbench import Workbench
 def change_routes(bench: Workbench) -> list[Route]:
     def changes(request: Request) -> Response:
         bench.logs.drop_changed()
-        return JSONResponse({"sessions": sessions_version(bench)})
+        return JSONResponse(
+            {"sessions": sessions_version(bench), "runs": runs_version(bench), "jobs": bench.jobs.version()}
+        )
 
     return [Route("/changes", changes)]
 
@@ -24,3 +26,8 @@ def sessions_version(bench: Workbench) -> str:
     folders = bench.folders
     built = version_of(folders.index / STATE_NAME)
     return f"{version_of_folder(folders.sessions)} {built} {bench.cards.done + bench.searches.done}"
+
+
+def runs_version(bench: Workbench) -> str:
+    """It changes with every line that a training writes, and with each run that has been read."""
+    return f"{bench.runs.version()} {bench.runs.done}"

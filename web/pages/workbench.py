@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from web.data.cache_folder import CacheFolder
+from web.data.index_trials import IndexTrials
+from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
 from web.data.project_folders import ProjectFolders
+from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 
@@ -22,3 +25,6 @@ class Workbench:
     cards: SessionCards
     searches: WhereSearches
     checks: PictureChecks
+    runs: RunCards
+    jobs: Jobs
+    trials: IndexTrials

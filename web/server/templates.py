@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -9,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from common.errors import counted
 from common.versions import version_of
 
-PAGES: Final = (("Sessions", "/sessions"),)
+PAGES: Final = (("Sessions", "/sessions"), ("Index", "/index"), ("Runs", "/runs"), ("Jobs", "/jobs"))
 """The pages of the menu: name and address."""
 
 
@@ -20,11 +21,16 @@ def _minutes(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{whole % 60:02}" if hours else f"{minutes}:{whole % 60:02}"
 
 
+def _two(number: float) -> str:
+    """With two places; "-" for what does not exist."""
+    return "-" if math.isnan(number) else f"{number:.2f}"
+
+
 _environment = Environment(
     loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _environment.globals.update(menu=PAGES, version=version_of())
-_environment.filters.update(minutes=_minutes, counted=counted)
+_environment.filters.update(minutes=_minutes, counted=counted, two=_two)
 
 
 def render(template: str, /, **values: Any) -> str:

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp
 from common import UserError
 from common.interrupts import leave_signals_to_main_thread
 from recorder.errors import ListenError
-from recorder.server.listening_socket import listen
+from recorder.server.listening_socket import listen, send_at_once
 
 _LAST_ANSWERS_S: Final = 2  # for those who are being answered when the server stops
 _TICK_S: Final = 0.2
@@ -29,6 +29,9 @@ class WorkbenchServer:
         except ListenError as error:
             reason = str(error).partition("; end the bc-drive")[0]
             raise UserError(f"{reason}; give another --port, or end the bc-web that is running there") from None
+        # asyncio does so itself only where a socket was made with the protocol's number; else each answer, whose
+        # head and body are two writes, waits 40 ms for the delayed acknowledgement. Connections inherit it.
+        send_at_once(self._socket)
         self.port: int = self._socket.getsockname()[1]
         self._server = uvicorn.Server(
             uvicorn.Config(

@@ -200,7 +200,7 @@ export class Curves {
     this.plots.forEach((plot, at) => {
       const left = plot.valToPos(this.position, "x");
       this.markers[at].style.transform = `translateX(${left}px)`;
-      this.markers[at].hidden = left < 0 || left > plot.over.clientWidth;
+      this.markers[at].hidden = left < 0 || left > plot.bbox.width / devicePixelRatio;
     });
   }
 

@@ -1,0 +1,260 @@
+"""How long the workbench lets one wait, in Chromium without a window, beside a page that only shows the pictures.
+
+python benchmarks/web_pages.py [--sessions 1000] [--minutes 60] [--seconds 20]
+
+The mouse moves 30 times a second along the curves of a session of an hour with three cameras. Measured is the
+time from each move until every camera shows its picture, or that of a later move. The page beside it puts the
+addresses of the same bytes, as files, into three <img>. Needs Playwright, Chromium, and 1.2 GB in the folder for
+temporary files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import http.client
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from common.car import CAMERAS
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+
+RATE_HZ: Final = 10
+MOVES_HZ: Final = 30
+DIFFERENT: Final = 200  # pictures; each row has one of them
+BROWSERS: Final = 10
+PORT: Final = 8123
+WATCH: Final = """([selector, rows, pattern]) => {
+  const over = document.querySelector(selector).getBoundingClientRect();
+  const moves = []; window.waits = [];
+  const tolerance = rows / over.width;  // of a pixel
+  document.addEventListener('mousemove', event => {
+    moves.push([performance.now(), (event.clientX - over.left) / over.width * (rows - 1)]);
+  }, true);
+  new MutationObserver(() => {
+    const shown = [...document.querySelectorAll('[data-shown]')];
+    const row = Math.min(...shown.map(each => Number(new RegExp(pattern).exec(each.dataset.shown)?.[1] ?? -1)));
+    while (moves.length && moves[0][1] <= row + tolerance) waits.push(performance.now() - moves.shift()[0]);
+  }).observe(document.body, {subtree: true, attributes: true, attributeFilter: ['data-shown']});
+}"""
+STATIC_PAGE: Final = """<!doctype html><body style="margin:0">
+<div id="over" style="height:300px;background:#ddd"></div><img><img><img><script>
+const images = [...document.images], wanted = [], busy = [];
+async function load(at) {
+  busy[at] = true;
+  while (wanted[at] != null) {
+    const row = wanted[at]; wanted[at] = null;
+    images[at].src = `/${row %% %d}.jpg?${at}.${row}`;
+    try { await images[at].decode(); } catch {}
+    images[at].dataset.shown = images[at].src;
+  }
+  busy[at] = false;
+}
+document.getElementById("over").addEventListener("mousemove", event => images.forEach((_, at) => {
+  wanted[at] = Math.round(event.offsetX / event.target.clientWidth * (%d - 1));
+  if (!busy[at]) load(at);
+}));
+</script>"""
+
+
+def pictures() -> list[bytes]:
+    """As large as the simulator's: 10 kB."""
+    made = []
+    for number in range(DIFFERENT):
+        noise = np.random.default_rng(number).integers(0, 256, (20, 40, 3)).astype(np.uint8)
+        picture = cv2.resize(noise, (320, 160), interpolation=cv2.INTER_CUBIC)
+        made.append(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 60])[1].tobytes())
+    return made
+
+
+def write_session(path: Path, minutes: float, jpegs: list[bytes]) -> int:
+    rows = int(minutes * 60 * RATE_HZ)
+    with LogWriter(path, {"source": "benchmark"}) as writer:
+        for row in range(rows):
+            time_ns = row * 10**9 // RATE_HZ
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, jpegs[row % DIFFERENT])
+            steering = float(np.sin(row / 40)) * 0.5
+            writer.vehicle(time_ns, row, VehicleState(steering=steering, throttle=0.5, brake=0.0, speed_mph=20.0))
+    return rows
+
+
+@contextlib.contextmanager
+def process(code: str, folder: Path, *arguments: str) -> Iterator[psutil.Process]:
+    """Python code that serves on PORT, from when it answers."""
+    environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "XDG_CACHE_HOME": str(folder / "cache")}
+    with subprocess.Popen([sys.executable, "-c", code, *arguments], cwd=folder, env=environment) as started:
+        try:
+            while True:
+                with contextlib.suppress(OSError):
+                    get(http.client.HTTPConnection("127.0.0.1", PORT), "/static/icon.svg")
+                    break
+                time.sleep(0.05)
+            yield psutil.Process(started.pid)
+        finally:
+            started.terminate()
+
+
+def workbench(folder: Path) -> contextlib.AbstractContextManager[psutil.Process]:
+    code = "from behavioural_cloning_toolkit import bc_web as main; main()"
+    return process(code, folder, "--port", str(PORT))
+
+
+def static_server(folder: Path) -> contextlib.AbstractContextManager[psutil.Process]:
+    code = (
+        "import uvicorn; from starlette.staticfiles import StaticFiles;"
+        f"uvicorn.run(StaticFiles(directory='static', html=True), port={PORT}, log_level='critical')"
+    )
+    return process(code, folder)
+
+
+def get(connection: http.client.HTTPConnection, path: str) -> bytes:
+    connection.request("GET", path)
+    return connection.getresponse().read()
+
+
+def first_views(browser: Browser, folder: Path, sessions: int) -> None:
+    for name in ("the first start", "a later start"):
+        with workbench(folder) as server:
+            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            started_s = time.perf_counter()
+            page.goto(f"http://127.0.0.1:{PORT}/sessions", timeout=300_000)
+            seen_s = time.perf_counter() - started_s
+            page.wait_for_selector(".session:last-child .steered img", state="attached", timeout=300_000)
+            while "being read" in page.inner_text(".count"):
+                time.sleep(0.05)
+            print(
+                f"{sessions:,} sessions, {name}: the page after {seen_s:.2f} s, all of them in it after"
+                f" {time.perf_counter() - started_s:.2f} s; {server.memory_info().rss / 1e6:.0f} MB"
+            )
+            if name == "a later start":
+                print(f"scrolling through them: from frame to frame {percentiles(scroll(page))}")
+            page.close()
+
+
+def scroll(page: Page) -> list[float]:
+    waits: list[float] = page.evaluate(
+        """() => new Promise(resolve => {
+            const waits = []; let before = performance.now();
+            const step = now => {
+                waits.push(now - before); before = now;
+                scrollBy(0, 60);
+                waits.length < 180 ? requestAnimationFrame(step) : resolve(waits.slice(1));
+            };
+            requestAnimationFrame(step);
+        })"""
+    )
+    return waits
+
+
+def scrub(page: Page, selector: str, rows: int, pattern: str, seconds: float) -> list[float]:
+    """Milliseconds from each move of the mouse to its pictures."""
+    box = page.locator(selector).first.bounding_box()
+    assert box is not None  # noqa: S101
+    page.evaluate(WATCH, [selector, rows, pattern])
+    moves = int(seconds * MOVES_HZ)
+    start_s = time.perf_counter()
+    for move in range(moves):
+        page.mouse.move(box["x"] + 2 + (box["width"] - 4) * move / moves, box["y"] + box["height"] / 2)
+        time.sleep(max(0.0, start_s + (move + 1) / MOVES_HZ - time.perf_counter()))
+    time.sleep(1)
+    waits: list[float] = page.evaluate("window.waits")
+    if len(waits) < 0.98 * moves:
+        print(f"  of {moves} moves, {moves - len(waits)} were never followed by their pictures")
+    return waits
+
+
+def crowd(rows: int, seconds: float) -> list[float]:
+    """Milliseconds for a picture, of ten who each ask for thirty a second."""
+    waits: list[float] = []
+
+    def ask(number: int) -> None:
+        chance = random.Random(number)
+        connection = http.client.HTTPConnection("127.0.0.1", PORT)
+        for at in range(int(seconds * MOVES_HZ)):
+            begun_s = time.perf_counter()
+            get(connection, f"/sessions/hour/pictures/center/{chance.randrange(rows)}")
+            waits.append((time.perf_counter() - begun_s) * 1e3)
+            time.sleep(max(0.0, start_s + (at + 1) / MOVES_HZ - time.perf_counter()))
+
+    start_s = time.perf_counter()
+    threads = [threading.Thread(target=ask, args=(number,)) for number in range(BROWSERS)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return waits
+
+
+def percentiles(waits: list[float]) -> str:
+    median, p95, p99 = np.percentile(waits, [50, 95, 99])
+    return f"{median:.1f} ms, p95 {p95:.1f}, p99 {p99:.1f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--sessions", type=int, default=1000)
+    parser.add_argument("--minutes", type=float, default=60)
+    parser.add_argument("--seconds", type=float, default=20)
+    asked = parser.parse_args()
+    jpegs = pictures()
+    flags = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+        folder = Path(name)
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=flags)
+        write_session(folder / "short.mcap", 0.5, jpegs)
+        many = folder / "many"
+        (many / "sessions").mkdir(parents=True)
+        for number in range(asked.sessions):
+            os.link(folder / "short.mcap", many / "sessions" / f"s{number:04}.mcap")
+        first_views(browser, many, asked.sessions)
+        rows = write_session(folder / "sessions" / "hour.mcap", asked.minutes, jpegs)
+        (folder / "static" / "static").mkdir(parents=True)
+        (folder / "static" / "static" / "icon.svg").write_text("<svg/>")
+        (folder / "static" / "index.html").write_text(STATIC_PAGE % (DIFFERENT, rows))
+        for number, jpeg in enumerate(jpegs):
+            (folder / "static" / f"{number}.jpg").write_bytes(jpeg)
+        for _ in range(2):
+            with workbench(folder) as server:
+                page = browser.new_page(viewport={"width": 1280, "height": 800})
+                started_s = time.perf_counter()
+                page.goto(f"http://127.0.0.1:{PORT}/sessions/hour")
+                page.wait_for_selector("#session[data-ready]", timeout=300_000)
+                page.wait_for_selector("figure[data-shown]")
+                opened_s = time.perf_counter() - started_s
+                memory_mb = [server.memory_info().rss / 1e6]
+                waits = scrub(page, "#curves .u-over", rows, r"pictures/\w+/(\d+)", asked.seconds)
+                memory_mb.append(server.memory_info().rss / 1e6)
+                print(
+                    f"{rows:,} rows: opened in {opened_s:.2f} s; from a move to its pictures {percentiles(waits)}"
+                )
+                page.close()
+                waits = crowd(rows, asked.seconds / 2)
+                memory_mb.append(server.memory_info().rss / 1e6)
+                print(f"{BROWSERS} at once: a picture in {percentiles(waits)}")
+                print("memory when opened, scrubbed, crowded:", ", ".join(f"{each:.0f} MB" for each in memory_mb))
+            with static_server(folder):
+                page = browser.new_page(viewport={"width": 1280, "height": 800})
+                page.goto(f"http://127.0.0.1:{PORT}/")
+                waits = scrub(page, "#over", rows, r"\.(\d+)$", asked.seconds)
+                print(f"a static page of the same pictures: {percentiles(waits)}")
+                page.close()
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""The columns of somebody's csv: which is what, as `--columns` says, and its rows."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from common import Skipped
+from common.car import CAMERAS, Camera
+from common.errors import did_you_mean, printable
+from common.untrusted import open_regular
+from recorder.errors import RecordingError
+
+MOST_LINE_CHARACTERS: Final = 100_000
+_POSITIONS: Final = frozenset(map(str, range(1, 1000)))
+_NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
+_TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}
+"""By unit: nanoseconds."""
+KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
+
+
+@dataclass(frozen=True)
+class CsvRow:
+    """One row of a csv."""
+
+    line: int
+    index: int  # among the rows of the file, those that cannot be used too
+    pictures: Mapping[Camera, str]  # as the csv names them; only those that it names
+    steering: float
+    throttle: float
+    brake: float
+    speed_mph: float
+    time_ns: int | None
+
+
+@dataclass(frozen=True)
+class CsvColumns:
+    """Which column is what."""
+
+    names: Mapping[str, str]
+
+    @classmethod
+    def of(cls, given: Sequence[str]) -> CsvColumns:
+        """From `image=frame steering=angle`. Raises RecordingError for what does not say it."""
+        names: dict[str, str] = {}
+        for text in given:
+            key, separator, name = text.partition("=")
+            if key not in KEYS or not separator or not name:
+                hint = f" {hint}" if (hint := did_you_mean(key, KEYS)) else ""
+                raise RecordingError(
+                    f"--columns {printable(text)}: WHAT=COLUMN was expected, where WHAT is one of"
+                    f" {', '.join(KEYS)}.{hint}"
+                )
+            if key in names:
+                raise RecordingError(f"--columns: {key} is given twice")
+            names[key] = name
+        if "image" in names:
+            if "center" in names:
+                raise RecordingError("--columns: image and center are the same; give one of them")
+            names["center"] = names.pop("image")
+        if "steering" not in names or not set(CAMERAS) & names.keys():
+            raise RecordingError("--columns: give at least image=COLUMN and steering=COLUMN")
+        if len(_TIMES.keys() & names.keys()) > 1:
+            raise RecordingError("--columns: give one column of times")
+        return cls(names)
+
+    @property
+    def has_times(self) -> bool:
+        return bool(_TIMES.keys() & self.names.keys())
+
+    def rows(self, path: Path, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
+        """The rows of a csv that can be used, whose steering is multiplied by `scale`.
+
+        The delimiter is that of , ; and tab which the first line has the most of; with ; numbers may have a comma.
+        Raises RecordingError for one that cannot be read, or has not got the columns.
+        """
+        try:
+            with open_regular(path) as stream:
+                text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
+                yield from self._rows(path, text, scale, skipped)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+        except csv.Error as error:
+            raise RecordingError(f"{path}: no csv ({error})") from None
+
+    def _rows(self, path: Path, text: io.TextIOWrapper, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
+        lines = _lines(text)
+        first = next(lines, "")
+        delimiter = max(",;\t", key=first.count)
+        header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+        at = self._positions(path, header)
+        has_header = at is not None
+        if at is None:
+            at = {key: int(name) - 1 for key, name in self.names.items()}
+        rest = lines if has_header else itertools.chain([first], lines)
+        cells_of_rows = filter(any, csv.reader(rest, delimiter=delimiter))
+        for index, cells in enumerate(cells_of_rows):
+            line = index + 1 + has_header
+            row = self._row(line, index, cells, at, scale, delimiter == ";")
+            if isinstance(row, str):
+                skipped.add(row, f"line {line}")
+            else:
+                yield row
+
+    def _positions(self, path: Path, header: Sequence[str]) -> dict[str, int] | None:
+        """Where each column is; None where the file has no header, and columns are counted from 1."""
+        missing = [name for name in self.names.values() if name not in header]
+        are_numbers = len(missing) == len(self.names) and all(name in _POSITIONS for name in missing)
+        if are_numbers and max(map(int, missing)) <= len(header):
+            return None
+        for name in missing:
+            hint = f" {hint}" if (hint := did_you_mean(name, header)) else ""
+            listed = ", ".join(printable(name[:60]) for name in header[:40]) or "none"
+            raise RecordingError(f"{path}: no column {printable(name)!r}; the first line names {listed}.{hint}")
+        return {key: header.index(name) for key, name in self.names.items()}
+
+    def _row(
+        self, line: int, index: int, cells: Sequence[str], at: Mapping[str, int], scale: float, has_comma: bool
+    ) -> CsvRow | str:
+        """A row, or the reason why it cannot be used."""
+        values = {key: cells[position].strip() if position < len(cells) else "" for key, position in at.items()}
+        numbers: dict[str, float] = {}
+        for key in (*_NUMBERS, *_TIMES):
+            if key in values:
+                text = values[key].replace(",", ".") if has_comma else values[key]
+                numbers[key] = _number(text)
+        if not math.isfinite(numbers["steering"]):
+            return "rows whose steering is no number"
+        time_ns: int | None = None
+        for key, unit_ns in _TIMES.items():
+            if key in values:
+                time_ns = int(values[key]) if key == "time_ns" and values[key].isdecimal() else None
+                if time_ns is None and math.isfinite(numbers[key]):
+                    time_ns = round(numbers[key] * unit_ns)
+                if time_ns is None or not 0 <= time_ns < 2**63:
+                    return "rows with a time that no log can hold"
+        pictures = {camera: values[camera] for camera in CAMERAS if values.get(camera)}
+        if not pictures:
+            return "rows that name no picture"
+        throttle, brake = (_or_zero(numbers.get(key, 0.0)) for key in ("throttle", "brake"))
+        return CsvRow(
+            line,
+            index,
+            pictures,
+            numbers["steering"] * scale,
+            max(throttle, 0.0),
+            max(brake, -throttle, 0.0),  # pedals that are one number
+            numbers.get("speed_mph", math.nan),
+            time_ns,
+        )
+
+
+def _lines(text: io.TextIOWrapper) -> Iterator[str]:
+    """Raises csv.Error for a line of which a table has none: it might be a gigabyte."""
+    while line := text.readline(MOST_LINE_CHARACTERS):
+        if len(line) == MOST_LINE_CHARACTERS:
+            raise csv.Error(f"a line of over {MOST_LINE_CHARACTERS:,} characters")
+        yield line
+
+
+def _number(text: str) -> float:
+    """NaN for what is none; what Python takes beside digits (1_000, nan) is none here."""
+    if not text or not all(character in "0123456789.+-eE" for character in text):
+        return math.nan
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _or_zero(value: float) -> float:
+    return value if math.isfinite(value) else 0.0

@@ -1,0 +1,165 @@
+"""Importing any folder of pictures with a csv into a log."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from common import Skipped
+from common.car import Camera
+from common.files import refuse_existing
+from common.progress import track
+from common.untrusted import read_bounded
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.log.session_car import Car, metadata_of
+from recorder.log.writer import LogWriter
+from recorder.sources.csv_columns import CsvColumns, CsvRow
+from recorder.sources.frame_rate import check_rate, describe_clock
+from recorder.sources.import_mcap import check_scale
+from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.mcap_messages import is_whole_picture
+from recorder.sources.picture_folder import PictureFolder
+from recorder.sources.udacity_recording import MOST_CSV_BYTES, MOST_PICTURE_BYTES
+
+MISSING: Final = "pictures that a row names and no file has, or several have"
+_OUT_OF_RANGE: Final = (
+    "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
+)
+
+
+@dataclass(frozen=True)
+class _Row:
+    time_ns: int
+    of: CsvRow
+    pictures: dict[Camera, bytes]
+
+
+def import_csv(
+    source: Path,
+    log: Path,
+    columns: Sequence[str],
+    *,
+    rate_hz: float | None = None,
+    steering_scale: float = 1.0,
+    car: Car | None = None,
+    overwrite: bool = False,
+) -> Imported:
+    """Write a folder of pictures and its csv to `log`; its pictures byte for byte, its rows in their order.
+
+    `source` is a csv, or a folder that has one. `columns` say what is where: `image=frame`, `steering=angle`; also
+    `left`, `right`, `throttle`, `brake`, `speed_mph`, and `time_s` or another unit. Without times `rate_hz` is
+    needed: rows are then so many a second, those that are left out too, from 1970 on. `car` is what was recorded.
+    Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    """
+    refuse_existing(log, overwrite)
+    check_rate(rate_hz)
+    check_scale(steering_scale)
+    chosen = CsvColumns.of(columns)
+    if chosen.has_times and rate_hz is not None:
+        raise RecordingError("--rate: a column tells the times; leave it out")
+    if not chosen.has_times and rate_hz is None:
+        raise RecordingError("--columns without times: give --rate ROWS_A_SECOND, or time_s=COLUMN")
+    csv = _csv(source)
+    folder = PictureFolder(csv.parent)
+    events = SkippedEvents()
+    rows = _rows(csv, chosen, folder, rate_hz, steering_scale, events.skipped)
+    first = next(rows, None)
+    if first is None:
+        raise RecordingError(f"{csv}: no row of it can be used{events.skipped.error_suffix()}")
+    metadata = {
+        "source": "csv",
+        "recording": Path(os.path.realpath(csv.parent)).name,
+        "columns": " ".join(f"{key}={name}" for key, name in chosen.names.items()),
+        "steering_scale": repr(steering_scale),
+        "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
+        **({} if rate_hz is None else {"start": "1970, because the recording does not tell it"}),
+    }
+    count = pictures = 0
+    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
+        for row in itertools.chain([first], rows):
+            events.at(writer, row.time_ns)
+            for camera, picture in row.pictures.items():
+                writer.picture(camera, row.time_ns, count, picture)
+            state = VehicleState(
+                steering=row.of.steering, throttle=row.of.throttle, brake=row.of.brake, speed_mph=row.of.speed_mph
+            )
+            writer.vehicle(row.time_ns, count, state)
+            count += 1
+            pictures += len(row.pictures)
+    return Imported(log, count, pictures, events.skipped, writer.notices)
+
+
+def has_csv(source: Path) -> bool:
+    """True for a csv, and for a folder that has one."""
+    try:
+        files = source.iterdir() if source.is_dir() else [source]
+        return any(path.suffix.lower() == ".csv" and path.is_file() for path in files)
+    except OSError:
+        return False
+
+
+def _csv(source: Path) -> Path:
+    """The csv itself, or the only one in a folder."""
+    if source.is_dir():
+        found = sorted(path for path in source.iterdir() if path.suffix.lower() in (".csv", ".tsv", ".txt"))
+        only = [path for path in found if path.suffix.lower() == ".csv"] or found
+        if len(only) != 1:
+            names = ", ".join(path.name for path in only[:10]) or "none"
+            raise RecordingError(f"{source}: which csv? Give its path with --from; in it there are: {names}")
+        source = only[0]
+    if not source.is_file():
+        raise RecordingError(f"{source}: no such file; give a csv, or the folder that it is in")
+    if source.stat().st_size > MOST_CSV_BYTES:
+        raise RecordingError(f"{source}: larger than {MOST_CSV_BYTES / 1e9:.0f} GB, which no drive writes")
+    return source
+
+
+def _rows(
+    csv: Path,
+    columns: CsvColumns,
+    folder: PictureFolder,
+    rate_hz: float | None,
+    steering_scale: float,
+    skipped: Skipped,
+) -> Iterator[_Row]:
+    """The rows that can be used, with their pictures, one at a time."""
+    named = set[str]()
+    rows = columns.rows(csv, steering_scale, skipped)
+    for row in track(rows, f"importing {csv.parent.name}", len(folder.paths)):
+        # a row that is left out takes its time all the same
+        time_ns = row.time_ns if rate_hz is None else round(row.index * 1e9 / rate_hz)
+        pictures: dict[Camera, bytes] = {}
+        for camera, name in row.pictures.items():
+            path = folder.find(name)
+            if path is None:
+                skipped.add(MISSING, f"line {row.line}: {name[:200]}")
+            elif path in named:  # twice the same, it could be on both sides of a split
+                skipped.add("pictures that an earlier row names, too", f"line {row.line}: {name[:200]}")
+            elif (picture := _read(path)) is None:
+                skipped.add("pictures that are no whole JPEG or PNG", f"line {row.line}: {name[:200]}")
+            else:
+                pictures[camera] = picture
+            if path is not None:
+                named.add(path)
+        if not pictures:
+            continue
+        if abs(row.steering) > 1:
+            skipped.add(_OUT_OF_RANGE, f"line {row.line}: {row.steering:g}")
+        if time_ns is not None:
+            yield _Row(time_ns, row, pictures)
+    for within, path in folder.paths.items():
+        if path not in named:
+            skipped.add("pictures without a row", within)
+
+
+def _read(path: str) -> bytes | None:
+    try:
+        picture = read_bounded(path, MOST_PICTURE_BYTES)
+    except OSError:
+        return None
+    return picture if is_whole_picture(picture) else None

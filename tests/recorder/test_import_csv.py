@@ -1,0 +1,181 @@
+"""Any folder of pictures with a csv becomes a log: what is there is kept, and what is what is said by flags."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.car import CAMERAS
+from lerobot_logs import jpeg
+from logs import read_messages
+from recorder import Imported, Log, RecordingError
+from recorder.cli import main as bc_record
+from recorder.sources.import_csv import import_csv
+from udacity import call
+
+ANGLES = [0.0, -90.0, 45.0, 180.0]
+
+
+def folder_of(tmp_path: Path, csv: str, names: Sequence[str] = ()) -> Path:
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    for row, name in enumerate(names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(jpeg("center", row))
+    (folder / "labels.csv").write_text(csv)
+    return folder
+
+
+def imported(source: Path, *columns: str, **options: Any) -> Imported:
+    return import_csv(source, source.parent / "imported.mcap", columns, **options)
+
+
+def steering_of(log: Path) -> list[float]:
+    with Log(log) as opened:
+        values: list[float] = opened.vehicle()["steering"].to_pylist()
+    return values
+
+
+def test_one_camera_a_rate_and_a_scale_are_enough(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As a segment of comma2k19 that was unpacked: numbered pictures, and the wheel's angle in degrees."""
+    rows = "".join(f"{row},{angle},{12.5}\n" for row, angle in enumerate(ANGLES))
+    folder = folder_of(tmp_path, f"frame,angle,speed\n{rows}", [f"frames/{row:06d}.jpg" for row in range(4)])
+    flags = ["--columns", "image=frame", "steering=angle", "--rate", 20, "--steering-scale", -0.005]
+    assert call(bc_record, "comma", "--from", folder, "--sessions", tmp_path / "sessions", *flags) == 0
+    assert "4 rows, 4 pictures" in capsys.readouterr().out
+    log = tmp_path / "sessions/comma.mcap"
+    messages = read_messages(log)
+    assert set(messages) == {"/camera/center", "/vehicle"}
+    assert [(m.log_time, image.data) for m, image in messages["/camera/center"]] == [
+        (50_000_000 * row, jpeg("center", row)) for row in range(4)
+    ]
+    assert [state.steering for _, state in messages["/vehicle"]] == [-0.005 * angle for angle in ANGLES]
+    assert all(math.isnan(state.speed_mph) for _, state in messages["/vehicle"])
+    with Log(log) as opened:
+        assert opened.metadata["source"] == "csv"
+        assert opened.metadata["columns"] == "steering=angle center=frame"
+        assert opened.metadata["clock"].startswith("20 Hz")
+        assert opened.metadata["start"].startswith("1970")
+
+
+def test_all_columns(tmp_path: Path) -> None:
+    names = [f"{camera}/{row}.jpg" for row in range(2) for camera in CAMERAS]
+    csv = (
+        "t;c;l;r;s;gas;stop;v\n"
+        "1720880000,5;center/0.jpg;left/0.jpg;right/0.jpg;0,25;0,5;;12,5\n"
+        "1720880000,6;center\\1.jpg;;right/1.jpg;-1;-0,5;0,1;\n"
+    )
+    folder = folder_of(tmp_path, csv, names)
+    columns = [
+        "time_s=t",
+        "center=c",
+        "left=l",
+        "right=r",
+        "steering=s",
+        "throttle=gas",
+        "brake=stop",
+        "speed_mph=v",
+    ]
+    done = imported(folder / "labels.csv", *columns)
+    with Log(done.path) as log:
+        vehicle = log.vehicle().to_pylist()
+        cameras = {camera: log.pictures(f"/camera/{camera}").sequence.tolist() for camera in CAMERAS}
+        assert log.metadata["clock"] == "recorded"
+    assert cameras == {"center": [0, 1], "left": [0], "right": [0, 1]}
+    assert list(vehicle[0].values()) == [0, 1_720_880_000_500_000_000, 0.25, 0.5, 0.0, 12.5]
+    assert list(vehicle[1].values())[1:5] == [1_720_880_000_600_000_000, -1.0, 0.0, 0.5]
+    assert dict(done.skipped.counts) == {"pictures without a row": 1}
+
+
+def test_times_in_nanoseconds_keep_every_one(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "n\tp\ts\n1720880000123456789\ta.jpg\t0\n", ["a.jpg"])
+    done = imported(folder, "time_ns=n", "image=p", "steering=s")
+    with Log(done.path) as log:
+        assert log.vehicle()["log_time_ns"].to_pylist() == [1_720_880_000_123_456_789]
+
+
+def test_a_csv_without_a_header_has_columns_by_number(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "a.jpg,7,0.5\nb.jpg,7,0.25\n", ["a.jpg", "b.jpg"])
+    done = imported(folder, "image=1", "steering=3", rate_hz=10.0)
+    assert steering_of(done.path) == [0.5, 0.25]
+
+
+def test_rows_that_cannot_be_used_are_named_and_take_their_time(tmp_path: Path) -> None:
+    csv = "p,s\na.jpg,0.5\nb.jpg,\nc.jpg,nan\n,0.1\nmissing.jpg,0.1\na.jpg,0.2\n\ncut.jpg,0.1\nd.jpg,2\n"
+    folder = folder_of(tmp_path, csv, ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "cut.jpg", "more.jpg"])
+    (folder / "cut.jpg").write_bytes(jpeg("left", 1)[:-50])
+    done = imported(folder, "image=p", "steering=s", rate_hz=10.0)
+    with Log(done.path) as log:
+        assert log.vehicle()["log_time_ns"].to_pylist() == [0, 700_000_000]
+        assert log.vehicle()["steering"].to_pylist() == [0.5, 2.0]
+    assert {reason.partition(" (")[0]: count for reason, count in done.skipped.counts.items()} == {
+        "rows whose steering is no number": 2,
+        "rows that name no picture": 1,
+        "pictures that a row names and no file has, or several have": 1,
+        "pictures that an earlier row names, too": 1,
+        "pictures that are no whole JPEG or PNG": 1,
+        "rows with steering beyond -1..1": 1,
+        "pictures without a row": 3,
+    }
+
+
+def test_a_name_that_two_folders_have_is_none_and_links_are_not_followed(tmp_path: Path) -> None:
+    csv = "p,s\nx.jpg,0\none/x.jpg,0.1\nout.jpg,0.2\n../secret.jpg,0.3\n"
+    (tmp_path / "secret.jpg").write_bytes(jpeg("right", 5))
+    folder = folder_of(tmp_path, csv, ["one/x.jpg", "two/x.jpg"])
+    (folder / "out.jpg").symlink_to(tmp_path / "secret.jpg")
+    done = imported(folder, "image=p", "steering=s", rate_hz=10.0)
+    assert steering_of(done.path) == [0.1]
+
+
+@pytest.mark.parametrize(
+    ("columns", "rate_hz", "why"),
+    [
+        (["image=p"], 10.0, "give at least image=COLUMN and steering=COLUMN"),
+        (["image=p", "steering=s"], None, "give --rate ROWS_A_SECOND, or time_s=COLUMN"),
+        (["image=p", "steering=s", "time_s=s"], 10.0, "a column tells the times"),
+        (["image=p", "stering=s"], 10.0, "--columns stering=s: WHAT=COLUMN .* did you mean steering?"),
+        (["image=p", "steering"], 10.0, "--columns steering: WHAT=COLUMN was expected"),
+        (["image=p", "center=p", "steering=s"], 10.0, "image and center are the same"),
+        (
+            ["image=p", "steering=angel"],
+            10.0,
+            r"no column 'angel'; the first line names p, s, angle. did you mean angle\?",
+        ),
+        (["image=p", "steering=4"], 10.0, "no column '4'"),
+        (["image=p", "steering=s"], 0.5, "--rate 0.5"),
+    ],
+)
+def test_what_does_not_say_it_is_one_line(
+    tmp_path: Path, columns: list[str], rate_hz: float | None, why: str
+) -> None:
+    folder = folder_of(tmp_path, "p,s,angle\na.jpg,0,0\n", ["a.jpg"])
+    with pytest.raises(RecordingError, match=why) as raised:
+        imported(folder, *columns, rate_hz=rate_hz)
+    assert "\n" not in str(raised.value)
+
+
+def test_folders_that_have_no_csv_several_or_no_pictures_are_one_line(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "p,s\na.jpg,0\n")
+    with pytest.raises(RecordingError, match=r"no \.jpg, \.jpeg or \.png in it"):
+        imported(folder, "image=p", "steering=s", rate_hz=10.0)
+    (folder / "a.jpg").write_bytes(jpeg("center", 0))
+    (folder / "labels.csv").write_text("p,s\n" + "x" * 200_000)
+    with pytest.raises(RecordingError, match=r"no csv .a line of over 100,000 characters"):
+        imported(folder, "image=p", "steering=s", rate_hz=10.0)
+    (folder / "more.csv").write_text("")
+    with pytest.raises(RecordingError, match=r"which csv\? .* labels.csv, more.csv"):
+        imported(folder, "image=p", "steering=s", rate_hz=10.0)
+    assert not (tmp_path / "imported.mcap").exists()
+
+
+def test_a_folder_with_a_csv_asks_for_its_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = folder_of(tmp_path, "p,s\na.jpg,0\n", ["a.jpg"])
+    assert call(bc_record, "mine", "--from", folder, "--sessions", tmp_path) == 1
+    assert "--columns image=COLUMN steering=COLUMN" in capsys.readouterr().err
+    assert call(bc_record, "mine", "--columns", "image=p", "steering=s", "--rate", 10) == 2
+    assert "goes with --from" in capsys.readouterr().err

@@ -1,0 +1,132 @@
+"""LeRobot's own reader gives of an export what is in the log, and what LeRobot's own writer writes is imported.
+
+Skipped unless BC_LEROBOT_PYTHON names a Python that has lerobot 0.6 (`make lerobot-reader`).
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from common.car import CAMERAS
+from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
+from recorder import Log
+from recorder.lerobot.export import export_lerobot
+from recorder.sources.import_lerobot import import_lerobot
+from repository import ROOT
+
+PYTHON: Final = os.environ.get("BC_LEROBOT_PYTHON", "")
+PROGRAM: Final = ROOT / "tests" / "helpers" / "lerobot_program.py"
+ROWS: Final = range(len(TIMES_NS))
+
+pytestmark = pytest.mark.skipif(not PYTHON, reason="BC_LEROBOT_PYTHON names no Python with LeRobot")
+
+
+def run_lerobot(tmp_path: Path, *arguments: object) -> None:
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "huggingface")}
+    environment.pop("PYTHONPATH", None)
+    done = subprocess.run(
+        [PYTHON, PROGRAM, *map(str, arguments)],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+
+
+def read_by_lerobot(tmp_path: Path, folder: Path) -> dict[str, Any]:
+    run_lerobot(tmp_path, "read", folder, tmp_path / "found.npz")
+    with np.load(tmp_path / "found.npz") as found:
+        return dict(found)
+
+
+def rgb(picture: bytes) -> Any:
+    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert found is not None
+    return found[..., ::-1].transpose(2, 0, 1)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("lerobot")
+    export_lerobot([write_drives(folder / "two.mcap")], folder / "out", task="Stay on the road.")
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def found(exported: Path) -> dict[str, Any]:
+    return read_by_lerobot(exported.parent, exported)
+
+
+def test_its_batches_have_our_pictures_actions_and_times(found: dict[str, Any]) -> None:
+    for camera in CAMERAS:
+        pictures = found[f"observation.images.{camera}"]
+        for row in ROWS:
+            # two decoders of JPEG may round differently
+            assert np.abs(pictures[row].astype(int) - rgb(jpeg(camera, row))).max() <= 3
+    expected = np.array([[steering(row), 0.1 * (row % 10), 0.0] for row in ROWS])
+    np.testing.assert_array_equal(found["action"], expected.astype(np.float32))
+    np.testing.assert_array_equal(found["observation.state"], np.full(20, 9.3, np.float32))
+    assert found["log_time_ns"].tolist() == TIMES_NS
+    np.testing.assert_array_equal(found["log_vehicle"][:, 0], expected[:, 0].astype(np.float32))
+    assert found["episode_index"].tolist() == [episode for episode, drive in enumerate(DRIVES) for _ in drive]
+    assert set(found["task"].tolist()) == {"Stay on the road."}
+
+
+def test_its_windows_end_with_an_episode(found: dict[str, Any]) -> None:
+    for drive in DRIVES:
+        for row in drive:
+            wanted = [min(row + step, drive[-1]) for step in range(3)]
+            np.testing.assert_array_equal(found["windows"][row], found["action"][wanted])
+            assert found["windows_pad"][row].tolist() == [row + step > drive[-1] for step in range(3)]
+
+
+def test_its_other_readers_and_its_merging_agree(found: dict[str, Any]) -> None:
+    assert found["last_episode"].tolist() == list(DRIVES[1])
+    assert sorted(found["streamed"].tolist()) == list(ROWS)
+    np.testing.assert_array_equal(found["merged"], np.concatenate([found["action"], found["action"]]))
+
+
+def test_its_statistics_are_ours(found: dict[str, Any], exported: Path) -> None:
+    (first, _) = pq.read_table(exported / "meta/episodes").to_pylist()
+    keys = [key for key in found if key.startswith("stats/action/")]
+    assert len(keys) == 10
+    for key in keys:
+        # its quantiles are of the bins of a histogram
+        tolerance = 0.3 if key.rpartition("/")[2].startswith("q") else 1e-5
+        np.testing.assert_allclose(first[key], found[key], atol=tolerance)
+    assert found["mean_of_pictures"].shape == (3, 1, 1)
+
+
+def test_its_frames_of_our_videos_are_those_of_the_rows(tmp_path: Path) -> None:
+    export_lerobot([write_drives(tmp_path / "two.mcap")], tmp_path / "out", is_video=True)
+    found = read_by_lerobot(tmp_path, tmp_path / "out")
+    originals = [rgb(jpeg("left", row)).astype(int) for row in ROWS]
+    for row, picture in enumerate(found["observation.images.left"]):
+        errors = [np.abs(picture - original).mean() for original in originals]
+        assert errors[row] == min(errors) < 12
+
+
+@pytest.mark.parametrize("dtype", ["image", "video"])
+def test_what_it_writes_is_imported(tmp_path: Path, dtype: str) -> None:
+    run_lerobot(tmp_path, "write", tmp_path / "theirs", dtype)
+    done = import_lerobot(tmp_path / "theirs", tmp_path / "theirs.mcap")
+    assert (done.rows, done.pictures, list(done.skipped)) == (10, 10, [])
+    with Log(done.path) as log:
+        vehicle = log.vehicle()
+        np.testing.assert_allclose(vehicle["steering"].to_numpy(), -1 + 0.2 * np.arange(10), atol=1e-6)
+        assert vehicle["throttle"].to_pylist() == [0.5] * 10
+        steps_ns = np.diff(vehicle["log_time_ns"].to_numpy())
+        assert steps_ns.tolist() == [50_000_000] * 5 + [10_000_000_000] + [50_000_000] * 3
+        for row in range(10):
+            red = rgb(log.picture(row))[0].mean()
+            assert abs(red - 20 * row) < (0.01 if dtype == "image" else 8)

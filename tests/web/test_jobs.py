@@ -1,0 +1,122 @@
+"""Commands that are started from the page: the very commands, seen again by another bc-web, ended by Ctrl-C."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlencode
+
+import pytest
+
+from recorder import Log
+from waiting import wait_until
+from workbench import Answer, Served, served
+
+FORM = {"Content_Type": "application/x-www-form-urlencoded"}
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Served]:
+    with served(tmp_path) as found:
+        yield found
+
+
+def start(bench: Served, **values: str) -> str:
+    """The address of the job's page."""
+    answer = post(bench, "/jobs", **values)
+    assert answer.status == 303, answer.text
+    return answer.headers["location"]
+
+
+def post(bench: Served, path: str, **values: str) -> Answer:
+    return bench.ask("POST", path, urlencode(values).encode(), **FORM)
+
+
+def text(bench: Served, path: str) -> str:
+    return html.unescape(re.sub(r"<[^>]*>", "", bench.get(path).text))
+
+
+def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
+    asked = {"form": "record", "name": "a b's", "track": "lake", "laps": "0.01", "driver": "expert"}
+    command = bench.get(f"/jobs.command?{urlencode(asked)}").text
+    sessions = bench.folder / "sessions"
+    flags = f"--track=lake --driver=expert --laps=0.01 --sessions={sessions}"
+    assert command == f"""bc-record 'a b'"'"'s' {flags}"""
+    job = start(bench, **asked)
+    assert command in text(bench, job)
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    assert "done" in text(bench, job)
+    assert "a b's.mcap: " in text(bench, job)  # what the command prints
+    with Log(sessions / "a b's.mcap") as log:
+        assert len(log.vehicle()) > 0
+    assert command in text(bench, "/jobs")
+    assert bench.get(re.findall(r'href="(/sessions/[^"]*)"', bench.get(job).text)[0]).status == 200
+
+
+def test_what_the_command_refuses_it_says(bench: Served) -> None:
+    job = start(bench, form="record", name="x", laps="many")
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    assert "refused" in text(bench, job)
+    assert "--laps" in text(bench, job)
+
+
+def test_a_job_outlives_the_server_and_is_stopped_by_another(tmp_path: Path) -> None:
+    with served(tmp_path) as bench:
+        job = start(bench, form="record", name="long", laps="200")
+        wait_until(lambda: list((tmp_path / "sessions").glob("long.mcap.*.part")))
+        before = bench.get("/changes").json["jobs"]
+    with served(tmp_path) as again:
+        assert "running" in text(again, job)
+        assert post(again, f"{job}/stop").status == 303
+        wait_until(lambda: "running" not in text(again, f"{job}/body"))
+        assert "stopped" in text(again, job)
+        assert again.get("/changes").json["jobs"] != before
+        assert post(again, f"{job}/stop").status == 303  # nothing more to stop
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"form": "record"},
+        {"form": "rm", "name": "x"},
+        {"form": "record", "name": "--force"},
+        {"form": "record", "name": "a\nb"},
+        {"form": "record", "name": "x" * 2000},
+        {"form": "drive", "track": "lake --json"},
+        {"form": "index", "sessions": "a --index=/tmp/x"},
+    ],
+)
+def test_what_cannot_be_a_command_is_not_started(bench: Served, values: dict[str, str]) -> None:
+    answer = post(bench, "/jobs", **values)
+    assert answer.status in (404, 422)
+    assert answer.json["error"]
+    assert "Nothing was started here yet" in bench.get("/jobs").text
+
+
+def test_only_our_own_pages_start_jobs(bench: Served) -> None:
+    body = urlencode({"form": "record", "name": "x"}).encode()
+    assert bench.ask("POST", "/jobs", body, Origin="http://evil.example", **FORM).status == 403
+    assert bench.ask("POST", "/jobs", body, Sec_Fetch_Site="cross-site", **FORM).status == 403
+    assert bench.ask("POST", "/jobs", body, Content_Type="text/plain").status == 415
+    assert bench.get("/jobs/none").status == 404
+    assert bench.get("/jobs/..%2f..").status == 404
+    assert "Nothing was started here yet" in bench.get("/jobs").text
+
+
+def test_a_job_that_was_killed_or_damaged_is_told(bench: Served) -> None:
+    folder = next(iter((bench.folder / "cache").rglob("jobs")), bench.folder / "cache" / "jobs")
+    job = start(bench, form="record", name="x", laps="many")
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    (there,) = folder.glob("*/*")
+    (there / "exit").unlink()
+    assert "ended without a word" in text(bench, job)
+    about = json.loads((there / "job.json").read_text())
+    (there / "job.json").write_text(json.dumps({**about, "words": ["<b>bc-x</b>"]}))
+    assert "<b>bc-x" not in bench.get("/jobs").text
+    (there / "job.json").write_text("{")
+    assert bench.get(job).status == 404
+    assert bench.get("/jobs").status == 200

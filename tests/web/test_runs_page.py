@@ -1,0 +1,148 @@
+"""The pages of runs show what `bc-runs` knows of them, and keep up with a training."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from driving import road_jpeg, untrained_run
+from histories import epoch_line, step_lines, write_lines
+from logs import write_log
+from model.runs.kept_results import keep_result
+from waiting import wait_until
+from workbench import Served, served
+
+AWKWARD = "a & <b>'é 100%"
+CROP = {"session": "sunday", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
+
+
+def a_run(runs: Path, name: str, rmse_deg: float, **training: Any) -> Path:
+    """A run of two epochs, of which the first one was kept."""
+    run = untrained_run(runs / name)
+    config = json.loads((run / "config.json").read_text())
+    config["training"] = {"epochs": 3, "recipe": "people", **training}
+    config["data"] = {"logs": {"sunday": {}, "monday": {}}, "settings": {"bins": 25}}
+    (run / "config.json").write_text(json.dumps(config))
+    lines = [epoch_line(1), epoch_line(2, is_best=False)]
+    lines[0]["validation"]["rmse_deg"] = rmse_deg
+    lines[0]["mean"]["rmse_deg"] = 4.0
+    (run / "metrics.jsonl").unlink(missing_ok=True)
+    write_lines(run / "metrics.jsonl", lines)
+    write_lines(run / "steps.jsonl", step_lines(1))
+    return run
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A run that drove, one with other settings, one of another version, one that is damaged."""
+    folder = tmp_path_factory.mktemp("bench")
+    runs = folder / "runs"
+    write_log(folder / "sessions" / "sunday.mcap", [0.1] * 10)
+    good = a_run(runs, "good", 2.0, seed=0)
+    keep_result(
+        good, "simulator", {"track": "lake", "set_speed_mph": 10.0, "interventions": 2, "distance_m": 500.0}
+    )
+    a_run(runs, AWKWARD, 3.0, seed=1)
+    for name, config in (("newer", '{"format": 99}'), ("broken", "{")):
+        (runs / name).mkdir()
+        (runs / name / "config.json").write_text(config)
+    with served(folder) as found:
+        wait_until(lambda: "reading" not in found.get("/runs.rows").text)
+        yield found
+
+
+def rows(bench: Served, query: str = "") -> dict[str, str]:
+    """The text of each run in the list, by name and in the order of the list."""
+    found = re.findall(r"<tr id=.*?</tr>", bench.get(f"/runs.rows{query}").text, re.DOTALL)
+    names = [re.findall(r'class="name"[^>]*>(.*?)</a>', row, re.DOTALL)[0] for row in found]
+    return {html.unescape(name): plain(row) for name, row in zip(names, found, strict=True)}
+
+
+def plain(page: str) -> str:
+    return html.unescape(" ".join(re.sub(r"<[^>]*>", " ", page).split()))
+
+
+def key_of(bench: Served, name: str) -> str:
+    keys: list[str] = re.findall(r'href="/runs/([^"]+)"', bench.get("/runs").text)
+    return next(key for key in keys if name in page(bench, key))
+
+
+def page(bench: Served, key: str) -> str:
+    return plain(bench.get(f"/runs/{key}").text)
+
+
+def test_each_run_is_told_as_bc_runs_tells_it(bench: Served) -> None:
+    found = rows(bench, "?sort=rmse")
+    assert list(found)[:2] == ["good", AWKWARD]  # the best first
+    assert set(found) == {"good", AWKWARD, "newer", "broken"}
+    assert "people 2 1/2 0.50" in found["good"]
+    assert "10 mph: lake 2" in found["good"]
+    assert "of format 99" in found["newer"]
+    assert "damaged" in found["broken"]
+    assert list(rows(bench, "?text=good+people")) == ["good"]
+    assert "<b>'" not in bench.get("/runs").text
+
+
+def test_curves_lie_over_each_other_and_settings_beside(bench: Served) -> None:
+    other = key_of(bench, AWKWARD)
+    chosen = f"?run=good&run={other}&run=broken&run=none"
+    curves = {run["name"]: run for run in bench.get(f"/runs.curves{chosen}").json}
+    assert set(curves) == {"good", AWKWARD, "broken"}
+    assert curves["good"]["lines"]["training loss"][0] == [0.4, 0.8, 1.0]  # in epochs
+    assert curves["good"]["lines"]["RMSE"] == [[1.0, 2.0], [0.5, pytest.approx(3 / 4.5)]]
+    shown = bench.get(f"/runs.differences{chosen}").text
+    differing = [plain(row) for row in re.findall(r"<tr><th scope=\"row\">.*?</tr>", shown, re.DOTALL)]
+    assert differing == ["training.seed 0 1"]
+    assert "cannot be read" in shown
+    assert "checked" in bench.get(f"/runs{chosen}").text
+
+
+def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Served) -> None:
+    text = bench.get("/runs/good").text
+    assert 'href="/sessions/sunday"' in text
+    assert "monday" in text
+    assert "/sessions/monday" not in text  # not there
+    assert "lake" in plain(text)
+    assert bench.get("/runs/newer").status == 200
+    assert "of format 99" in page(bench, "newer")
+    assert bench.get("/runs/none").status == 404
+    assert bench.get("/runs/..%2fruns%2fgood").status == 404
+
+
+def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "r", 2.0)
+    write_log(tmp_path / "sessions" / "sunday.mcap", [0.1] * 10)
+    crop = base64.b64encode(road_jpeg(3)).decode()
+    frames = [
+        {**CROP, "predicted_deg": degrees, "error_deg": degrees - 1, "jpeg": crop} for degrees in (9.0, -5.0)
+    ]
+    write_lines(run / "worst.jsonl", [{"epoch": 1, "frames": frames}, {"epoch": 2, "frames": frames[:1]}])
+    with served(tmp_path) as bench:
+        wait_until(lambda: "8.0° too far to the right" in bench.get("/runs/r/body").text)
+        text = bench.get("/runs/r").text
+        assert "6.0° too far to the left" in text
+        assert 'href="/sessions/sunday#row=7"' in text
+        assert bench.get("/runs/r/worst/1/1.jpg").body == road_jpeg(3)
+        assert bench.get("/runs/r/worst/1/2.jpg").status == 404
+        assert "6.0°" not in bench.get("/runs/r?epoch=2").text
+
+
+def test_a_training_is_seen_live(tmp_path: Path) -> None:
+    with served(tmp_path) as bench:
+        assert "No runs yet" in bench.get("/runs").text
+        before = bench.get("/changes").json["runs"]
+        run = a_run(tmp_path / "runs", "r", 2.0)
+        assert wait_until(lambda: "1/2" in rows(bench).get("r", ""))
+        after = bench.get("/changes").json["runs"]
+        assert after != before
+        write_lines(run / "metrics.jsonl", [epoch_line(3)])
+        assert bench.get("/changes").json["runs"] != after
+        wait_until(lambda: "3/3" in rows(bench)["r"])
+        assert bench.get("/runs.curves?run=r").json[0]["lines"]["RMSE"][0] == [1.0, 2.0, 3.0]

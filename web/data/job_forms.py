@@ -1,0 +1,227 @@
+"""What can be started from the page, and the command line that each form makes.
+
+A field that is left empty gives no flag, so that the command's own default holds; what a value may be is the
+command's own business, which it says in its first second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from dataset.config import IndexConfig
+from web.data.project_folders import ProjectFolders, key_of
+from web.errors import WebError
+
+MOST_CHARACTERS: Final = 1000  # of a value
+
+Known = Literal["", "sessions", "runs"]
+
+
+@dataclass(frozen=True)
+class Field:
+    """A value of a form. `flag`: how it is given; "" for words of the command line as they are."""
+
+    name: str
+    label: str
+    flag: str = ""
+    hint: str = ""  # what holds when it is left empty
+    choices: tuple[str, ...] = ()
+    known: Known = ""  # names to choose among
+    is_several: bool = False  # words, separated by blanks
+    is_switch: bool = False  # given or not
+    is_needed: bool = False
+
+    def words(self, value: str) -> list[str]:
+        if self.is_switch:
+            return [self.flag] if value else []
+        parts = value.split() if self.is_several else [value]
+        for part in parts:
+            if part.startswith("-") and (self.is_several or not self.flag):
+                raise WebError(f"{self.label}: {part!r} would be taken for a flag", 422)
+        if self.is_several or not self.flag:
+            return [*([self.flag] if self.flag else []), *parts]
+        return [f"{self.flag}={value}"]
+
+
+@dataclass(frozen=True)
+class JobForm:
+    """A kind of job: the command, its fields, and the page of what it makes."""
+
+    name: str
+    title: str
+    about: str
+    command: tuple[str, ...]
+    fields: tuple[Field, ...]
+    folders: tuple[tuple[str, str], ...]  # flags, and the folder of the project that each names
+    made: Callable[[Mapping[str, str]], str]
+
+    def words(self, values: Mapping[str, str], folders: ProjectFolders) -> list[str]:
+        """The command line. Raises WebError for a value that cannot be one."""
+        words = list(self.command)
+        for field in self.fields:
+            value = values.get(field.name, "").strip()
+            if not value:
+                if field.is_needed:
+                    raise WebError(f"{self.title}: {field.label} is missing", 422)
+                continue
+            if len(value) > MOST_CHARACTERS or not value.isprintable():
+                raise WebError(f"{field.label}: at most {MOST_CHARACTERS:,} characters, on one line", 422)
+            words += field.words(value)
+        for flag, name in self.folders:
+            folder: Path = getattr(folders, name)
+            if folder != getattr(ProjectFolders(), name):
+                words.append(f"{flag}={folder}")
+        return words
+
+
+def _session(values: Mapping[str, str]) -> str:
+    name = values.get("name", "").strip()
+    return f"/sessions/{key_of(Path(f'{name}.mcap'))}" if name and "/" not in name else "/sessions"
+
+
+def _run(values: Mapping[str, str]) -> str:
+    name = (values.get("name") or values.get("run") or "").strip()
+    return f"/runs/{key_of(Path(name))}" if name and "/" not in name else "/runs"
+
+
+_INDEX: Final = IndexConfig()
+INDEX_FIELDS: Final = (
+    Field("sessions", "sessions", hint="all of them", known="sessions", is_several=True),
+    Field("recipe", "recipe", "--recipe", choices=("people", "original")),
+    Field("bins", "bins", "--bins", hint=str(_INDEX.bins)),
+    Field("per_bin", "samples a bin", "--per-bin", hint=str(_INDEX.per_bin)),
+    Field("max_uses", "most uses of a picture", "--max-uses", hint=str(_INDEX.max_uses)),
+    Field("labels", "labels", "--labels", choices=("auto", "as-recorded")),
+    Field("where", "rows where", "--where", hint="all rows; SQL such as speed_mph > 5"),
+    Field("validation_share", "share held out", "--validation-share", hint=str(_INDEX.validation_share)),
+    Field(
+        "validation",
+        "sessions held out",
+        "--validation",
+        hint="none as a whole",
+        known="sessions",
+        is_several=True,
+    ),
+    Field("no_balance", "do not balance", "--no-balance", is_switch=True),
+    Field("no_flip", "no mirrored copies", "--no-flip", is_switch=True),
+    Field("seed", "seed", "--seed", hint=str(_INDEX.seed)),
+)
+"""Also those of the page that shows what a rebuild would change."""
+
+FORMS: Final[Sequence[JobForm]] = (
+    JobForm(
+        "record",
+        "Record",
+        "The built-in simulator is driven, and recorded as a session.",
+        ("bc-record",),
+        (
+            Field("name", "name of the session", is_needed=True),
+            Field("track", "track", "--track", hint="lake; or mountain, random:SEED, hairpins:SEED"),
+            Field("driver", "driver", "--driver", choices=("expert", "keyboard", "mouse")),
+            Field("laps", "laps", "--laps", hint="1"),
+            Field("speed", "speeds in mph", "--speed", hint="10", is_several=True),
+            Field("seed", "seed", "--seed", hint="0"),
+        ),
+        (("--sessions", "sessions"),),
+        _session,
+    ),
+    JobForm(
+        "import",
+        "Import",
+        "A recording becomes a session: of Udacity's simulator, DonkeyCar, ROS 2, LeRobot, or MCAP.",
+        ("bc-record",),
+        (
+            Field("name", "name of the session", is_needed=True),
+            Field("source", "folder or file on this machine", "--from", is_needed=True),
+        ),
+        (("--sessions", "sessions"),),
+        _session,
+    ),
+    JobForm(
+        "index",
+        "Index",
+        "Logs become frames and balanced samples.",
+        ("bc-index",),
+        (*INDEX_FIELDS, Field("look", "look at every picture", "--look", is_switch=True)),
+        (("--sessions", "sessions"), ("--index", "index")),
+        lambda values: "/index",
+    ),
+    JobForm(
+        "train",
+        "Train",
+        "A network learns from the index.",
+        ("bc-train",),
+        (
+            Field("name", "name of the run", "--name", hint="date and time"),
+            Field("epochs", "epochs", "--epochs", hint="10"),
+            Field("network", "network", "--network", choices=("original", "pilotnet", "small", "resnet18")),
+            Field("init", "start from the run", "--init", hint="random weights", known="runs"),
+            Field("patience", "patience", "--patience", hint="0: all epochs"),
+            Field("seed", "seed", "--seed", hint="0"),
+        ),
+        (("--index", "index"), ("--sessions", "sessions"), ("--runs", "runs")),
+        _run,
+    ),
+    JobForm(
+        "resume",
+        "Go on training",
+        "A training that was stopped goes on where it was.",
+        ("bc-train",),
+        (
+            Field("run", "run", "--resume", known="runs", is_needed=True),
+            Field("epochs", "epochs", "--epochs", hint="as many as before"),
+        ),
+        (("--index", "index"), ("--sessions", "sessions"), ("--runs", "runs")),
+        _run,
+    ),
+    JobForm(
+        "evaluate",
+        "Evaluate",
+        "A run is measured on the frames that were held out, or on whole sessions.",
+        ("bc-eval",),
+        (
+            Field("run", "run", known="runs", hint="the newest"),
+            Field("session", "sessions instead", "--session", known="sessions", is_several=True),
+            Field("on", "let it drive the recordings", "--on", known="sessions", is_several=True),
+        ),
+        (("--runs", "runs"),),
+        _run,
+    ),
+    JobForm(
+        "drive",
+        "Drive",
+        "A run drives the built-in simulator; the drive's log is kept.",
+        ("bc-eval",),
+        (
+            Field("run", "run", known="runs", hint="the newest"),
+            Field(
+                "track", "tracks", "--simulator", hint="lake mountain random:3", is_several=True, is_needed=True
+            ),
+            Field("laps", "laps", "--laps", hint="1"),
+            Field("speed", "speeds in mph", "--speed", hint="10", is_several=True),
+            Field("force", "replace logs of the same names", "--force", is_switch=True),
+        ),
+        (("--runs", "runs"), ("--logs", "drives")),
+        _run,
+    ),
+    JobForm(
+        "demo",
+        "Demo",
+        "The whole chain in a new folder, demo/DATE: record, index, train, drive. Takes some minutes.",
+        ("bc-demo",),
+        (Field("epochs", "epochs", "--epochs", hint="4"),),
+        (),
+        lambda values: "",
+    ),
+)
+
+
+def form_of(name: str) -> JobForm:
+    """Raises WebError if there is no such form."""
+    for form in FORMS:
+        if form.name == name:
+            return form
+    raise WebError(f"{name!r}: nothing of that name can be started", 404)

@@ -1,0 +1,123 @@
+"""What the list of runs shows of each: its summary, as `bc-runs` has it, and whether it is being trained."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from common import UserError
+from common.errors import printable
+from common.locks import is_being_written
+from web.data.background import Background
+from web.data.file_versions import version_of
+from web.data.project_folders import RUN_CONFIG, ProjectFolders, key_of
+from web.errors import WebError
+
+if TYPE_CHECKING:  # these load PyTorch: not before a run is looked at
+    from model.runs.history import History
+    from model.runs.run_summary import RunSummary
+
+_SUMMED_UP: Final = RUN_CONFIG, "metrics.jsonl", "results.jsonl", "model.safetensors"
+_GROWING: Final = "steps.jsonl", "worst.jsonl"
+_LOCK: Final = Path("last") / ".lock"  # held while a run is trained
+_HISTORIES: Final = 16  # kept in memory: of the runs that are looked at
+
+
+@dataclass(frozen=True)
+class RunCard:
+    """A run in the list. `summary` is None while it is being read, and where `problem` says why it cannot be."""
+
+    key: str
+    path: Path
+    summary: RunSummary | None
+    problem: str
+    is_training: bool
+
+    @property
+    def name(self) -> str:
+        return printable(self.path.name)
+
+    @property
+    def state(self) -> str:
+        """In one word: "" for a run that is whole."""
+        if self.problem:
+            return "damaged"
+        if self.is_training:
+            return "training"
+        return "reading" if self.summary is None else "" if self.summary.kept_epoch else "nothing learnt"
+
+
+class RunCards:
+    """The cards of all runs, and the histories of those that are looked at."""
+
+    def __init__(self, folders: ProjectFolders) -> None:
+        self._folders = folders
+        self._pool = ThreadPoolExecutor(1, "reading runs")  # not that of logs: the first run loads PyTorch
+        self._summaries = Background(self._pool, _summary)
+        self._lock = threading.Lock()
+        self._histories: dict[Path, tuple[str, History]] = {}
+
+    def close(self) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    @property
+    def done(self) -> int:
+        return self._summaries.done
+
+    def version(self) -> str:
+        """It changes with every file that a training or an evaluation writes."""
+        digest = hashlib.sha256()
+        for path in self._folders.run_folders().values():
+            names = (*_SUMMED_UP, *_GROWING)
+            digest.update(version_of(*(path / name for name in names)).encode() + bytes([_is_training(path)]))
+        return digest.hexdigest()[:16]
+
+    def cards(self, patience_s: float) -> list[RunCard]:
+        """Of all runs, by name; those that cannot be read in that time have no `summary` yet."""
+        found = self._folders.run_folders().values()
+        versions = [(path, version_of(*(path / name for name in _SUMMED_UP))) for path in found]
+        summaries = self._summaries.results(versions, patience_s)
+        return [_card(path, summaries.get(path)) for path in found]
+
+    def history(self, path: Path) -> History:
+        """The course of a training by now; of one that has not begun, none. Raises RunError where it cannot be
+        read."""
+        from model.runs.history import HistoryReader
+
+        version = version_of(*(path / name for name in ("metrics.jsonl", *_GROWING)))
+        with self._lock:
+            known = self._histories.get(path)
+        if known is None or known[0] != version:
+            found, _ = HistoryReader(path).read()
+            with self._lock:
+                self._histories.pop(path, None)
+                self._histories[path] = known = version, found
+                while len(self._histories) > _HISTORIES:
+                    self._histories.pop(next(iter(self._histories)))
+        return known[1]
+
+
+def _card(path: Path, found: RunSummary | UserError | None) -> RunCard:
+    problem = ""
+    if isinstance(found, UserError):
+        problem, found = str(found), None
+    elif found is not None and found.problem:
+        problem, found = found.problem, None
+    return RunCard(key_of(path), path, found, printable(problem), _is_training(path))
+
+
+def _is_training(run: Path) -> bool:
+    return is_being_written(run / _LOCK)
+
+
+def _summary(run: Path, version: str) -> RunSummary:
+    from model.runs.run_summary import summarize_run
+
+    try:
+        return summarize_run(run)
+    except OSError as error:  # gone meanwhile
+        raise WebError(f"{run}: {error.strerror}") from None

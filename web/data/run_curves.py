@@ -1,0 +1,68 @@
+"""The curves of a training as a page draws them: x in epochs, so that runs of any size lie over each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from model.runs.history import History
+    from model.runs.training_progress import Epoch
+
+Line = tuple[list[float], list[float | None]]  # x and y; None where there is no number
+
+_MOST_STEPS = 2000
+
+
+def run_curves(history: History) -> dict[str, Line]:
+    """Errors are shares of those of always predicting the mean: runs hold out other frames."""
+    steps = history.steps[:: len(history.steps) // _MOST_STEPS + 1]
+    ends = [float(epoch.epoch) for epoch in history.epochs]
+
+    def line(values: Iterable[float]) -> Line:
+        return ends, [_number(value) for value in values]
+
+    lines = {
+        "training loss": (
+            [step.epoch - 1 + step.batch / step.batches for step in steps],
+            [_number(step.training_loss) for step in steps],
+        )
+        if steps
+        else line(epoch.training_loss for epoch in history.epochs),
+        "validation loss": line(epoch.validation_loss for epoch in history.epochs),
+        "RMSE": line(map(_rmse, history.epochs)),
+        "balanced RMSE": line(map(_balanced, history.epochs)),
+        "correlation": line(epoch.measures.network.correlation for epoch in history.epochs),
+    }
+    for target in dict.fromkeys(target.target for epoch in history.epochs for target in epoch.targets):
+        lines[f"RMSE of {target}"] = line(
+            next(
+                (
+                    found.rmse / found.mean_rmse
+                    for found in epoch.targets
+                    if found.target == target and found.mean_rmse
+                ),
+                math.nan,
+            )
+            for epoch in history.epochs
+        )
+    return lines
+
+
+def _rmse(epoch: Epoch) -> float:
+    return _share(epoch.measures.network.rmse_deg, epoch.measures.mean.rmse_deg)
+
+
+def _balanced(epoch: Epoch) -> float:
+    if not epoch.measures.frames:
+        return math.nan
+    return _share(epoch.measures.balanced_rmse_deg, epoch.measures.mean_balanced_rmse_deg)
+
+
+def _share(value: float, whole: float) -> float:
+    return value / whole if whole else math.nan
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

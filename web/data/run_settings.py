@@ -1,0 +1,60 @@
+"""The settings of a run, flat, so that two runs can be laid side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from common.errors import printable
+
+_SHOWN: Final = (
+    "network",
+    "targets",
+    "parameters",
+    "init",
+    "training",
+    "preprocessing",
+    "data",
+    "machine",
+    "versions",
+)
+_DATA: Final = ("settings", "logs", "fingerprint")  # of `data`; the rest is measured, not set
+_MOST_CHARACTERS: Final = 400  # of a value
+_DEEPEST: Final = 4
+
+
+def run_settings(run: Path) -> dict[str, str]:
+    """What the run's config.json says of its training and its data, by dotted name. Raises RunError where it
+    cannot be read."""
+    from model.runs.run_folder import load_config  # loads PyTorch
+
+    config = load_config(run)
+    data = config.get("data")
+    if isinstance(data, dict):
+        kept = {name: data[name] for name in _DATA if name in data}
+        if isinstance(logs := kept.pop("logs", None), dict):
+            kept["sessions"] = ", ".join(sorted(map(str, logs)))
+        config["data"] = kept
+    if isinstance(init := config.get("init"), dict):
+        config["init"] = {name: init.get(name) for name in ("run", "weights_sha256")}
+    return dict(_flat({name: config[name] for name in _SHOWN if name in config}, "", 0))
+
+
+def differing(settings: Sequence[Mapping[str, str]]) -> list[tuple[str, list[str]]]:
+    """The settings that are not the same in all of these runs, with each run's value; "-" where it has none."""
+    names = list(dict.fromkeys(name for each in settings for name in each))
+    rows = [(name, [each.get(name, "-") for each in settings]) for name in names]
+    return [(name, values) for name, values in rows if len(set(values)) > 1]
+
+
+def _flat(value: Any, name: str, depth: int) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict) and value and depth < _DEEPEST:
+        for key, part in value.items():
+            yield from _flat(part, f"{name}.{key}" if name else str(key), depth + 1)
+        return
+    text = value if isinstance(value, str) else json.dumps(value)
+    if len(text) > _MOST_CHARACTERS:
+        text = f"{text[:_MOST_CHARACTERS]}..."
+    yield printable(name.removeprefix("data.settings.")), printable(text)

@@ -1,0 +1,87 @@
+"""Jobs: what can be started, what was, its progress, and stopping it."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from common.errors import printable
+from web.data.job_forms import FORMS, form_of
+from web.errors import WebError
+from web.pages.form_values import form_values
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+
+def job_routes(bench: Workbench) -> list[Route]:
+    def page(request: Request) -> Response:
+        live = bench.jobs.version()
+        known = {
+            "sessions": sorted(
+                printable(path.name.removesuffix(".mcap")) for path in bench.folders.logs("sessions").values()
+            ),
+            "runs": sorted(printable(path.name) for path in bench.folders.run_folders().values()),
+        }
+        values = dict(request.query_params)
+        opened = values.pop("start", "")
+        return HTMLResponse(
+            render(
+                "jobs.html",
+                live=live,
+                forms=FORMS,
+                known=known,
+                opened=opened,
+                values=values,
+                jobs=bench.jobs.all(),
+            )
+        )
+
+    def rows(request: Request) -> Response:
+        return HTMLResponse(render("job_rows.html", jobs=bench.jobs.all()))
+
+    def command(request: Request) -> Response:
+        """The command that a form would run, or why it cannot."""
+        values = dict(request.query_params)
+        try:
+            words = form_of(values.get("form", "")).words(values, bench.folders)
+        except WebError as error:
+            return PlainTextResponse(printable(str(error)))
+        return PlainTextResponse(printable(shlex.join(words)))
+
+    async def start(request: Request) -> Response:
+        values = await form_values(request)
+        form = form_of(values.get("form", ""))
+        words = form.words(values, bench.folders)
+        job = await run_in_threadpool(bench.jobs.start, words, form.made(values))
+        return RedirectResponse(f"/jobs/{job.key}", status_code=303)
+
+    def one(request: Request) -> Response:
+        live = bench.jobs.version()
+        return HTMLResponse(render("job.html", live=live, **_told(request)))
+
+    def body(request: Request) -> Response:
+        return HTMLResponse(render("job_body.html", **_told(request)))
+
+    def stop(request: Request) -> Response:
+        key = request.path_params["job"]
+        bench.jobs.stop(key)
+        return RedirectResponse(f"/jobs/{key}", status_code=303)
+
+    def _told(request: Request) -> dict[str, Any]:
+        job = bench.jobs.get(request.path_params["job"])
+        return {"job": job, "output": job.output()}
+
+    return [
+        Route("/jobs", page),
+        Route("/jobs", start, methods=["POST"]),
+        Route("/jobs.rows", rows),
+        Route("/jobs.command", command),
+        Route("/jobs/{job}", one),
+        Route("/jobs/{job}/body", body),
+        Route("/jobs/{job}/stop", stop, methods=["POST"]),
+    ]

@@ -1,0 +1,148 @@
+"""The page of one run: what it learnt from, how well, the frames at which it is off the most, how it drove."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import Route
+
+from common import UserError
+from common.errors import printable
+from web.data.project_folders import PLACES, ProjectFolders, key_of
+from web.data.run_cards import RunCard
+from web.data.run_settings import run_settings
+from web.errors import WebError
+from web.pages.changes import runs_version
+from web.pages.runs_page import PATIENCE_S
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+_MOST_NUMBERS: Final = 12  # of a result
+
+
+def run_routes(bench: Workbench) -> list[Route]:
+    def page(request: Request) -> Response:
+        live = runs_version(bench)
+        return HTMLResponse(render("run.html", live=live, **_told(request)))
+
+    def body(request: Request) -> Response:
+        return HTMLResponse(render("run_body.html", **_told(request)))
+
+    def worst_picture(request: Request) -> Response:
+        """What the network saw of the worst frame of that number after that epoch."""
+        epoch, number = request.path_params["epoch"], request.path_params["number"]
+        path = bench.folders.run(request.path_params["run"])
+        pictures = next((found for found in bench.runs.history(path).worst if found.epoch == epoch), None)
+        if pictures is None or number >= len(pictures.jpegs):
+            raise WebError(f"{path}: no such frame after epoch {epoch}", 404)
+        return Response(pictures.jpegs[number], media_type="image/jpeg")
+
+    def _told(request: Request) -> dict[str, Any]:
+        key = request.path_params["run"]
+        path = bench.folders.run(key)
+        card = next((found for found in bench.runs.cards(PATIENCE_S) if found.key == key), None)
+        if card is None:
+            raise WebError(f"{path}: deleted, or renamed", 404)
+        return {
+            "card": card,
+            "path": printable(str(path)),
+            "summary": card.summary,
+            "settings": _settings(path) if not card.problem else {},
+            "sessions": _sessions(bench.folders, card),
+            "results": _results(bench.folders, card),
+            "drives": _drives(bench, path.name),
+            **_worst(bench, path, card, request.query_params.get("epoch", "")),
+        }
+
+    return [
+        Route("/runs/{run}", page),
+        Route("/runs/{run}/body", body),
+        Route("/runs/{run}/worst/{epoch:int}/{number:int}.jpg", worst_picture),
+    ]
+
+
+def _settings(path: Path) -> dict[str, str]:
+    try:
+        return run_settings(path)
+    except UserError:  # between two looks
+        return {}
+
+
+def _sessions(folders: ProjectFolders, card: RunCard) -> list[tuple[str, str]]:
+    """The sessions that it learnt from, and where their pages are; "" for those that are not here."""
+    return [
+        (printable(name), log_address(folders, name)) for name in (card.summary.sessions if card.summary else ())
+    ]
+
+
+def log_address(folders: ProjectFolders, session: str) -> str:
+    """The page of the log of that session, wherever it lies; "" if it is in none of the folders."""
+    key = key_of(Path(f"{session.replace('/', ' ')}.mcap"))
+    return next((f"/{place}/{key}" for place in PLACES if key in folders.logs(place)), "")
+
+
+def _results(folders: ProjectFolders, card: RunCard) -> list[dict[str, Any]]:
+    """What `bc-eval` has measured of its present weights: the last of each kind."""
+    found = []
+    for kept in card.summary.results if card.summary else ():
+        log = kept.result.get("log")
+        told = {
+            "way": kept.way,
+            "when": printable(kept.measured_at[:16].replace("T", " ")),
+            "numbers": _numbers(kept.result),
+            "log": log_address(folders, Path(log).name.removesuffix(".mcap")) if isinstance(log, str) else "",
+        }
+        found.append(told)
+    return found
+
+
+def _numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The plain values of a result, with units in their names as it has them."""
+    shown = []
+    for name, value in result.items():
+        if name == "log" or isinstance(value, bool) or value is None or isinstance(value, dict | list):
+            continue
+        if isinstance(value, str) and len(value) > 40:  # checksums, paths
+            continue
+        text = f"{value:.4g}" if isinstance(value, float) and math.isfinite(value) else str(value)
+        shown.append((printable(name.replace("_", " ")), printable(text)))
+    return shown[:_MOST_NUMBERS]
+
+
+def _drives(bench: Workbench, run: str) -> list[tuple[str, str, str]]:
+    """The drives in which it drove: name, address, when."""
+    cards = bench.cards.cards("drives", 0.3)
+    found = [card for card in cards if card.info and card.info.session.get("run") == run]
+    return [
+        (card.name, f"/drives/{card.key}", card.info.start[:16].replace("T", " ")) for card in found if card.info
+    ]
+
+
+def _worst(bench: Workbench, path: Path, card: RunCard, asked: str) -> dict[str, Any]:
+    """The worst frames after the epoch that was kept, or the one that is asked for."""
+    try:
+        history = bench.runs.history(path)
+    except UserError as error:
+        return {"worst": [], "epochs": [], "epoch": 0, "kept": 0, "problem": printable(str(error))}
+    kept = card.summary.kept_epoch if card.summary else 0
+    by_epoch = {found.epoch: found for found in history.worst}
+    epoch = int(asked) if asked.isascii() and asked.isdigit() and len(asked) < 9 else kept
+    if epoch not in by_epoch and by_epoch:
+        epoch = max(by_epoch)
+    frames = []
+    for number, frame in enumerate(by_epoch[epoch].frames) if epoch in by_epoch else ():
+        address = log_address(bench.folders, frame.session)
+        frames.append(
+            {
+                "picture": f"/runs/{card.key}/worst/{epoch}/{number}.jpg",
+                "session": printable(frame.session),
+                "frame": frame,
+                "address": f"{address}#row={frame.row}" if address else "",
+            }
+        )
+    return {"worst": frames, "epochs": list(by_epoch), "epoch": epoch, "kept": kept, "problem": ""}

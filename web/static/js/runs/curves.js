@@ -1,0 +1,105 @@
+// The curves of runs over each other, drawn again when another run is chosen or a training has gone on.
+
+import { say } from "../live.js";
+import uPlot from "../../vendor/uPlot.esm.js";
+
+const HEIGHT = 220;
+const COLORS = 8;
+const DASHES = [[], [6, 4], [2, 3]];
+const PLOTS = [
+  ["Loss", (line) => line.endsWith("loss")],
+  ["Errors, as shares of those of the mean", (line) => line.includes("RMSE")],
+  ["Correlation with what was recorded", (line) => line === "correlation"],
+];
+const section = document.getElementById("plots");
+let plots = [];
+let shown = "";
+
+function query() {
+  if (section.dataset.run) return new URLSearchParams({ run: section.dataset.run });
+  const chosen = new FormData(document.getElementById(section.dataset.form)).getAll("run");
+  return new URLSearchParams(chosen.map((key) => ["run", key]));
+}
+
+async function load() {
+  const asked = query();
+  const answer = await fetch(`/runs.curves?${asked}`);
+  if (!answer.ok) {
+    say(`the curves cannot be read: the server answers ${answer.status}`);
+    return;
+  }
+  const runs = await answer.json();
+  const text = JSON.stringify(runs);
+  if (text === shown) return;
+  shown = text;
+  draw(runs);
+}
+
+function draw(runs) {
+  for (const plot of plots) plot.destroy();
+  plots = [];
+  const color = colorReader();
+  section.replaceChildren();
+  for (const [title, isOf] of PLOTS) {
+    const tables = [];
+    const series = [{ label: "epoch", value: (_, value) => (value === null ? "-" : value.toFixed(2)) }];
+    runs.forEach((run, number) => {
+      const names = Object.keys(run.lines).filter(isOf);
+      names.forEach((name, at) => {
+        const [x, y] = run.lines[name];
+        if (!y.some((value) => value !== null)) return;
+        tables.push([x, y]);
+        series.push({
+          label: [runs.length > 1 && run.name, names.length > 1 && name].filter(Boolean).join(": ") || name,
+          stroke: color(`--run-${number % COLORS}`),
+          dash: DASHES[at % DASHES.length],
+          width: 1.5,
+          spanGaps: true,
+          points: { show: x.length < 2 },
+          value: (_, value) => (value === null || value === undefined ? "-" : value.toPrecision(3)),
+        });
+      });
+    });
+    if (!tables.length) continue;
+    const figure = section.appendChild(document.createElement("div"));
+    figure.appendChild(document.createElement("h2")).textContent = title;
+    const axis = { stroke: color("--text"), grid: { stroke: color("--line"), width: 1 }, ticks: { stroke: color("--line") } };
+    plots.push(
+      new uPlot(
+        {
+          width: figure.clientWidth,
+          height: HEIGHT,
+          scales: { x: { time: false } },
+          axes: [{ ...axis }, { ...axis, size: 56 }],
+          series,
+          cursor: { sync: { key: "runs" } },
+        },
+        uPlot.join(tables),
+        figure,
+      ),
+    );
+  }
+  section.dataset.shown = runs.map((run) => run.key).join(" "); // for whoever waits for it
+}
+
+/** The colours of the style sheet as a canvas understands them: a property may hold `light-dark(...)`. */
+function colorReader() {
+  const style = getComputedStyle(section);
+  return (name) => {
+    section.style.color = `var(${name})`;
+    const found = style.color;
+    section.style.color = "";
+    return found;
+  };
+}
+
+new ResizeObserver(() => {
+  for (const plot of plots) plot.setSize({ width: plot.root.parentElement.clientWidth, height: HEIGHT });
+}).observe(section);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  shown = "";
+  load();
+});
+document.body.addEventListener("folders-changed", load);
+document.getElementById(section.dataset.form)?.addEventListener("input", load);
+load();
