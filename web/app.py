@@ -13,6 +13,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from web.data.cache_folder import CacheFolder
+from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
@@ -21,6 +22,7 @@ from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 from web.pages.changes import change_routes
+from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
 from web.pages.run_page import run_routes
@@ -43,11 +45,22 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
     cards.cards("sessions", 0)  # before anybody asks: reading begins
     checks = PictureChecks(folders.index, kept)
     runs = RunCards(folders)
-    bench = Workbench(folders, kept, logs, cards, WhereSearches(folders.index, pool), checks, runs, Jobs(cache))
+    bench = Workbench(
+        folders,
+        kept,
+        logs,
+        cards,
+        WhereSearches(folders.index, pool),
+        checks,
+        runs,
+        Jobs(cache),
+        IndexTrials(cache),
+    )
     routes = [
         *session_list_routes(bench),
         *change_routes(bench),
         *(route for place in PLACES for route in (*session_routes(bench, place), *log_file_routes(bench, place))),
+        *index_routes(bench),
         *job_routes(bench),
         *run_list_routes(bench),
         *run_routes(bench),

@@ -147,7 +147,7 @@ FORMS: Final[Sequence[JobForm]] = (
         ("bc-index",),
         (*INDEX_FIELDS, Field("look", "look at every picture", "--look", is_switch=True)),
         (("--sessions", "sessions"), ("--index", "index")),
-        lambda values: "/sessions",
+        lambda values: "/index",
     ),
     JobForm(
         "train",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from typing import Any
-from urllib.parse import parse_qsl
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -14,6 +13,7 @@ from starlette.routing import Route
 from common.errors import printable
 from web.data.job_forms import FORMS, form_of
 from web.errors import WebError
+from web.pages.form_values import form_values
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
@@ -54,7 +54,7 @@ def job_routes(bench: Workbench) -> list[Route]:
         return PlainTextResponse(printable(shlex.join(words)))
 
     async def start(request: Request) -> Response:
-        values = await _values(request)
+        values = await form_values(request)
         form = form_of(values.get("form", ""))
         words = form.words(values, bench.folders)
         job = await run_in_threadpool(bench.jobs.start, words, form.made(values))
@@ -85,12 +85,3 @@ def job_routes(bench: Workbench) -> list[Route]:
         Route("/jobs/{job}/body", body),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),
     ]
-
-
-async def _values(request: Request) -> dict[str, str]:
-    if request.headers.get("content-type", "").partition(";")[0] != "application/x-www-form-urlencoded":
-        raise WebError("a job is asked for by a form (application/x-www-form-urlencoded)", 415)
-    try:
-        return dict(parse_qsl((await request.body()).decode("ascii"), strict_parsing=True, max_num_fields=100))
-    except ValueError as error:
-        raise WebError(f"not a form: {error}", 422) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from web.data.cache_folder import CacheFolder
+from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
@@ -26,3 +27,4 @@ class Workbench:
     checks: PictureChecks
     runs: RunCards
     jobs: Jobs
+    trials: IndexTrials

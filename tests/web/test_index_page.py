@@ -1,0 +1,89 @@
+"""The page of the index: what it holds, and what other settings would change before anything is written."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlencode
+
+import pytest
+
+import dataset.cli
+from driving import road_jpeg
+from logs import write_log
+from udacity import call
+from waiting import wait_until
+from workbench import Served, served
+
+FORM = {"Content_Type": "application/x-www-form-urlencoded"}
+AWKWARD = "<b>a 'b' é"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("bench")
+    sessions = folder / "sessions"
+    turning = [0.05 * (row % 9) for row in range(400)]
+    write_log(sessions / "left.mcap", [-turn for turn in turning], lambda camera, row: road_jpeg(row))
+    write_log(sessions / f"{AWKWARD}.mcap", turning, lambda camera, row: road_jpeg(10_000 + row))
+    arguments = ("--sessions", sessions, "--index", folder / "index", "--labels", "as-recorded")
+    assert call(dataset.cli.main, *arguments) == 0
+    with served(folder) as found:
+        yield found
+
+
+def plain(page: str) -> str:
+    return html.unescape(" ".join(re.sub(r"<[^>]*>", " ", page).split()))
+
+
+def test_the_page_shows_what_the_index_holds(bench: Served) -> None:
+    page = bench.get("/index").text
+    assert "<b>a 'b'" not in page
+    assert AWKWARD in plain(page)
+    pictures = re.findall(r'<img[^>]* src="([^"]*)"', page)
+    assert len(pictures) == 1 + 2 * 2
+    for address in pictures:
+        answer = bench.get(html.unescape(address))
+        assert (answer.status, answer.headers["content-type"]) == (200, "image/svg+xml")
+        assert b"<rect" in answer.body
+    assert "no leak between training and validation" in bench.get("/index.leaks").text
+
+
+@pytest.mark.parametrize(
+    "path", ["/index/none/split", "/index/..%2fstate.json/split", "/index.bins?trial=..", "/index?trial=x"]
+)
+def test_nothing_else_is_shown(bench: Served, path: str) -> None:
+    assert bench.get(path).status == 404
+
+
+def test_other_settings_are_tried_before_they_are_written(bench: Served) -> None:
+    samples = bench.folder / "index" / "samples.parquet"
+    before = samples.read_bytes()
+    asked = {"bins": "5", "labels": "as-recorded", "sessions": "left"}
+    answer = bench.ask("POST", "/index.try", urlencode(asked).encode(), **FORM)
+    assert answer.status == 303
+    job = answer.headers["location"]
+    wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
+    (address,) = re.findall(r'href="(/index\?[^"]*)"', bench.get(job).text)
+    page = bench.get(html.unescape(address)).text
+    assert "bins 25 now, 5 then" in plain(page)
+    assert f"{AWKWARD} not then" in plain(page)
+    assert samples.read_bytes() == before
+    hidden = dict(re.findall(r'type="hidden" name="([^"]*)" value="([^"]*)"', page))
+    assert hidden == {"form": "index", **asked}
+    done = bench.ask("POST", "/jobs", urlencode(hidden).encode(), **FORM).headers["location"]
+    wait_until(lambda: "running" not in bench.get(f"{done}/body").text)
+    assert samples.read_bytes() != before
+    assert "5 bins" in plain(bench.get("/index").text)
+
+
+def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> None:
+    with served(tmp_path) as bench:
+        assert "no index" in bench.get("/index").text
+        (tmp_path / "index").mkdir()
+        (tmp_path / "index" / "samples.parquet").write_bytes(b"PAR1")
+        assert "damaged" in bench.get("/index").text
+        assert bench.get("/index.leaks").status == 422
+        assert bench.get("/index.bins").status == 422

@@ -1,0 +1,47 @@
+"""Trial indexes: what other settings would make of the sessions, built beside the real index, in the cache."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import shutil
+from pathlib import Path
+from typing import Final
+
+from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
+from dataset.index.session_labels import LAGS_FOLDER
+from web.errors import WebError
+
+_KEPT: Final = 4
+
+
+class IndexTrials:
+    """The newest trials; the folder may be deleted at any time."""
+
+    def __init__(self, cache: Path) -> None:
+        self._folder = cache / "trials"
+
+    def new(self, index: Path) -> tuple[str, Path]:
+        """A name and a folder for a trial. It begins with what is known of pictures, which takes long to find."""
+        found = sorted(self._found().values(), key=lambda path: path.stat().st_mtime_ns)
+        for path in found[: max(0, len(found) + 1 - _KEPT)]:
+            shutil.rmtree(path, ignore_errors=True)
+        folder = self._folder / secrets.token_hex(6)
+        folder.mkdir(parents=True)
+        for name in (IMAGE_CHECKS_FOLDER, LAGS_FOLDER):
+            with contextlib.suppress(OSError, shutil.Error):
+                shutil.copytree(index / name, folder / name)
+        return folder.name, folder
+
+    def get(self, key: str) -> Path:
+        """Raises WebError if there is none (any more)."""
+        path = self._found().get(key)
+        if path is None:
+            raise WebError(f"no trial {key!r} (any more): the newest {_KEPT} are kept; try it again", 404)
+        return path.resolve()
+
+    def _found(self) -> dict[str, Path]:
+        try:
+            return {path.name: path for path in self._folder.iterdir() if path.is_dir()}
+        except OSError:
+            return {}

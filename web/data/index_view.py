@@ -1,0 +1,129 @@
+"""What the page of the index shows: its settings, its bins, each session's share, and the split along time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from common.errors import printable
+from common.stretches import stretches
+from dataset.errors import DatasetError
+from dataset.frames.frames_file import read_frames
+from dataset.index.build_state import FRAMES_FOLDER
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
+
+_WIDTH: Final = 300
+_COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page
+_BEFORE, _AFTER, _OTHER, _AXIS = "#8d97a1", "#4a90d9", "#8885", "#8884"
+
+
+@dataclass(frozen=True)
+class IndexView:
+    """An index as it stands on the disk, by what its samples.parquet says of itself."""
+
+    settings: dict[str, str]
+    before: list[int]  # training samples of each steering bin, before it was balanced, and after
+    after: list[int]
+    counts: dict[str, dict[str, int]]  # frames of each session, by what becomes of them
+
+    @property
+    def frames(self) -> int:
+        return sum(counts.get("frames", 0) for counts in self.counts.values())
+
+    @property
+    def ways(self) -> list[str]:
+        """What becomes of frames, as far as it becomes of any."""
+        ways = list(dict.fromkeys(way for counts in self.counts.values() for way in counts))
+        return [way for way in ways if any(counts.get(way) for counts in self.counts.values())]
+
+
+def view_index(index: Path) -> IndexView:
+    """Raises DatasetError where there is none, or where it is damaged or of another version."""
+    path = index / SAMPLES_NAME
+    metadata = read_metadata(path)
+    if metadata is None:
+        raise DatasetError(f"{path}: no index, or a damaged one; `bc-index` builds it")
+    try:
+        balance = metadata["balance"]
+        return IndexView(
+            {printable(str(name)): _text(value) for name, value in metadata["settings"].items()},
+            [int(count) for count in balance["before"]],
+            [int(count) for count in balance["after"]],
+            {
+                str(session): {str(way): int(count) for way, count in counts.items()}
+                for session, counts in metadata["counts"].items()
+            },
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DatasetError(f"{path}: not as this version writes it ({error}); `bc-index` makes it anew") from None
+
+
+def bins_sketch(view: IndexView) -> bytes:
+    """Each bin before (behind) and after it was balanced, from left to right, as an SVG."""
+    height = 120
+    top = max([1, *view.before, *view.after])
+    step = 2 * _WIDTH / max(1, len(view.before))
+    bars = [
+        f'<rect x="{at * step + inset:.1f}" y="{height - share:.1f}" width="{max(0.5, step - 2 * inset):.1f}"'
+        f' height="{share:.1f}" fill="{color}"/>'
+        for counts, color, inset in ((view.before, _BEFORE, step * 0.05), (view.after, _AFTER, step * 0.25))
+        for at, count in enumerate(counts)
+        if (share := height * count / top)
+    ]
+    return _svg(2 * _WIDTH, height, [*bars, f'<path d="M{_WIDTH} 0V{height}" stroke="{_AXIS}"/>'])
+
+
+def session_bins_sketch(index: Path, session: str) -> bytes:
+    """The training samples of one session by steering, as the index has them; by the square root."""
+    height, bins = 28, 25
+    filters = [("session", "=", session), ("split", "=", "train")]
+    try:
+        samples = pq.read_table(index / SAMPLES_NAME, columns=["label"], filters=filters)
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
+    counts, _ = np.histogram(samples["label"].to_numpy(), bins, (-1, 1))
+    shares = height * np.sqrt(counts / max(1, counts.max()))
+    step = _WIDTH / bins
+    return _svg(
+        _WIDTH,
+        height,
+        [
+            f'<rect x="{at * step:.1f}" y="{height - share:.1f}" width="{step - 1:.1f}" height="{share:.1f}"'
+            f' fill="{_AFTER}"/>'
+            for at, share in enumerate(shares)
+        ],
+    )
+
+
+def split_sketch(index: Path, session: str) -> bytes:
+    """Which rows of a session are trained on and which are held out, along it; grey is neither."""
+    frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
+    height, total = 14, max(1, len(frames))
+    parts = [f'<rect width="{_WIDTH}" height="{height}" fill="{_OTHER}"/>']
+    for split, color in _COLORS.items():
+        mask = pc.equal(frames["split"].cast(pa.string()), split).fill_null(False).to_numpy(zero_copy_only=False)
+        parts += [
+            f'<rect x="{_WIDTH * first / total:.2f}" width="{_WIDTH * (last - first + 1) / total:.2f}"'
+            f' height="{height}" fill="{color}"/>'
+            for first, last in stretches(mask)
+        ]
+    return _svg(_WIDTH, height, parts)
+
+
+def _svg(width: int, height: int, parts: Sequence[str]) -> bytes:
+    start = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" preserveAspectRatio="none">'
+    return f"{start}{''.join(parts)}</svg>".encode()
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return printable(" ".join(map(str, value))) or "none"
+    return printable("none" if value is None else str(value))

@@ -1,0 +1,138 @@
+"""The index: bins, each session's share, the split along time, leaks, and what other settings would change."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from common import UserError
+from common.errors import counted, printable
+from dataset.index.build_state import STATE_NAME
+from dataset.index.leaks import find_leaks
+from dataset.index.sessions import sessions_not_indexed
+from web.data.file_versions import version_of
+from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
+from web.data.job_forms import INDEX_FIELDS, form_of
+from web.data.project_folders import key_of
+from web.data.run_settings import differing
+from web.errors import WebError
+from web.pages.form_values import form_values
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+_INDEX_FORM = "index"
+
+
+def index_routes(bench: Workbench) -> list[Route]:
+    def folder_of(request: Request) -> Path:
+        """The index, or the trial that is asked for."""
+        trial = request.query_params.get("trial", "")
+        return bench.trials.get(trial) if trial else bench.folders.index
+
+    def page(request: Request) -> Response:
+        values = dict(request.query_params)
+        trial = values.pop("trial", "")
+        told: dict[str, Any] = {"trial": trial, "values": values, "fields": INDEX_FIELDS, "version": ""}
+        told["version_of_index"] = version_of(bench.folders.index / STATE_NAME)
+        told["known"] = sorted(
+            printable(path.name.removesuffix(".mcap")) for path in bench.folders.logs("sessions").values()
+        )
+        told["now"], told["problem"] = _view(bench.folders.index)
+        told["folder"] = printable(str(bench.folders.index))
+        told["stale"] = _stale()
+        told["then"], told["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")
+        told["settings"] = _changed(told["now"], told["then"])
+        told["sessions"] = _sessions(told["now"], told["then"])
+        return HTMLResponse(render("index.html", **told))
+
+    def _stale() -> list[str]:
+        try:
+            return [printable(name) for name in sessions_not_indexed(bench.folders.index, bench.folders.sessions)]
+        except UserError:
+            return []
+
+    def bins(request: Request) -> Response:
+        return _picture(bins_sketch(view_index(folder_of(request))))
+
+    def session_bins(request: Request) -> Response:
+        folder = folder_of(request)
+        return _picture(session_bins_sketch(folder, _session(folder, request.path_params["session"])))
+
+    def split(request: Request) -> Response:
+        folder = folder_of(request)
+        return _picture(split_sketch(folder, _session(folder, request.path_params["session"])))
+
+    def leaks(request: Request) -> Response:
+        found = find_leaks(folder_of(request))
+        head = "no leak between training and validation" if not found else counted(len(found), "leak")
+        return PlainTextResponse(printable_lines([head, *found]))
+
+    async def try_settings(request: Request) -> Response:
+        values = await form_values(request)
+        job = await run_in_threadpool(_start_trial, values)
+        return RedirectResponse(f"/jobs/{job}", status_code=303)
+
+    def _start_trial(values: dict[str, str]) -> str:
+        form = form_of(_INDEX_FORM)
+        form.words(values, bench.folders)  # before a folder is made
+        key, folder = bench.trials.new(bench.folders.index)
+        words = form.words(values, dataclasses.replace(bench.folders, index=folder))
+        kept = {name: value for name, value in values.items() if value and name != "form"}
+        return bench.jobs.start(words, f"/index?{urlencode({'trial': key, **kept})}").key
+
+    return [
+        Route("/index", page),
+        Route("/index.bins", bins),
+        Route("/index.leaks", leaks),
+        Route("/index.try", try_settings, methods=["POST"]),
+        Route("/index/{session}/bins", session_bins),
+        Route("/index/{session}/split", split),
+    ]
+
+
+def printable_lines(lines: list[str]) -> str:
+    return "\n".join(map(printable, lines))
+
+
+def _view(folder: Path) -> tuple[IndexView | None, str]:
+    try:
+        return view_index(folder), ""
+    except UserError as error:
+        return None, printable(str(error))
+
+
+def _session(folder: Path, key: str) -> str:
+    """The session of that key, among those of the index: nothing else is looked for in its folder."""
+    for session in view_index(folder).counts:
+        if key_of(Path(session)) == key and "/" not in session and "\\" not in session:
+            return session
+    raise WebError(f"{folder}: no session {key!r} in it", 404)
+
+
+def _changed(now: IndexView | None, then: IndexView | None) -> list[tuple[str, list[str]]]:
+    return differing([now.settings, then.settings]) if now and then else []
+
+
+def _sessions(now: IndexView | None, then: IndexView | None) -> list[dict[str, Any]]:
+    """A row for each session of either: its counts now, and then."""
+    names = sorted({session for view in (now, then) if view for session in view.counts})
+    return [
+        {
+            "name": printable(name),
+            "key": key_of(Path(name)),
+            "now": now.counts.get(name) if now else None,
+            "then": then.counts.get(name) if then else None,
+        }
+        for name in names
+    ]
+
+
+def _picture(data: bytes) -> Response:
+    return Response(data, media_type="image/svg+xml")
