@@ -29,15 +29,15 @@ def main() -> None:
     pilot = load_pilot(sys.argv[1])
     pilot.warm_up()
     flags = GymFlags("CarRacing-v3", gym_action="steering,throttle,brake", expert=f"{EXPERT}:drive")
-    with GymnasiumCar(flags) as car:
-        rows = [
-            (*episode(car, seed, pilot), *episode(car, seed)) for seed in range(FIRST_SEED, FIRST_SEED + TRACKS)
-        ]
+    rows = []
     print("| track | tiles | network's | reward | expert's | reward |")
-    print("|---|---|---|---|---|---|")
-    for number, (tiles, visited, reward, _, expert_visited, expert_reward) in enumerate(rows):
-        line = f"{visited} | {reward:.0f} | {expert_visited} | {expert_reward:.0f}"
-        print(f"| {FIRST_SEED + number} | {tiles} | {line} |")
+    print("|---|---|---|---|---|---|", flush=True)
+    with GymnasiumCar(flags) as car:
+        for seed in range(FIRST_SEED, FIRST_SEED + TRACKS):
+            rows.append((*episode(car, seed, pilot), *episode(car, seed)))
+            tiles, visited, reward, _, expert_visited, expert_reward = rows[-1]
+            line = f"{visited} | {reward:.0f} | {expert_visited} | {expert_reward:.0f}"
+            print(f"| {seed} | {tiles} | {line} |", flush=True)
     means = [sum(column) / len(rows) for column in zip(*rows, strict=True)]
     share, expert_share = means[1] / means[0], means[4] / means[3]
     print(f"| mean | | {100 * share:.1f} % | {means[2]:.0f} | {100 * expert_share:.1f} % | {means[5]:.0f} |")

@@ -60,7 +60,7 @@ def test_the_weights_can_be_read_by_safetensors_alone(trained: tuple[Path, list[
 def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], index: Path) -> None:
     run, _ = trained
     config = json.loads((run / "config.json").read_text())
-    assert config["format"] == 3
+    assert config["format"] == 4
     assert config["parameters"] == 5_022_327
     assert config["preprocessing"]["channels"] == "BGR"
     assert (config["preprocessing"]["crop_top"], config["preprocessing"]["crop_bottom"]) == ("50/160", "20/160")
