@@ -25,7 +25,7 @@ class Stroke:
 
 
 @dataclass(frozen=True)
-class Place:
+class EventPlace:
     x: float
     y: float
     event: DriveEvent
@@ -36,7 +36,7 @@ class DriveMap:
     box: str  # the SVG's viewBox
     size: float  # the longer side in metres
     strokes: list[list[Stroke]]  # of each drive
-    places: list[list[Place]]  # of each drive's interventions
+    places: list[list[EventPlace]]  # of each drive's interventions
     fastest_mph: float
 
 
@@ -72,11 +72,11 @@ def _strokes(drive: DriveView, number: int, by: By, fastest: float) -> list[Stro
     return found
 
 
-def _places(drive: DriveView) -> list[Place]:
+def _places(drive: DriveView) -> list[EventPlace]:
     """Where the car was when somebody intervened: at the last point that is not after it."""
     found = []
     for event in drive.events:
         before = [point for point in drive.path if point[0] <= event.row] or drive.path[:1]
         if event.is_intervention and before:
-            found.append(Place(before[-1][1], -before[-1][2], event))
+            found.append(EventPlace(before[-1][1], -before[-1][2], event))
     return found
