@@ -22,6 +22,7 @@ from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 from web.pages.changes import change_routes
+from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
@@ -60,6 +61,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         *session_list_routes(bench),
         *change_routes(bench),
         *(route for place in PLACES for route in (*session_routes(bench, place), *log_file_routes(bench, place))),
+        *drive_routes(bench),
         *index_routes(bench),
         *job_routes(bench),
         *run_list_routes(bench),

@@ -15,7 +15,12 @@ def change_routes(bench: Workbench) -> list[Route]:
     def changes(request: Request) -> Response:
         bench.logs.drop_changed()
         return JSONResponse(
-            {"sessions": sessions_version(bench), "runs": runs_version(bench), "jobs": bench.jobs.version()}
+            {
+                "sessions": sessions_version(bench),
+                "runs": runs_version(bench),
+                "drives": drives_version(bench),
+                "jobs": bench.jobs.version(),
+            }
         )
 
     return [Route("/changes", changes)]
@@ -31,3 +36,7 @@ def sessions_version(bench: Workbench) -> str:
 def runs_version(bench: Workbench) -> str:
     """It changes with every line that a training writes, and with each run that has been read."""
     return f"{bench.runs.version()} {bench.runs.done}"
+
+
+def drives_version(bench: Workbench) -> str:
+    return f"{version_of_folder(bench.folders.drives)} {bench.cards.done}"

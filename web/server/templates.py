@@ -10,7 +10,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from common.errors import counted
 from common.versions import version_of
 
-PAGES: Final = (("Sessions", "/sessions"), ("Index", "/index"), ("Runs", "/runs"), ("Jobs", "/jobs"))
+PAGES: Final = (
+    ("Sessions", "/sessions"),
+    ("Index", "/index"),
+    ("Runs", "/runs"),
+    ("Drives", "/drives"),
+    ("Jobs", "/jobs"),
+)
 """The pages of the menu: name and address."""
 
 

@@ -1,0 +1,54 @@
+"""The page of drives: what each drive's log has counted, its events, and where the car was."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+
+from logs import START_NS, STEP_NS
+from recorder.bc_pb2 import VehicleState
+from recorder.log.writer import LogWriter
+from waiting import wait_until
+from workbench import served
+
+
+def a_drive(path: Path, run: str) -> None:
+    """Ten rows eastwards; after the fifth one the car was put back."""
+    with LogWriter(path, {"source": "drive", "run": run}) as writer:
+        for row in range(10):
+            now_ns = START_NS + row * STEP_NS
+            pose = PoseInFrame()
+            pose.pose.position.x = 10.0 * row
+            writer.pose(now_ns, row, pose)
+            if row == 5:
+                writer.event(now_ns, "off the road, or stuck: the simulator put the car back", name="drive")
+            writer.vehicle(now_ns, row, VehicleState(steering=0.1, throttle=0.5, brake=0.0, speed_mph=9.0))
+        writer.add_metadata("bc.drive", {"laps": "0.25", "autonomy_percent": "87.5", "interventions": "1"})
+
+
+def test_drives_stand_beside_one_another_and_on_one_map(tmp_path: Path) -> None:
+    (tmp_path / "drives").mkdir()
+    a_drive(tmp_path / "drives" / "one.mcap", "<b>r")
+    a_drive(tmp_path / "drives" / "two.mcap", "r")
+    (tmp_path / "drives" / "bad.mcap").write_bytes(b"no log")
+    with served(tmp_path) as bench:
+        wait_until(lambda: bench.get("/drives").text.count("87.5") == 2)
+        text = bench.get("/drives").text
+        assert "0.25" in text
+        assert "damaged" in text
+        assert "<b>r" not in text
+        assert "<svg" not in text
+        for by in ("drive", "speed", "who+drove", "none"):
+            shown = bench.get(f"/drives.rows?log=one&log=two&log=bad&log=none&by={by}").text
+            assert shown.count("<polyline") == 2
+            assert re.findall(r'<a href="(/drives/\w+#row=\d+)"><circle cx="([\d.]+)"', shown) == [
+                ("/drives/one#row=5", "50.0"),
+                ("/drives/two#row=5", "50.0"),
+            ]
+
+
+def test_without_drives_it_says_how_to_begin(tmp_path: Path) -> None:
+    with served(tmp_path) as bench:
+        assert "No drives yet" in bench.get("/drives").text

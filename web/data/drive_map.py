@@ -1,0 +1,82 @@
+"""The paths of drives on one map, as lines of an SVG: metres, north up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from typing import Final, Literal
+
+from web.data.drive_view import DriveEvent, DriveView
+
+By = Literal["drive", "speed", "driver"]
+WAYS: Final[dict[str, By]] = {"drive": "drive", "speed": "speed", "who drove": "driver"}
+DRIVERS: Final = {0: "unknown", 1: "pilot", 2: "human", 3: "expert", 4: "brake"}
+SPEEDS: Final = 6  # classes between standing and the fastest
+_MARGIN: Final = 0.04
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A part of a path in one colour: the class of the style sheet, and its points."""
+
+    style: str
+    points: str
+
+
+@dataclass(frozen=True)
+class EventPlace:
+    x: float
+    y: float
+    event: DriveEvent
+
+
+@dataclass(frozen=True)
+class DriveMap:
+    box: str  # the SVG's viewBox
+    size: float  # the longer side in metres
+    strokes: list[list[Stroke]]  # of each drive
+    places: list[list[EventPlace]]  # of each drive's interventions
+    fastest_mph: float
+
+
+def drive_map(drives: Sequence[DriveView], by: By) -> DriveMap | None:
+    """None where none of them has poses."""
+    points = [(x, -y) for drive in drives for _, x, y, _, _ in drive.path]
+    if not points:
+        return None
+    xs, ys = zip(*points, strict=True)
+    size = max(max(xs) - min(xs), max(ys) - min(ys), 1.0)
+    edge = size * _MARGIN
+    width, height = max(xs) - min(xs) + 2 * edge, max(ys) - min(ys) + 2 * edge
+    box = f"{min(xs) - edge:.2f} {min(ys) - edge:.2f} {width:.2f} {height:.2f}"
+    fastest = max([1.0, *(mph for drive in drives for *_, mph, _ in drive.path)])
+    strokes = [_strokes(drive, number, by, fastest) for number, drive in enumerate(drives)]
+    return DriveMap(box, size, strokes, [_places(drive) for drive in drives], fastest)
+
+
+def _strokes(drive: DriveView, number: int, by: By, fastest: float) -> list[Stroke]:
+    """Parts of one colour, each beginning where the one before ends."""
+
+    def style(point: tuple[int, float, float, float, int]) -> str:
+        if by == "speed":
+            return f"speed-{min(SPEEDS - 1, int(SPEEDS * max(0.0, point[3]) / fastest))}"
+        return f"by-{DRIVERS.get(point[4], 'unknown')}" if by == "driver" else f"drive-{number}"
+
+    found = []
+    for name, part in groupby(pairwise(drive.path), key=lambda pair: style(pair[0])):
+        pairs = list(part)
+        first, *rest = [pairs[0][0], *(pair[1] for pair in pairs)]
+        words = [f"{first[1]:.2f},{-first[2]:.2f}", *(f"{point[1]:.2f},{-point[2]:.2f}" for point in rest)]
+        found.append(Stroke(name, " ".join(words)))
+    return found
+
+
+def _places(drive: DriveView) -> list[EventPlace]:
+    """Where the car was when somebody intervened: at the last point that is not after it."""
+    found = []
+    for event in drive.events:
+        before = [point for point in drive.path if point[0] <= event.row] or drive.path[:1]
+        if event.is_intervention and before:
+            found.append(EventPlace(before[-1][1], -before[-1][2], event))
+    return found

@@ -1,0 +1,70 @@
+"""Drives: how far each got, what happened in it, and chosen ones on one map."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import Route
+
+from common import UserError
+from common.errors import printable
+from web.data.drive_map import WAYS, drive_map
+from web.data.drive_view import DriveView, view_drive
+from web.data.project_folders import key_of
+from web.pages.changes import drives_version
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+_PATIENCE_S: Final = 0.5
+MOST_CHOSEN: Final = 8
+
+
+def drive_routes(bench: Workbench) -> list[Route]:
+    def page(request: Request) -> Response:
+        live = drives_version(bench)
+        return HTMLResponse(render("drives.html", live=live, **_told(request)))
+
+    def rows(request: Request) -> Response:
+        return HTMLResponse(render("drive_rows.html", **_told(request)))
+
+    def _told(request: Request) -> dict[str, Any]:
+        query = request.query_params
+        by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
+        there = bench.folders.logs("drives")
+        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in there][:MOST_CHOSEN]
+        cards = bench.cards.cards("drives", _PATIENCE_S)
+        runs = bench.folders.run_folders()
+        shown: list[dict[str, Any]] = []
+        problems = []
+        for card in sorted(cards, key=lambda card: card.info.start if card.info else "", reverse=True):
+            view: DriveView | None = None
+            problem = card.problem
+            if card.info:
+                try:
+                    view = view_drive(card.path, bench.cache)
+                except UserError as error:
+                    problem = printable(str(error))
+            run = card.info.session.get("run", "") if card.info else ""
+            key = key_of(bench.folders.runs / run) if run else ""
+            shown.append(
+                {"card": card, "view": view, "problem": problem, "run": run, "run_key": key if key in runs else ""}
+            )
+        by_key = {drive["card"].key: drive for drive in shown}
+        on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
+        found = drive_map([drive["view"] for drive in on_map], WAYS[by])
+        if on_map and found is None:
+            problems.append("none of these drives has poses: their simulator does not tell where the car is")
+        return {
+            "drives": shown,
+            "chosen": chosen,
+            "on_map": on_map,
+            "map": found,
+            "by": by,
+            "ways": list(WAYS),
+            "problems": problems,
+            "folder": printable(str(bench.folders.drives)),
+        }
+
+    return [Route("/drives", page), Route("/drives.rows", rows)]
