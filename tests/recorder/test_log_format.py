@@ -25,17 +25,20 @@ from model.evaluation.predict_log import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
+from recorder.lerobot.export import export_lerobot
 from recorder.log.edit import merge, rewrite, split, trim
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
+from recorder.sources.import_csv import import_csv
 from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.import_lerobot import import_lerobot
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
 from repository import ROOT
 from tubs import record_1, record_2, write_tub_1, write_tub_2
-from udacity import make_recording, paths
+from udacity import jpeg, make_recording, paths
 from viz.playback.prediction_log import write_predictions
 
 PAGE = (ROOT / "docs" / "log-format.md").read_text(encoding="utf-8")
@@ -211,6 +214,8 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
             "tub 2",
             "mcap",
             "bag",
+            "csv",
+            "lerobot",
             "gym",
             "recovered",
             "trimmed",
@@ -227,6 +232,12 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     import_tub(write_tub_2(folder / "tub 2", map(record_2, range(4))), path["tub 2"])
     import_mcap(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
     import_mcap(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
+    (folder / "pictures").mkdir()
+    (folder / "pictures" / "0.jpg").write_bytes(jpeg(7))
+    (folder / "pictures" / "log.csv").write_text("frame,angle\n0.jpg,0.5\n")
+    import_csv(folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate_hz=20.0)
+    export_lerobot([path["udacity"]], folder / "dataset")
+    import_lerobot(folder / "dataset", path["lerobot"])
     bar = GymFlags(
         "toy_environment:toy/Bar-v0",
         gym_args='{"max_episode_steps": 3}',

@@ -40,8 +40,8 @@ def run_job(folder: Path, root: Path) -> None:
     signal.signal(signal.SIGINT, _leave_to_the_command)
     with (folder / LOCK).open("ab") as held, (folder / OUTPUT).open("ab") as output:
         lock(held)
-        os.write(1, READY)
-        os.close(1)
+        with os.fdopen(1, "wb") as asking:  # the pipe of who has started this process
+            asking.write(READY)
         environment = {**os.environ, "COLUMNS": "160", "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
         line = [*python_of(words[0], root), *words[1:]]
         done = subprocess.run(
