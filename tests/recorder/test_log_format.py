@@ -38,7 +38,8 @@ from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
 from repository import ROOT
 from tubs import record_1, record_2, write_tub_1, write_tub_2
-from udacity import jpeg, make_recording, paths
+from udacity import jpeg as one_picture
+from udacity import make_recording, paths
 from viz.playback.prediction_log import write_predictions
 
 PAGE = (ROOT / "docs" / "log-format.md").read_text(encoding="utf-8")
@@ -233,7 +234,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     import_mcap(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
     import_mcap(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
     (folder / "pictures").mkdir()
-    (folder / "pictures" / "0.jpg").write_bytes(jpeg(7))
+    (folder / "pictures" / "0.jpg").write_bytes(one_picture(7))
     (folder / "pictures" / "log.csv").write_text("frame,angle\n0.jpg,0.5\n")
     import_csv(folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate_hz=20.0)
     export_lerobot([path["udacity"]], folder / "dataset")
