@@ -89,12 +89,13 @@ def _print_json(runs: Sequence[RunSummary]) -> None:
 def _table(runs: Sequence[RunSummary]) -> Table:
     title = "held-out frames: errors as shares of those of always predicting the mean"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("run", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"):
-        is_text = heading in ("run", "recipe", "interventions")
+    for heading in ("run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"):
+        is_text = heading in ("run", "network", "recipe", "interventions")
         table.add_column(heading, justify="left" if is_text else "right", overflow="fold")
     for run in runs:
         table.add_row(
             escape(printable(run.name)),
+            escape(printable(_network_words(run))),
             f"{len(run.sessions):,}",
             escape(printable(run.recipe)),
             f"{run.kept_epoch}/{run.epochs}",
@@ -104,6 +105,11 @@ def _table(runs: Sequence[RunSummary]) -> Table:
             escape(printable(driven_words(run.drives))),
         )
     return table
+
+
+def _network_words(run: RunSummary) -> str:
+    """ "original", "small +speed": the network, and what it answers besides steering."""
+    return " ".join([run.network, *(f"+{target}" for target in run.targets[1:])])
 
 
 def _number(value: float) -> str:

@@ -14,7 +14,7 @@ import msgspec
 from common import UserError
 from model.runs.history import read_epochs
 from model.runs.kept_results import KeptResult, kept_results
-from model.runs.network_of_run import stored_network
+from model.runs.network_of_run import stored_network, stored_targets
 from model.runs.run_folder import CONFIG, WEIGHTS, load_config, weights_checksum
 from model.runs.training_progress import Epoch
 
@@ -46,6 +46,7 @@ class RunSummary:
     written_at: str  # UTC, ISO 8601: its weights, or its config where it has none yet
     problem: str = ""  # why nothing else is known of it
     network: str = ""
+    targets: list[str] = field(default_factory=list)  # that it answers, steering first
     recipe: str = ""
     seed: int = 0
     sessions: list[str] = field(default_factory=list)
@@ -102,6 +103,7 @@ def summarize_run(run: Path) -> RunSummary:
         return RunSummary(
             *about,
             network=stored_network(stored, run).name,
+            targets=list(stored_targets(stored, run)),
             recipe=config.training.recipe,
             seed=config.training.seed,
             sessions=list(config.data.logs),

@@ -49,10 +49,24 @@ def test_runs_stand_beside_one_another(
     keep_result(a_run(tmp_path, "first"), "simulator", drive("lake", 2))
     assert call(bc_runs, "--runs", tmp_path) == 0
     header, row = (line.split() for line in capsys.readouterr().out.splitlines()[-2:])
-    assert header == ["run", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"]
+    assert header == ["run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"]
     # RMSE 2 of the mean's 4; epoch_line tells no balanced RMSE of the mean, as earlier versions did
-    assert row[:7] == ["first", "2", "people", "1/2", "0.50", "-", "0.17"]
-    assert " ".join(row[7:]) == "10 mph: lake 2"
+    assert row[:8] == ["first", "original", "2", "people", "1/2", "0.50", "-", "0.17"]
+    assert " ".join(row[8:]) == "10 mph: lake 2"
+
+
+def test_a_run_says_what_network_it_is_and_what_it_answers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    run = a_run(tmp_path, "quick")
+    config = json.loads((run / "config.json").read_text())
+    config |= {"network": {"name": "small"}, "targets": ["steering", "speed"]}
+    (run / "config.json").write_text(json.dumps(config))
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    assert capsys.readouterr().out.splitlines()[-1].split()[:3] == ["quick", "small", "+speed"]
+    (found,) = listed(capsys, tmp_path)
+    assert (found["network"], found["targets"]) == ("small", ["steering", "speed"])
 
 
 def test_the_best_one_comes_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
