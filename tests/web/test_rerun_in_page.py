@@ -12,7 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import psutil
+import psutil  # type: ignore[import-untyped]
 
 from chromium import chromium
 from common.car import Camera
