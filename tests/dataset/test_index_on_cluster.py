@@ -112,7 +112,7 @@ def test_a_node_without_the_toolkit_is_told(tmp_path: Path) -> None:
     without = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     ray = "import sys; from ray.scripts.scripts import main; sys.argv[0] = 'ray'; main()"
     with ray_cluster(nodes=0) as cluster:
-        start = [tmp_path / "bare" / "bin" / "python", "-c", ray, "start", "--num-cpus", "1"]
+        start = [str(tmp_path / "bare" / "bin" / "python"), "-c", ray, "start", "--num-cpus", "1"]
         subprocess.run([*start, "--address", cluster.address], check=True, capture_output=True, env=without)
         done = run("bc-index", "--ray", cluster.address, cwd=tmp_path)
     assert "cannot import dataset: every node needs behavioural-cloning-toolkit[scale]" in one_line_of(done)
