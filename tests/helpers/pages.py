@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from waiting import PATIENCE_S, wait_until
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, ConsoleMessage, Page
 
 
 @contextlib.contextmanager
@@ -20,11 +20,16 @@ def opened_page(browser: Browser, address: str, *, is_dark: bool = False, width:
     page = browser.new_page(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
     page.set_default_timeout(PATIENCE_S * 1000)
     errors: list[str] = []
+
+    def heard(said: ConsoleMessage) -> None:
+        if said.type == "error" and "/rerun/" not in said.location["url"]:  # that viewer asks for what it may not
+            errors.append(f"{said.text} ({said.location['url']})")
+
     page.on("pageerror", lambda error: errors.append(str(error)))
-    page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
+    page.on("console", heard)
     page.goto(address)
     yield page
-    assert errors == []
+    assert not errors, errors
     page.close()
 
 

@@ -118,6 +118,9 @@ def test_from_a_damaged_session_to_its_drive(tmp_path: Path, capsys: pytest.Capt
         assert f"{driven} rows" in page.inner_text(".title")
         assert page.locator("figure:not([hidden]) img").first.evaluate("image => image.decode().then(() => true)")
         assert call(recorder.log_cli.main, "check", drive) == 0
+        page.keyboard.press("o")
+        page.wait_for_selector("#rerun[data-shown]")
+        assert page.locator("#rerun iframe").count() == 1
 
 
 def excluded(log: Path, capsys: pytest.CaptureFixture[str]) -> list[tuple[int, int]]:
