@@ -6,6 +6,7 @@ traceback.
 
     UserError
     ├── UsageError       (common)     flags of a command that do not go together, or a value that makes no sense
+    ├── ClusterError     (common)     a Ray cluster that cannot be reached, or on which nothing of ours can run
     ├── LogError         (recorder)   a log that is missing, damaged, unfinished or of another program
     ├── RecordingError   (recorder)   a recording that cannot be imported
     ├── ListenError      (recorder)   a port that is taken, or may not be listened on

@@ -21,6 +21,7 @@ from web.data.file_versions import version_of
 from web.data.odd_stretches import odd_stretches
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
+from web.data.rerun_viewers import command_of
 from web.pages.tagging import change_tags
 from web.pages.workbench import Workbench
 from web.server.templates import render
@@ -43,6 +44,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 info=info,
                 cameras=CAMERAS,
                 path=printable(str(path)),
+                play_command=command_of(path),
             )
         )
 

@@ -10,6 +10,7 @@ from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
 from web.data.project_folders import ProjectFolders
+from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
@@ -28,3 +29,4 @@ class Workbench:
     runs: RunCards
     jobs: Jobs
     trials: IndexTrials
+    viewers: RerunViewers

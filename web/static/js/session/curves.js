@@ -176,7 +176,8 @@ export class Curves {
     const size = Math.min(max - min, end) || 1;
     const from = Math.max(0, Math.min(min, end - size));
     this.view = size < end ? { min: from, max: from + size } : null; // all of it, also when it grows
-    for (const plot of this.plots) plot.setScale("x", { min: from, max: from + size });
+    const seen = { min: from, max: from + size };
+    for (const plot of this.plots) plot.batch(() => plot.setScale("x", seen)); // at once: the markers go by it
     this.placeMarkers();
   }
 

@@ -10,6 +10,7 @@ import { ask, LogData } from "./log_data.js";
 import { following, grouped, left, words } from "./odd.js";
 import { Pictures } from "./pictures.js";
 import { Player } from "./player.js";
+import { RerunFrame } from "./rerun.js";
 
 const EXCLUDE = "exclude";
 const by = (id) => document.getElementById(id);
@@ -19,6 +20,7 @@ const pictures = new Pictures(document.querySelectorAll("figure[data-camera]"), 
 const curves = new Curves(by("curves"), data, { onMove: point, onSelect: select });
 const player = new Player(data, { onMove: move, onChange: showPlaying });
 const done = new History(data);
+const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: say });
 let groups = [];
 let toDo = [];
 let selection = null;
@@ -33,6 +35,7 @@ function move(position) {
   if (!data.length) return;
   curves.point(position);
   pictures.show(curves.position);
+  rerun.moveTo(curves.position);
   const at = curves.position;
   const { row, time_s, steering, throttle, brake, speed_mph } = data.columns;
   const told = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
@@ -136,6 +139,17 @@ function setSpeed(speed) {
   by("speed").value = speed;
 }
 
+function toggleRerun() {
+  if (rerun.isOpen) rerun.close();
+  else rerun.open(curves.position);
+}
+
+/** Rerun shows the cameras, too: theirs make room for it. */
+function showRerun() {
+  by("rerun-button").setAttribute("aria-pressed", rerun.isOpen);
+  page.classList.toggle("in-rerun", rerun.isOpen);
+}
+
 function showTags() {
   toDo = left(groups, data.tags);
   const undone = new Set(toDo);
@@ -191,6 +205,8 @@ by("before").addEventListener("click", () => goToOdd(-1));
 by("exclude").addEventListener("click", () => tag(EXCLUDE));
 by("undo").addEventListener("click", undo);
 by("look").addEventListener("click", look);
+by("rerun-button").addEventListener("click", toggleRerun);
+by("rerun-close").addEventListener("click", toggleRerun);
 by("redo").addEventListener("click", redo);
 by("name-form").addEventListener("submit", (event) => {
   event.preventDefault();
@@ -248,6 +264,7 @@ listen({
   "+": () => curves.zoom(0.5),
   "-": () => curves.zoom(2),
   0: () => curves.show(0, data.length - 1),
+  o: toggleRerun,
   "?": toggleHelp,
 });
 
