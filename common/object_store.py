@@ -64,7 +64,7 @@ _PATIENT: Final[RetryConfig] = {
 
 
 @dataclass(frozen=True, order=True)
-class Listed:
+class StoredObject:
     """An object as a listing tells of it."""
 
     url: Url
@@ -187,18 +187,18 @@ class ObjectFile(Closeable):
                 self._kept.popitem(last=False)
 
 
-def list_objects(folder: Url) -> list[Listed]:
+def list_objects(folder: Url) -> list[StoredObject]:
     """The objects right in a folder, by name. One request for a thousand names. Raises StoreError."""
     with _told(folder):
         found = obstore.list_with_delimiter(_store(folder, False), folder.key or None)["objects"]
     objects = (
-        Listed(Url(folder.scheme, folder.bucket, each["path"]), each["size"], each["e_tag"] or "")
+        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], each["e_tag"] or "")
         for each in found
     )
     return sorted(objects)
 
 
-def find_object(url: Url) -> Listed | None:
+def find_object(url: Url) -> StoredObject | None:
     """What a store tells of an object; None if there is none. Raises StoreError."""
     with _told(url):
         try:
@@ -207,7 +207,7 @@ def find_object(url: Url) -> Listed | None:
             if _is_no_bucket(str(error)):
                 raise
             return None
-    return Listed(url, found["size"], found["e_tag"] or "")
+    return StoredObject(url, found["size"], found["e_tag"] or "")
 
 
 def read_object(url: Url, max_bytes: int) -> bytes | None:
