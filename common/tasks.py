@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Protocol, TypeVar
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Any, Final, Protocol, TypeVar
 
 Result = TypeVar("Result")
+
+_THREADS: Final = 8
 
 
 class Tasks(Protocol):
@@ -25,3 +28,14 @@ def one_by_one(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
     """Make the calls in this process, in their order."""
     for number, arguments in enumerate(calls):
         yield number, function(*arguments)
+
+
+def in_threads(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
+    """Make several calls at a time in this process, which wait for a store more than they compute."""
+    with ThreadPoolExecutor(_THREADS) as pool:
+        numbers = {pool.submit(function, *arguments): number for number, arguments in enumerate(calls)}
+        try:
+            for done in as_completed(numbers):
+                yield numbers[done], done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
