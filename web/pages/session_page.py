@@ -45,6 +45,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 cameras=CAMERAS,
                 path=printable(str(path)),
                 play_command=command_of(path),
+                runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
             )
         )
 
