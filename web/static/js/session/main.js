@@ -220,7 +220,7 @@ async function look() {
   } catch (error) {
     say(error.message);
   }
-  by("look").textContent = "Look for frozen and broken pictures";
+  by("look").textContent = "Look at all pictures";
   by("look").disabled = false;
 }
 
