@@ -28,6 +28,7 @@ from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
+from web.pages.log_jobs_page import log_job_routes
 from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
@@ -71,7 +72,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         *(
             route
             for place in PLACES
-            for routes in (session_routes, log_file_routes, rerun_log_routes, prediction_routes)
+            for routes in (session_routes, log_file_routes, rerun_log_routes, prediction_routes, log_job_routes)
             for route in routes(bench, place)
         ),
         *rerun_routes(bench),
