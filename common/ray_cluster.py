@@ -56,11 +56,9 @@ class _Failed:
     error: Exception
 
 
-def address_of(flag: Sequence[str] | None) -> str | None:
-    """The address that `--ray [ADDRESS]` gives: None without the flag, "" for the one that Ray finds by itself.
-    Raises UsageError for what is none."""
-    if flag is None:
-        return None
+def address_of(flag: Sequence[str]) -> str:
+    """The address that `--ray [ADDRESS]` gives: "" for the one that Ray finds by itself. Raises UsageError for
+    what is none."""
     if len(flag) > 1:
         raise UsageError(f"--ray {' '.join(flag)}: at most one address; names go before --ray")
     address = flag[0] if flag else ""

@@ -1,4 +1,6 @@
-"""`bc-index --ray`: the index that one machine would make, byte for byte; and what is said where none is made."""
+"""`--ray`: what one machine would make, byte for byte; what is said where it cannot be; and nodes that die.
+
+One file for all commands, because one cluster takes seconds to start."""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ import pytest
 from clusters import ray_cluster
 from common.ray_cluster import cluster_tasks
 from dataset import build_index
-from driving import one_line_of, run, run_code
+from driving import one_line_of, run, run_code, untrained_run
 from logs import write_log
 from waiting import wait_until
 
@@ -139,3 +141,16 @@ def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
     done = run("bc-index", "--ray", "drive 0", cwd=tmp_path)
     assert done.returncode == 2
     assert "HOST:PORT, ray://HOST:PORT, auto or local was expected; names go before --ray" in one_line_of(done)
+
+
+def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
+    untrained_run(tmp_path / "runs" / "untrained")
+    drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
+    here = run("bc-eval", *drives, "--logs", "here", cwd=tmp_path)
+    there = run("bc-eval", *drives, "--logs", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (0, 0), there.stderr
+    assert there.stderr == ""
+    expected = [line.replace('"here/', '"there/') for line in here.stdout.splitlines()]
+    assert sorted(there.stdout.splitlines()) == sorted(expected)
+    assert all("trajectory_sha256" in line for line in expected)
+    assert len(list((tmp_path / "there").glob("*.mcap"))) == 2
