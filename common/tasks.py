@@ -21,16 +21,24 @@ class Tasks(Protocol):
     """A way to make calls that do not depend on each other."""
 
     def __call__(
-        self, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
+        self,
+        function: Callable[..., Result],
+        calls: Sequence[tuple[Any, ...]],
+        lost: Callable[[int, str], Result] | None = None,
     ) -> Iterator[tuple[int, Result]]:
         """Call `function` with each of the tuples of arguments; yield number and result of each, as they come.
 
         What one raises is raised, and the rest is not done. A call may be made again where its process died: it
-        must come to the same.
+        must come to the same. `lost` gives the result, by its number and why, of a call whose process died each
+        time; without it, that is raised.
         """
 
 
-def one_by_one(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
+def one_by_one(
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    lost: Callable[[int, str], Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
     """Make the calls in this process, in their order."""
     for number, arguments in enumerate(calls):
         yield number, function(*arguments)

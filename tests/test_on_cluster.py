@@ -22,6 +22,7 @@ from common.ray_cluster import cluster_tasks
 from dataset import build_index
 from driving import one_line_of, run, run_code, untrained_run
 from logs import write_log
+from toy import toy_index
 from waiting import wait_until
 
 
@@ -154,3 +155,17 @@ def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Pat
     assert sorted(there.stdout.splitlines()) == sorted(expected)
     assert all("trajectory_sha256" in line for line in expected)
     assert len(list((tmp_path / "there").glob("*.mcap"))) == 2
+
+
+@pytest.mark.long
+def test_a_sweep_on_a_cluster_comes_to_the_runs_of_one_machine(tmp_path: Path, cluster: Any) -> None:
+    toy_index(tmp_path)
+    settings = 'epochs = 2\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
+    (tmp_path / "s.toml").write_text(f"seeds = [1, 2]\n[train]\n{settings}[grid]\nrate = [1e-4, 1e30]\n")
+    here = run("bc-sweep", "s.toml", "--runs", "here", cwd=tmp_path)
+    there = run("bc-sweep", "s.toml", "--runs", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (3, 3), there.stderr
+    assert there.stdout == here.stdout
+    for seed in (1, 2):
+        name = f"s-rate_0.0001-seed{seed}/model.safetensors"
+        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
