@@ -9,7 +9,7 @@ from dataset.picture_spec import PictureSpec
 
 
 class ColumnNet(nn.Module):
-    """Three convolutions, the mean of each column, and one layer that steers by them."""
+    """Three convolutions, the last one over whole columns, and one layer that steers by these."""
 
     PICTURE = PictureSpec(width_px=160, height_px=48, channels="YUV")
 
@@ -20,11 +20,10 @@ class ColumnNet(nn.Module):
             nn.ReLU(),
             nn.Conv2d(planes, planes, 5, stride=2),
             nn.ReLU(),
-            nn.Conv2d(planes, 2 * planes, 3, stride=2),
+            nn.Conv2d(planes, 2 * planes, (9, 3), stride=2),  # all rows: 18 columns are left
             nn.ReLU(),
-            nn.AdaptiveAvgPool2d((1, 16)),  # of each column
         )
-        self.act = nn.Sequential(nn.Flatten(), nn.Dropout(dropout), nn.Linear(2 * planes * 16, 1))
+        self.act = nn.Sequential(nn.Flatten(), nn.Dropout(dropout), nn.Linear(2 * planes * 18, 1))
 
     def forward(self, pictures: Tensor) -> Tensor:
         """(N, 1) for pictures (N, 3, height, width) that are scaled to -1..1."""

@@ -34,7 +34,8 @@ class Train:
     """Train the network on the index; the run is kept in runs/NAME/.
 
     The index is built from all sessions if there is none yet. Ctrl-C stops after the current batch, and --resume
-    goes on from there. `bc-train export RUN --onnx` gives a trained network to other programs.
+    goes on from there. `bc-train export RUN --onnx` gives a trained network to other programs, --hub FOLDER to
+    the Hugging Face hub.
     """
 
     name: str = ""

@@ -16,7 +16,7 @@ from common.tasks import Tasks
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate
 from drive.evaluation.simulator_process import BuiltInSimulator
-from drive.evaluation.sweep_plan import Sweep, Training
+from drive.evaluation.sweep_plan import SweepPlan, Training
 from model import load_pilot, train
 from model.network.names import is_own
 from model.network.own_code import load_code
@@ -37,7 +37,7 @@ class Swept:
     failure: str = ""  # why it did not come to its end
 
 
-def run_sweep(sweep: Sweep, index: Path, runs: Path, logs: Path, tasks: Tasks) -> Iterator[Swept]:
+def run_sweep(sweep: SweepPlan, index: Path, runs: Path, logs: Path, tasks: Tasks) -> Iterator[Swept]:
     """Train and drive what is not yet; the results as they come. `logs` is the folder of the drives' logs.
 
     A training or drive that fails is a result, too, and the others go on.

@@ -51,7 +51,7 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepPlan:
     name: str
     trainings: tuple[Training, ...]
     drives: tuple[tuple[BuiltInSimulator, DriveConfig], ...]
@@ -71,7 +71,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     drive: _Drive | None = None
 
 
-def read_sweep(path: Path) -> Sweep:
+def read_sweep(path: Path) -> SweepPlan:
     """Raises UserError for a file that is none, or settings that bc-train or bc-eval would not take."""
     try:
         stored = msgspec.convert(tomllib.loads(read_bounded(path, _MOST_BYTES).decode()), _File)
@@ -95,7 +95,7 @@ def read_sweep(path: Path) -> Sweep:
         configs = [DriveConfig(set_speed_mph=speed) for speed in stored.drive.speed]
         tracks = [BuiltInSimulator(track, stored.drive.laps) for track in stored.drive.simulator]
         drives = [(track, config) for config in configs for track in tracks]
-    return Sweep(name, trainings, tuple(drives))
+    return SweepPlan(name, trainings, tuple(drives))
 
 
 def _combinations(path: Path, stored: _File) -> list[dict[str, Any]]:
