@@ -17,6 +17,7 @@ from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.predictions import Predictions
 from web.data.project_folders import PLACES, ProjectFolders
 from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
@@ -27,6 +28,7 @@ from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
+from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
 from web.pages.runs_page import run_list_routes
@@ -49,6 +51,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
     checks = PictureChecks(folders.index, kept)
     runs = RunCards(folders)
     viewers = RerunViewers()
+    predictions = Predictions(cache)
     bench = Workbench(
         folders,
         kept,
@@ -60,6 +63,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         Jobs(cache),
         IndexTrials(cache),
         viewers,
+        predictions,
     )
     routes = [
         *session_list_routes(bench),
@@ -67,7 +71,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         *(
             route
             for place in PLACES
-            for routes in (session_routes, log_file_routes, rerun_log_routes)
+            for routes in (session_routes, log_file_routes, rerun_log_routes, prediction_routes)
             for route in routes(bench, place)
         ),
         *rerun_routes(bench),
@@ -82,6 +86,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         yield RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), host, token)
     finally:
         viewers.close()
+        predictions.close()
         pool.shutdown(cancel_futures=True)
         runs.close()
         checks.close()

@@ -45,6 +45,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 cameras=CAMERAS,
                 path=printable(str(path)),
                 play_command=command_of(path),
+                runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
             )
         )
 
@@ -112,7 +113,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
 def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
     log, states = opened.log, opened.states
-    findings = bench.checks.findings(log)
+    findings, against = bench.checks.findings(log), bench.checks.against(log)
     return {
         "version": opened.version,
         "fingerprint": log.fingerprint,
@@ -121,7 +122,7 @@ def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": [
             (stretch.flag, stretch.first, stretch.last)
-            for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())
+            for stretch in (odd_stretches(log, states, findings, against or ()) if len(states.row) else ())
         ],
-        "looked": findings is not None,
+        "looked": findings is not None and against is not None,
     }
