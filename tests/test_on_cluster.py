@@ -80,7 +80,11 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Pat
 
     with cluster_tasks(cluster.address, resources={"dying": 0.01}) as there:
 
-        def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+        def tasks(
+            function: Callable[..., Any],
+            calls: Sequence[tuple[Any, ...]],
+            lost: Callable[[int, str], Any] | None = None,
+        ) -> Iterator[tuple[int, Any]]:
             for number, result in there(waiting_at_first(function), calls):
                 if number == 0:
                     wait_until(began.exists)
