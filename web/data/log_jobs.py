@@ -21,7 +21,7 @@ _MOST_CHARACTERS: Final = 200  # of a new log's name
 
 
 @dataclass(frozen=True)
-class Asked:
+class NewLogAsked:
     """What a form of the page says."""
 
     new: str = ""  # name of the new log, without its folder
@@ -37,7 +37,7 @@ class LogJob:
     name: str
     title: str
     about: str
-    words: Callable[[Path, Path, Asked, Mapping[str, Path]], Sequence[str]]
+    words: Callable[[Path, Path, NewLogAsked, Mapping[str, Path]], Sequence[str]]
     """Of the command line behind `bc-log NAME LOG`, for a log, the new one, what is asked, and all logs by key."""
     new: Callable[[Path], Path] | None = None
     has_rows: bool = False
@@ -45,18 +45,18 @@ class LogJob:
     first_made: Callable[[Path], Path] | None = None  # where the command gives the names
 
 
-def _nothing(log: Path, new: Path, asked: Asked, logs: Mapping[str, Path]) -> list[str]:
+def _nothing(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
     return []
 
 
-def _trim(log: Path, new: Path, asked: Asked, logs: Mapping[str, Path]) -> list[str]:
+def _trim(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
     rows = [_row(asked.first, "first row"), _row(asked.last, "last row")]
     if rows[0] > rows[1]:
         raise WebError(f"rows {rows[0]} to {rows[1]}: the first row, then the last one", 422)
     return ["--rows", *map(str, rows), f"--to={new}"]
 
 
-def _merge(log: Path, new: Path, asked: Asked, logs: Mapping[str, Path]) -> list[str]:
+def _merge(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
     if not asked.others:
         raise WebError("choose at least one other log to merge it with", 422)
     others = []
@@ -67,7 +67,7 @@ def _merge(log: Path, new: Path, asked: Asked, logs: Mapping[str, Path]) -> list
     return [*others, f"--to={new}"]
 
 
-def _recover(log: Path, new: Path, asked: Asked, logs: Mapping[str, Path]) -> list[str]:
+def _recover(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
     return [f"--to={new}"]
 
 
@@ -123,7 +123,9 @@ def log_job(name: str) -> LogJob:
     raise WebError(f"{name!r}: nothing of that name is made of a log", 404)
 
 
-def command_line(job: LogJob, log: Path, asked: Asked, logs: Mapping[str, Path]) -> tuple[list[str], Path | None]:
+def command_line(
+    job: LogJob, log: Path, asked: NewLogAsked, logs: Mapping[str, Path]
+) -> tuple[list[str], Path | None]:
     """The words of the command, and the log that it makes, or the first of several; None for none.
 
     Raises WebError for what cannot be one, and where a log of the new name is there already.

@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from web.data.log_jobs import LOG_JOBS, Asked, command_line, log_job
+from web.data.log_jobs import LOG_JOBS, NewLogAsked, command_line, log_job
 from web.data.project_folders import Place, key_of
 from web.pages.form_values import form_pairs
 from web.pages.workbench import Workbench
@@ -56,10 +56,10 @@ def shown_log_jobs(log: Path) -> list[dict[str, Any]]:
     ]
 
 
-def _asked(pairs: Iterable[tuple[str, str]]) -> Asked:
+def _asked(pairs: Iterable[tuple[str, str]]) -> NewLogAsked:
     given = list(pairs)
     values = dict(given)
-    return Asked(
+    return NewLogAsked(
         values.get("new", "").strip(),
         values.get("first", "").strip(),
         values.get("last", "").strip(),
