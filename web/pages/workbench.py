@@ -10,6 +10,7 @@ from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.predictions import Predictions
 from web.data.project_folders import ProjectFolders
 from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
@@ -32,3 +33,4 @@ class Workbench:
     jobs: Jobs
     trials: IndexTrials
     viewers: RerunViewers
+    predictions: Predictions
