@@ -22,8 +22,8 @@ from web.data.file_versions import version_of
 from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
 from web.data.job_forms import INDEX_FIELDS, form_of
 from web.data.project_folders import key_of
+from web.data.run_origins import TrainedOn
 from web.data.run_settings import differing
-from web.data.trained_on import TrainedOn
 from web.errors import WebError
 from web.pages.form_values import form_values
 from web.pages.workbench import Workbench

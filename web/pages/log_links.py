@@ -9,7 +9,7 @@ from starlette.routing import Route
 from common.errors import printable
 from dataset.frames.frames_file import session_name
 from web.data.project_folders import Place, key_of
-from web.data.trained_on import learnt_from
+from web.data.run_origins import learnt_from
 from web.pages.workbench import Workbench
 from web.server.templates import render
 

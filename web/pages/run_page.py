@@ -15,8 +15,8 @@ from common import UserError
 from common.errors import printable
 from web.data.project_folders import PLACES, ProjectFolders, key_of
 from web.data.run_cards import RunCard
+from web.data.run_origins import TrainedOn
 from web.data.run_settings import run_settings
-from web.data.trained_on import TrainedOn
 from web.errors import WebError
 from web.pages.changes import runs_version
 from web.pages.runs_page import PATIENCE_S
