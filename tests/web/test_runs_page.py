@@ -109,6 +109,9 @@ def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Serve
     assert 'href="/sessions/sunday"' in text
     assert "monday" in text
     assert "/sessions/monday" not in text  # not there
+    assert 'learnt from by <a href="/runs/' in bench.get("/sessions/sunday/links").text
+    assert 'href="/runs/good"' in bench.get("/sessions/sunday/links").text
+    assert "another one" in text  # of which there is no index here
     assert "lake" in plain(text)
     assert bench.get("/runs/newer").status == 200
     assert "of format 99" in page(bench, "newer")
@@ -128,7 +131,7 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
         wait_until(lambda: "8.0° too far to the right" in bench.get("/runs/r/body").text)
         text = bench.get("/runs/r").text
         assert "6.0° too far to the left" in text
-        assert 'href="/sessions/sunday#row=7"' in text
+        assert 'href="/sessions/sunday#row=7&amp;run=' in text
         assert bench.get("/runs/r/worst/1/1.jpg").body == road_jpeg(3)
         assert bench.get("/runs/r/worst/1/2.jpg").status == 404
         assert "6.0°" not in bench.get("/runs/r?epoch=2").text

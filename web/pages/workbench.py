@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from web.data.cache_folder import CacheFolder
+from web.data.drive_view import DriveViews
 from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.predictions import Predictions
 from web.data.project_folders import ProjectFolders
 from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
@@ -24,9 +26,11 @@ class Workbench:
     cache: CacheFolder
     logs: OpenLogs
     cards: SessionCards
+    drives: DriveViews
     searches: WhereSearches
     checks: PictureChecks
     runs: RunCards
     jobs: Jobs
     trials: IndexTrials
     viewers: RerunViewers
+    predictions: Predictions
