@@ -47,7 +47,11 @@ def one_by_one(
         yield number, function(*arguments)
 
 
-def in_threads(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
+def in_threads(
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    lost: Callable[[int, str], Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
     """Make several calls at a time in this process, which wait for a store more than they compute."""
     with ThreadPoolExecutor(_THREADS) as pool:
         numbers = {pool.submit(function, *arguments): number for number, arguments in enumerate(calls)}
