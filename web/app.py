@@ -6,12 +6,14 @@ import contextlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Final
 
 from starlette.applications import Starlette
 from starlette.routing import Mount
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from web.data.attention import Attention
 from web.data.cache_folder import CacheFolder
 from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
@@ -23,6 +25,7 @@ from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
+from web.pages.attention_page import attention_routes
 from web.pages.changes import change_routes
 from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
@@ -38,6 +41,15 @@ from web.pages.sessions_page import session_list_routes
 from web.pages.workbench import Workbench
 from web.server.error_pages import HANDLERS
 from web.server.request_guard import RequestGuard
+
+_OF_A_LOG: Final = (
+    session_routes,
+    log_file_routes,
+    rerun_log_routes,
+    prediction_routes,
+    attention_routes,
+    log_job_routes,
+)
 
 
 @contextlib.contextmanager
@@ -65,16 +77,12 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         IndexTrials(cache),
         viewers,
         predictions,
+        Attention(),
     )
     routes = [
         *session_list_routes(bench),
         *change_routes(bench),
-        *(
-            route
-            for place in PLACES
-            for routes in (session_routes, log_file_routes, rerun_log_routes, prediction_routes, log_job_routes)
-            for route in routes(bench, place)
-        ),
+        *(route for place in PLACES for routes in _OF_A_LOG for route in routes(bench, place)),
         *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),
