@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
@@ -22,7 +23,7 @@ import torch
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from drive.cli import main as drive_main
 from forked import Forked, ForkServer
-from model.network.original import SteeringNetwork
+from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
 from udacity import call
@@ -142,15 +143,19 @@ def road_jpeg(number: int) -> bytes:
     return encoded.tobytes()
 
 
-def untrained_run(folder: Path, seed: int = 0, targets: Sequence[TargetName] = STEERING_ONLY) -> Path:
+def untrained_run(
+    folder: Path, seed: int = 0, targets: Sequence[TargetName] = STEERING_ONLY, network: str = "small"
+) -> Path:
     """A run whose network was never trained, but steers differently for every picture."""
     torch.manual_seed(seed)
-    network = SteeringNetwork(outputs=len(targets))
-    for parameter in network.parameters():
+    choice = replace(built_in(network, {}), outputs=len(targets))
+    made = choice.build()
+    for parameter in made.parameters():
         if parameter.dim() > 1:
             torch.nn.init.kaiming_uniform_(parameter, nonlinearity="relu")
-    create_run(folder, {"seed": seed, "targets": targets})
-    save_weights(folder, network.state_dict(), epoch=0)
+    config = {"seed": seed, "targets": targets, "network": choice.description}
+    create_run(folder, config, choice.picture)
+    save_weights(folder, made.state_dict(), epoch=0)
     return folder
 
 

@@ -19,7 +19,11 @@ from typing import IO, Any, Final
 
 from repository import HELPERS
 
-_UNREAD: Final = ("PYTEST_CURRENT_TEST", "EVENTLET_NO_GREENDNS")  # the latter is set where a server was
+# set for this process by what a test has called: a server, the viewer, gymnasium, polars; forks have them, too
+_UNREAD: Final = (
+    *("PYTEST_CURRENT_TEST", "EVENTLET_NO_GREENDNS", "RUST_LOG"),
+    *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
+)
 _LIMITS: Final = ("RLIMIT_AS", "RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_NOFILE")
 
 

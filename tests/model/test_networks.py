@@ -151,7 +151,7 @@ def test_it_is_exported(run: Path, tmp_path: Path) -> None:
 
 
 def test_networks_that_see_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:
-    original = untrained_run(tmp_path / "original")
+    original = untrained_run(tmp_path / "original", network="original")
     small = train(index, tmp_path / "small", replace(settings("small"), epochs=1), figures=False).run
     together = evaluate_runs([original, small], index)
     for run, found in zip((original, small), together, strict=True):
@@ -170,7 +170,7 @@ def test_networks_that_see_different_pictures_are_measured_on_the_same_frames(in
 
 
 def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: Path, tmp_path: Path) -> None:
-    original = untrained_run(tmp_path / "original")
+    original = untrained_run(tmp_path / "original", network="original")
     with pytest.raises(RunError, match=r"its network is original, and small cannot .* give --network original"):
         train(index, tmp_path / "run", settings("small"), init=original)
     red = replace(TINY, channels="RGB")
