@@ -1,7 +1,7 @@
 """Commands that are forked from a process that has PyTorch loaded (fork_server.py) instead of started.
 
 A start costs one or two seconds of processor time, nearly all of it for imports. What a fork does not show: the
-order of sets and imports is the same in all forks of one process."""
+order of sets and imports is the same in all forks of one process, and objects are not deleted at its end."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from typing import IO, Any, Final
 
 from repository import HELPERS
 
-# set for this process by what a test has called: a server, the viewer, gymnasium, polars; forks have them, too
+# all but the first two are set for this process by what a test has called: a server, the viewer, gymnasium, polars
 _UNREAD: Final = (
-    *("PYTEST_CURRENT_TEST", "EVENTLET_NO_GREENDNS", "RUST_LOG"),
+    *("PYTEST_CURRENT_TEST", "DISPLAY", "EVENTLET_NO_GREENDNS", "RUST_LOG"),
     *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
 )
 _LIMITS: Final = ("RLIMIT_AS", "RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_NOFILE")
