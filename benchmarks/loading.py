@@ -29,6 +29,7 @@ import pyarrow.parquet as pq
 from mcap.reader import make_reader
 from torch.utils.data import DataLoader
 
+from common.location import local_path
 from dataset import Loader, Samples, decode, preprocess
 from recorder import Log
 from recorder.log.compressed_image import image_data
@@ -192,7 +193,7 @@ def _mcap_reader(table: pa.Table, logs: dict[str, Log]) -> Epoch:
     wanted = table.take(np.random.default_rng(0).permutation(len(table))[:BY_TIME]).to_pylist()
 
     def epoch() -> Iterator[Any]:
-        streams = {session: log.path.open("rb") for session, log in logs.items()}
+        streams = {session: local_path(log.path).open("rb") for session, log in logs.items()}
         readers = {session: make_reader(stream) for session, stream in streams.items()}
         for row in wanted:
             time_ns = row["log_time_ns"]

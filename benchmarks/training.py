@@ -25,6 +25,7 @@ from typing import IO, Final
 
 import numpy as np
 
+from common.location import local_path
 from dataset import Samples
 from dataset.parquet_file import write_table
 from dataset.samples.samples_format import SAMPLES_NAME
@@ -115,7 +116,7 @@ def write_pictures(index: Path, folder: Path, count: int) -> int:
         table = samples.of_split("train")
         table = table.take(np.sort(np.random.default_rng(0).permutation(len(table))[:count]))
         logs = {
-            session: {"log": str(log.path.absolute()), "fingerprint": log.fingerprint}
+            session: {"log": str(local_path(log.path).absolute()), "fingerprint": log.fingerprint}
             for session, log in samples.logs.items()
         }
         write_table(folder / "index" / SAMPLES_NAME, table, {**samples.metadata, "logs": logs})

@@ -7,12 +7,14 @@ Ctrl-C.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import logging
 import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
@@ -20,6 +22,7 @@ import tyro
 
 from common.errors import Skipped, UsageError, UserError
 from common.interrupts import GracefulStop, handle_signals
+from common.location import refuse_collapsed
 from common.output import MessageHandler, clear_live_displays, print_message, print_result
 from common.streams import drain, end_process, nonblocking_streams, stdout_error
 from common.versions import version_of
@@ -144,7 +147,9 @@ def _run(
             print_result(f"{prog} {version_of()}")
             return DONE
         flags = (tyro.conf.FlagCreatePairsOff,)
-        return action(tyro.cli(config, prog=prog, description=about, config=flags, **given))
+        given_flags = tyro.cli(config, prog=prog, description=about, config=flags, **given)
+        _refuse_urls(given_flags)
+        return action(given_flags)
     except UserError as error:
         why: str | None = str(error)
         if isinstance(error, UsageError):
@@ -171,6 +176,18 @@ def _run(
         return print_error(prog, kind(why))
     print_message("stopped", heading=f"{prog}:")
     return INTERRUPTED
+
+
+def _refuse_urls(given: object) -> None:
+    """Raise UsageError for a path, among all flags, that was made of a URL."""
+    if isinstance(given, Path):
+        refuse_collapsed(given)
+    elif isinstance(given, tuple):
+        for each in given:
+            _refuse_urls(each)
+    elif dataclasses.is_dataclass(given):
+        for each in dataclasses.fields(given):
+            _refuse_urls(getattr(given, each.name))
 
 
 def _no_memory(error: Exception) -> str:

@@ -6,6 +6,8 @@ traceback.
 
     UserError
     ├── UsageError       (common)     flags of a command that do not go together, or a value that makes no sense
+    ├── StoreError       (common)     a store of objects that does not answer, or refuses
+    ├── ClusterError     (common)     a Ray cluster that cannot be reached, or on which nothing of ours can run
     ├── LogError         (recorder)   a log that is missing, damaged, unfinished or of another program
     ├── RecordingError   (recorder)   a recording that cannot be imported
     ├── ListenError      (recorder)   a port that is taken, or may not be listened on
@@ -49,6 +51,22 @@ class UserError(Exception):
 class UsageError(UserError):
     """Flags of a command that do not go together, or the value of one that makes no sense in itself. The name of a
     log, track or run that does not exist is a UserError."""
+
+
+class StoreError(UserError):
+    """A store that does not answer, or refuses what was asked."""
+
+
+class NoSuchObjectError(StoreError):
+    """Nothing of this name is there, or may be seen."""
+
+
+class ObjectExistsError(StoreError):
+    """Something of this name is there already."""
+
+
+class ObjectChangedError(StoreError):
+    """An object was replaced while it was read."""
 
 
 class Skipped:

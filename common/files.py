@@ -10,9 +10,11 @@ import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import overload
 
 from common.errors import UserError
 from common.interrupts import uninterrupted
+from common.location import Location, Url
 
 PART_SUFFIX = ".part"
 
@@ -24,7 +26,12 @@ def part_path(path: Path) -> Path:
 
 def final_path(path: Path) -> Path:
     """The name that a file of a temporary name will get when it is whole; any other path as it is."""
-    return path.with_name(re.sub(rf"(?<=.)\.[0-9a-f]{{6}}{re.escape(PART_SUFFIX)}$", "", path.name))
+    return path.with_name(final_name(path.name))
+
+
+def final_name(name: str) -> str:
+    """The same, of a name without its folder."""
+    return re.sub(rf"(?<=.)\.[0-9a-f]{{6}}{re.escape(PART_SUFFIX)}$", "", name)
 
 
 def make_folder(folder: Path) -> list[Path]:
@@ -189,7 +196,17 @@ def _name_folder(part: Path, folder: Path) -> None:
         raise UserError(f"{folder} cannot get its name ({error.strerror}); nothing was kept of it") from None
 
 
-def short_path(path: Path) -> Path:
-    """A path as a person would type it: from the current folder, if it is in it."""
+@overload
+def short_path(path: Path) -> Path: ...
+
+
+@overload
+def short_path(path: Location) -> Location: ...
+
+
+def short_path(path: Location) -> Location:
+    """A place as a person would type it: from the current folder, if it is in it."""
+    if isinstance(path, Url):
+        return path
     resolved = path.resolve()
     return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved

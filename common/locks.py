@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from typing import IO, Final
 
+from common.location import Location
+
 if sys.platform == "win32":
     import msvcrt
 else:
@@ -35,13 +37,13 @@ def try_lock(stream: IO[bytes]) -> bool:
     return True
 
 
-def is_being_written(path: Path) -> bool:
+def is_being_written(path: Location) -> bool:
     """True if a process of this machine is still writing the file at `path`.
 
-    False where the file system knows no locks, and for what is missing or no file.
+    False where the file system knows no locks, for objects in a store, and for what is missing or no file.
     """
     try:
-        if not path.is_file():  # opening a pipe would wait for its writer
+        if not isinstance(path, Path) or not path.is_file():  # opening a pipe would wait for its writer
             return False
         with path.open("rb") as stream:
             return _is_locked(stream)

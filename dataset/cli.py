@@ -14,6 +14,7 @@ from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result, print_table
 from common.recipe import recipe_given
+from common.tasks import RayAddress, tasks_of
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
@@ -54,6 +55,8 @@ class Index:
     """Write four figures for a paper: preprocessing, augmentation, balance, and how the sessions were steered."""
     force: bool = False
     """Replace figures of the same names."""
+    ray: RayAddress = None
+    """Read the logs on a Ray cluster, one task a log; all of its nodes see these folders by the same paths."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
 
 
@@ -71,7 +74,10 @@ def index(config: Index) -> int:
     if config.look:
         check_all_images({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
     others = [] if is_any else sessions_beside(logs, config.folder)
-    indexed = build_index(logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others)
+    with tasks_of(config.ray) as tasks:
+        indexed = build_index(
+            logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
+        )
     code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config.config):
         code = warn(notice)

@@ -18,6 +18,7 @@ import tyro
 from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted, printable
+from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.recipe import recipe_given
 from common.streams import end_process
@@ -34,7 +35,8 @@ class Train:
     """Train the network on the index; the run is kept in runs/NAME/.
 
     The index is built from all sessions if there is none yet. Ctrl-C stops after the current batch, and --resume
-    goes on from there. `bc-train export RUN --onnx` gives a trained network to other programs.
+    goes on from there. `bc-train export RUN --onnx` gives a trained network to other programs, --hub FOLDER to
+    the Hugging Face hub.
     """
 
     name: str = ""
@@ -47,6 +49,9 @@ class Train:
     """Repeat this run: its settings, and the index that it was trained on. Other flags change what they name."""
     tensorboard: bool = False
     """Write the curves for TensorBoard, too."""
+    listener: str | None = None
+    """Code of your own that is told of the progress, for MLflow and the like: FILE.py:CLASS or
+    package.module:CLASS."""
     viewer: bool = False
     """Show the curves in the Rerun viewer while they grow."""
     index: Path = Path("index")
@@ -163,11 +168,30 @@ def _listeners(config: Train, run: Path) -> list[Listener]:
     """Raises UserError where what one of them needs is not installed."""
     if config.viewer and find_spec("rerun") is None:
         raise UserError("--viewer: the viewer is not installed here: `pip install rerun-sdk` brings it")
-    if not config.tensorboard:
-        return [EpochPrinter()]
-    from model.training.tensorboard import TensorBoard
+    listeners: list[Listener] = [EpochPrinter()]
+    if config.tensorboard:
+        from model.training.tensorboard import TensorBoard
 
-    return [EpochPrinter(), TensorBoard(run)]
+        listeners.append(TensorBoard(run))
+    if config.listener is not None:
+        listeners.append(_own_listener(config.listener, run, config.config))
+    return listeners
+
+
+def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
+    """Raises UserError where it is not there, cannot be made, or is none."""
+    make = load_function("--listener", name)
+    try:
+        listener: Listener = make(run, config)
+    except Exception as error:
+        raise UserError(f"--listener {printable(name)} fails ({in_one_line(error)})") from None
+    missing = [each for each in ("step", "epoch", "close") if not callable(getattr(listener, each, None))]
+    if missing:
+        raise UserError(
+            f"--listener {printable(name)}: a listener was expected, with step, epoch and close; it has no"
+            f" {' and no '.join(missing)}"
+        )
+    return listener
 
 
 def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]:

@@ -1,7 +1,8 @@
-"""`bc-train export`: a run as a file that other programs can use."""
+"""`bc-train export`: a run as a file that other programs can use, or as a folder for the Hugging Face hub."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,18 +10,24 @@ from typing import Annotated
 
 import tyro
 
-from common.command import DONE, run_command
-from common.output import print_result
+from common.command import DONE, run_command, warn
+from common.errors import UsageError
+from common.output import print_message, print_result
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write a run's network as an ONNX file, checked in ONNX Runtime; how to use it stands in its metadata."""
+    """Give a run's network to others: --onnx writes one file, checked in ONNX Runtime; --hub a folder for the
+    Hugging Face hub, with its weights, its settings, that file, and a card."""
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run, by name or folder."""
-    onnx: Annotated[tuple[()] | tuple[Path], tyro.conf.arg(metavar="[FILE]")]
+    onnx: Annotated[tuple[()] | tuple[Path] | None, tyro.conf.arg(metavar="[FILE]")] = None
     """Where to write the ONNX file; without a name, into the run's folder: NAME.onnx."""
+    hub: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """The new folder to write for the hub; nothing is uploaded."""
+    license: str | None = None
+    """The licence that the hub's card names, such as mit or cc-by-4.0; without, it says that none is stated."""
     network: str | None = None
     """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
     runs: Path = Path("runs")
@@ -30,17 +37,53 @@ class Export:
 
 
 def export(config: Export) -> int:
-    from model.onnx_export import export_onnx
+    _refuse_contradictions(config)
     from model.runs.network_of_run import load_named
-    from model.runs.run_folder import find_run, load_config, run_name
+    from model.runs.run_folder import find_run, load_config
 
     run = find_run(config.run, config.runs)
     if config.network is not None:
         load_named([config.network], [load_config(run)])
+    return _export_to_hub(run, config.hub, config.license) if config.hub is not None else _export_onnx(run, config)
+
+
+def _refuse_contradictions(config: Export) -> None:
+    """Raise UsageError for flags that do not go together."""
+    if (config.onnx is None) == (config.hub is None):
+        raise UsageError("give --onnx for a file, or --hub FOLDER for a folder that has it, too")
+    if config.hub is None and config.license is not None:
+        raise UsageError("--license: only of a folder for the hub: give --hub FOLDER as well")
+    if config.hub is not None and config.force:
+        raise UsageError("--force: only of a file: a folder is never replaced")
+
+
+def _export_onnx(run: Path, config: Export) -> int:
+    from model.onnx_export import export_onnx
+    from model.runs.run_folder import run_name
+
     path = config.onnx[0] if config.onnx else run / f"{run_name(run)}.onnx"
     difference = export_onnx(run, path, overwrite=config.force)
     print_result(f"{path}: written; steering in ONNX Runtime and in PyTorch: largest difference {difference:.1g}")
     return DONE
+
+
+def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
+    from model.hub_export import export_to_hub
+    from model.runs.run_arguments import run_argument
+    from model.runs.run_folder import run_name
+
+    written = export_to_hub(run, folder, licence=licence)
+    code = warn(f"{folder}: without an ONNX file: {written.onnx_problem}") if written.onnx_problem else DONE
+    if not written.has_driven:
+        print_message(
+            f"{folder}: its card cannot say where it drives: give `bc-eval {run_argument(run)} --simulator lake"
+            " mountain`, and export it again"
+        )
+    if licence is None:
+        print_message(f"{folder}: its card states no licence; --license says one")
+    print_result(f"{folder}: {', '.join(written.files)}")
+    print_result(f"nothing is uploaded; `hf upload {run_name(run)} {shlex.quote(str(folder))}` does that")
+    return code
 
 
 def main() -> None:

@@ -61,13 +61,7 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     its steering differs, if ONNX or ONNX Runtime is not installed, or if the disk is full; UserError if `path`
     exists already.
     """
-    try:
-        import onnx  # noqa: F401
-        import onnxruntime  # noqa: F401
-    except ImportError as error:
-        raise RunError(
-            f'exporting needs ONNX and ONNX Runtime ({error}): install them with `pip install "{TOOLKIT}[onnx]"`'
-        ) from None
+    require_onnx()
     run, path = Path(run), Path(path)
     refuse_existing(path, overwrite)
     picture, network = picture_of_run(run), load_network(run)
@@ -84,13 +78,41 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     return difference
 
 
+def require_onnx() -> None:
+    """Raises RunError if ONNX or ONNX Runtime is not installed."""
+    try:
+        import onnx  # noqa: F401
+        import onnxruntime  # noqa: F401
+    except ImportError as error:
+        raise RunError(
+            f'exporting needs ONNX and ONNX Runtime ({error}): install them with `pip install "{TOOLKIT}[onnx]"`'
+        ) from None
+
+
+def example(seen: PictureSpec, network: str, picture: str) -> str:
+    """Python that prints the steering for a picture, where there is neither this toolkit nor PyTorch. `network`
+    and `picture` are expressions: where the ONNX file and the picture lie."""
+    top, bottom = seen.description["crop_top"], seen.description["crop_bottom"]
+    convert = "" if seen.channels == "BGR" else f"crop = cv2.cvtColor(crop, cv2.COLOR_BGR2{seen.channels})\n"
+    return (
+        "import cv2, onnxruntime\n"
+        f'network = onnxruntime.InferenceSession({network}, providers=["CPUExecutionProvider"])\n'
+        f"picture = cv2.imread({picture})\n"
+        "height = len(picture)\n"
+        f"cropped = picture[round(height * {top}) : height - round(height * {bottom})]\n"
+        f"crop = cv2.resize(cropped, ({seen.width_px}, {seen.height_px}),"
+        f" interpolation=cv2.INTER_LINEAR)\n{convert}"
+        '(steering,) = network.run(["steering"], {"pictures": crop[None]})[0]\n'
+        "print(steering)\n"
+    )
+
+
 def description(run: Path, picture: PictureSpec, targets: Sequence[TargetName] = STEERING_ONLY) -> dict[str, str]:
     """The metadata of the file: its input, its outputs, and the run it is of."""
     top, bottom = picture.description["crop_top"], picture.description["crop_bottom"]
     max_deg = max_steering_deg_of_run(run)
     size = f"{picture.width_px}x{picture.height_px}"
     colours = "" if picture.channels == "BGR" else f" Then from BGR to {picture.channels} (cv2.cvtColor)."
-    convert = "" if picture.channels == "BGR" else f"crop = cv2.cvtColor(crop, cv2.COLOR_BGR2{picture.channels})\n"
     return {
         "preprocessing": (
             f"A camera picture as BGR, uint8, (height, width, 3). Cut round(height * {top}) rows off its top and"
@@ -101,18 +123,7 @@ def description(run: Path, picture: PictureSpec, targets: Sequence[TargetName] =
         "steering": f"-1 (left) .. 1 (right), not clamped; 1 is {max_deg:g} degrees",
         "steering.degrees_per_unit": f"{max_deg:g}",
         **{TARGETS[name].answer_name: _ABOUT[name] for name in targets[1:]},
-        "example": (
-            "import sys\n"
-            "import cv2, onnxruntime\n"
-            'network = onnxruntime.InferenceSession(sys.argv[1], providers=["CPUExecutionProvider"])\n'
-            "picture = cv2.imread(sys.argv[2])\n"
-            "height = len(picture)\n"
-            f"cropped = picture[round(height * {top}) : height - round(height * {bottom})]\n"
-            f"crop = cv2.resize(cropped, ({picture.width_px}, {picture.height_px}),"
-            f" interpolation=cv2.INTER_LINEAR)\n{convert}"
-            '(steering,) = network.run(["steering"], {"pictures": crop[None]})[0]\n'
-            "print(steering)\n"
-        ),
+        "example": "import sys\n" + example(picture, "sys.argv[1]", "sys.argv[2]"),
         "run": printable(run_name(run)),
         "weights_sha256": weights_checksum(run),
         "toolkit": f"{TOOLKIT} {version_of()}",

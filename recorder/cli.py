@@ -12,10 +12,12 @@ import tyro
 
 from common.command import check_port, flags_given, run_command, usage_errors, warn_skipped
 from common.errors import UsageError, counted
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
+from recorder.log_copy_cli import copy_recording, refuse_copying
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
@@ -71,6 +73,8 @@ class Record:
     """Where logs are kept."""
     force: bool = False
     """Replace a session of the same name."""
+    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
+    """Copy the log there (s3://BUCKET/FOLDER) once it is finished here, and say which logs are not there yet."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0
@@ -80,6 +84,8 @@ class Record:
 
 def record(config: Record) -> int:
     _refuse_contradictions(config)
+    if config.copy_to is not None:
+        refuse_copying(config.copy_to)
     done = _record_to(config, config.sessions / f"{config.name}.mcap")
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
@@ -88,7 +94,7 @@ def record(config: Record) -> int:
     print_result(
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
-    return code
+    return code if config.copy_to is None else max(code, copy_recording(done.path, config.copy_to, config.force))
 
 
 def _record_to(config: Record, log: Path) -> Imported:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from common import UserError
+from common.location import Location
 
 
 class LogError(UserError):
@@ -19,6 +18,6 @@ class ListenError(UserError):
     """An address or a port that cannot be listened on."""
 
 
-def damaged_pictures(log: Path) -> str:
+def damaged_pictures(log: Location) -> str:
     """The kind of what is skipped where pictures of a log are damaged, and the others are used."""
     return f"pictures in damaged chunks of {log} (`bc-log recover {log}` saves the others)"

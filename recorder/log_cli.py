@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import tyro
 
@@ -15,6 +15,8 @@ from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
 from common.errors import UsageError, counted, printable
 from common.files import final_path
+from common.location import Location
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from recorder.log.check import check, is_whole
 from recorder.log.edit import merge, rewrite, split, trim, trim_times
@@ -22,6 +24,7 @@ from recorder.log.log_info import describe
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.recover import recover, recovered_name
+from recorder.log_copy_cli import CopyLogs
 from recorder.log_export_cli import ExportLogs
 from recorder.log_list_cli import ListLogs
 from recorder.log_report import print_checked, print_info, print_written
@@ -34,7 +37,7 @@ class ShowInfo:
     """What a log holds, where it comes from, and how it was steered; reads its end only, so it is quick however
     long the log is."""
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
     look: bool = False
     """Measure the lag of the steering, too, in up to 1,500 pictures."""
@@ -44,7 +47,7 @@ class ShowInfo:
     def run(self) -> int:
         return _each(self.logs, self._one)
 
-    def _one(self, path: Path) -> int:
+    def _one(self, path: Location) -> int:
         info = describe(path, look=self.look)
         if self.json:
             print_result(json.dumps(dataclasses.asdict(info), allow_nan=False))
@@ -59,7 +62,7 @@ class Check:
     """Read logs through and say what is wrong: CRCs, indexes, order; pictures that do not decode or are frozen,
     rows without one, gaps, stuck steering, values out of range. Exit code 3 if something was found."""
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to look through."""
     look: bool = True
     """Decode every picture; --no-look leaves that out and is several times faster."""
@@ -69,7 +72,7 @@ class Check:
     def run(self) -> int:
         return _each(self.logs, self._one)
 
-    def _one(self, path: Path) -> int:
+    def _one(self, path: Location) -> int:
         checked = check(path, look=self.look)
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
@@ -86,13 +89,13 @@ class Cameras:
     """How far the side cameras are from the centre one, measured in their pictures, and the `bc-index
     --side-correction` that goes with it: 0.2 is that of Udacity's."""
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """Logs with pictures of all three cameras."""
 
     def run(self) -> int:
         return _each(self.logs, self._one)
 
-    def _one(self, path: Path) -> int:
+    def _one(self, path: Location) -> int:
         from recorder.log.side_cameras import UDACITY_SPACING, side_cameras  # OpenCV
 
         code = _noted(path)
@@ -217,6 +220,8 @@ class Split:
         return max(code, *map(print_written, parts))
 
 
+AnyLocation = TypeVar("AnyLocation", bound=Location)
+
 Command = (
     Annotated[ListLogs, tyro.conf.subcommand("ls")]
     | Annotated[ShowInfo, tyro.conf.subcommand("info")]
@@ -228,11 +233,12 @@ Command = (
     | Annotated[Rewrite, tyro.conf.subcommand("rewrite")]
     | Annotated[Split, tyro.conf.subcommand("split")]
     | Annotated[NameRows, tyro.conf.subcommand("tag")]
+    | Annotated[CopyLogs, tyro.conf.subcommand("copy")]
     | Annotated[ExportLogs, tyro.conf.subcommand("export")]
 )
 
 
-def _some(logs: tuple[Path, ...], least: int = 1) -> tuple[Path, ...]:
+def _some(logs: tuple[AnyLocation, ...], least: int = 1) -> tuple[AnyLocation, ...]:
     if len(logs) < least:
         raise UsageError(f"give at least {counted(least, 'log')}, such as sessions/lake.mcap")
     return logs
@@ -244,7 +250,7 @@ def _named(to: Path) -> Path:
     return to
 
 
-def _each(logs: tuple[Path, ...], action: Callable[[Path], int]) -> int:
+def _each(logs: tuple[Location, ...], action: Callable[[Location], int]) -> int:
     """Do it for every log, also behind one that cannot be read; the worst of the exit codes."""
     codes = []
     for path in _some(logs):
@@ -255,12 +261,12 @@ def _each(logs: tuple[Path, ...], action: Callable[[Path], int]) -> int:
     return FAILED if FAILED in codes else max(codes)
 
 
-def _remark_crcs(path: Path, has_crcs: bool) -> None:
+def _remark_crcs(path: Location, has_crcs: bool) -> None:
     if not has_crcs:
         print_message(f"{path}: {WITHOUT_CRCS}")
 
 
-def _noted(path: Path) -> int:
+def _noted(path: Location) -> int:
     """Say it of an unfinished log before it is used, and of one without CRCs."""
     with Log(path) as log:
         _remark_crcs(path, log.has_crcs)

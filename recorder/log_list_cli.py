@@ -16,6 +16,8 @@ from rich.table import Table
 from common import UserError
 from common.command import DONE, print_error, warn
 from common.errors import printable
+from common.location import Location, Url, location
+from common.location_flag import LocationFlag
 from common.output import print_result, print_table
 from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log.row_quality import ROW_FLAGS
@@ -34,7 +36,9 @@ SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
 class ListLogs:
     """List sessions and drives, the newest first: when, how long, how many rows, who drove, what is odd."""
 
-    places: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")] = ()
+    places: Annotated[
+        tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")
+    ] = ()
     """Folders of logs, or logs; by default those in sessions and drives."""
     sort: Literal["newest", "name", "rows", "duration"] = "newest"
     """By what to order them; most first."""
@@ -56,15 +60,21 @@ class ListLogs:
             print_table(_table(found))
         return max([*codes, *(warn(info.notice) for info in found if info.notice)])
 
-    def _logs(self) -> list[Path]:
+    def _logs(self) -> list[Location]:
         folders = [folder for folder in FOLDERS if folder.is_dir()]
         if not self.places and not folders:
             raise UserError("no sessions and no drives here; record one with `bc-record`, or name a folder")
-        logs = [log for place in self.places or folders for log in (logs_in(place) if place.is_dir() else [place])]
+        logs = [
+            log for place in self.places or folders for log in (logs_in(place) if _is_folder(place) else [place])
+        ]
         if not logs:
             places = ", ".join(str(place) for place in self.places or folders)
             raise UserError(f"{places}: no log in it; record one with `bc-record`")
         return logs
+
+
+def _is_folder(place: Location) -> bool:
+    return place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
 
 
 def _table(found: Sequence[LogInfo]) -> Table:
@@ -76,7 +86,7 @@ def _table(found: Sequence[LogInfo]) -> Table:
     for info in found:
         odd = sum((info.flags or {}).get(flag, 0) for flag in ROW_FLAGS if flag != "gap")
         table.add_row(
-            _plain(Path(info.path).name.removesuffix(".mcap")),
+            _plain(location(info.path).name.removesuffix(".mcap")),
             _plain(info.start[:16].replace("T", " ")),
             f"{info.length_s / 60:,.1f}",
             f"{info.rows:,}",

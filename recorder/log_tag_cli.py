@@ -11,6 +11,7 @@ import tyro
 from common import UserError
 from common.command import DONE, usage_errors, warn
 from common.errors import UsageError, counted, did_you_mean
+from common.location import Location
 from common.output import ask, print_message, print_result
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
@@ -92,7 +93,7 @@ class NameRows:
         return read_tags(self.log, fingerprint)
 
 
-def warn_stale(path: Path, count: int) -> int:
+def warn_stale(path: Location, count: int) -> int:
     """Tags of what had this name before are not lost in silence."""
     if not count:
         return DONE

@@ -164,9 +164,9 @@ def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
     [
         (
             "dataset, model, model.training",
-            ["rerun", "socketio", "engineio", "eventlet", "websocket", "viz", "drive"],
+            ["rerun", "socketio", "engineio", "eventlet", "websocket", "obstore", "viz", "drive"],
         ),
-        ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette"]),
+        ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore"]),
         ("viz, viz.cli", ["socketio", "eventlet", "torch", "websocket"]),
     ],
 )

@@ -18,7 +18,7 @@ from viz.console import set_program_name
 _NAME = "viewer"  # nobody has called bc-play
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """End this process with its parent, which holds the other end of stdin open and writes nothing."""
     while os.read(0, 1024):
         pass
@@ -40,6 +40,6 @@ def _show(config: Play) -> int:
 
 
 def main() -> None:
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
     set_program_name(_NAME)
     run_command(_NAME, Play, _show)

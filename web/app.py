@@ -17,7 +17,9 @@ from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.predictions import Predictions
 from web.data.project_folders import PLACES, ProjectFolders
+from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
@@ -26,6 +28,9 @@ from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
+from web.pages.log_jobs_page import log_job_routes
+from web.pages.predictions_page import prediction_routes
+from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
 from web.pages.runs_page import run_list_routes
 from web.pages.session_page import session_routes
@@ -46,6 +51,8 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
     cards.cards("sessions", 0)  # before anybody asks: reading begins
     checks = PictureChecks(folders.index, kept)
     runs = RunCards(folders)
+    viewers = RerunViewers()
+    predictions = Predictions(cache)
     bench = Workbench(
         folders,
         kept,
@@ -56,11 +63,19 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         runs,
         Jobs(cache),
         IndexTrials(cache),
+        viewers,
+        predictions,
     )
     routes = [
         *session_list_routes(bench),
         *change_routes(bench),
-        *(route for place in PLACES for route in (*session_routes(bench, place), *log_file_routes(bench, place))),
+        *(
+            route
+            for place in PLACES
+            for routes in (session_routes, log_file_routes, rerun_log_routes, prediction_routes, log_job_routes)
+            for route in routes(bench, place)
+        ),
+        *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),
         *job_routes(bench),
@@ -71,6 +86,8 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
     try:
         yield RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), host, token)
     finally:
+        viewers.close()
+        predictions.close()
         pool.shutdown(cancel_futures=True)
         runs.close()
         checks.close()

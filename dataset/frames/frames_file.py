@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +12,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from common.files import final_path
+from common.files import final_name
+from common.location import Location, relative_to
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.image_check_cache import read_image_check
@@ -57,9 +57,9 @@ REPEATING: Final = ("session", "camera", "driver", "split")
 """Columns of few values, which are read as dictionaries: a fraction of the memory."""
 
 
-def session_name(log: Path) -> str:
+def session_name(log: Location) -> str:
     """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part, whose recording was killed."""
-    return final_path(log).name.removesuffix(".mcap")
+    return final_name(log.name).removesuffix(".mcap")
 
 
 def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:
@@ -81,9 +81,10 @@ def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
     return {} if file == fingerprint else {"file": file}
 
 
-def relative_log_path(log: Path, index: Path) -> str:
-    """The path of a log from the index: both can be moved together."""
-    return Path(os.path.relpath(log.resolve(), index.resolve())).as_posix()
+def relative_log_path(log: Location, index: Location) -> str:
+    """How an index names a log: by its path from the index, so that both can be moved together, also into a
+    bucket; where only one of them is in a bucket, by the log's URL."""
+    return relative_to(log, index)
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:

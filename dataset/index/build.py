@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import filecmp
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 
 from common.car import CAMERAS, MAX_STEERING_DEG
 from common.progress import track
+from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, index_write_errors
 from dataset.frames.frames_file import (
@@ -101,6 +102,7 @@ def build_index(
     *,
     leave_out_unreadable: bool = False,
     passed_over: Sequence[str] = (),
+    tasks: Tasks = one_by_one,
 ) -> Indexed:
     """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
 
@@ -108,7 +110,8 @@ def build_index(
     (`leave_out_unreadable`: it is left out, and the notices name it), DatasetError if nothing in them can be used,
     if a picture is in two of them, if `config` names a session that is not among them, or if a file cannot be
     written; and what `check_settings` does. `passed_over` are the sessions that somebody chose not to have in the
-    index: `sessions_not_indexed` does not tell of them.
+    index: `sessions_not_indexed` does not tell of them. `tasks` reads the logs: here, or on a cluster
+    (`common.ray_cluster`), which comes to the same bytes.
     """
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted((session_name(Path(path)), Path(path)) for path in logs))
@@ -119,7 +122,9 @@ def build_index(
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
-                return _build(by_name, index, config, state, leave_out_unreadable, passed_over, damaged, cars)
+                return _build(
+                    by_name, index, config, state, leave_out_unreadable, passed_over, damaged, cars, tasks
+                )
             except _StaleStateError:
                 state = BuildState.nothing()
             except UnreadablePictureError as error:  # nobody else looks at pictures here
@@ -184,22 +189,20 @@ def _build(
     passed_over: Sequence[str],
     damaged: Mapping[str, str],
     cars: Mapping[str, Car],
+    tasks: Tasks,
 ) -> Indexed:
     """`damaged`: what was found of logs that look sound while their pictures are not read. `cars`: of the sessions
     that views are taken of."""
     entries: dict[str, BuiltLog] = {}
     with staged(index) as stage:
-        for name, path in track(by_name.items(), "indexing", len(by_name)):
-            try:
-                if name in damaged:
-                    raise LogError(damaged[name])
-                entries[name] = _unchanged(name, path, index, config, state) or _read(
-                    name, path, index, config, stage
-                )
-            except LogError as error:
+        found = _entries(by_name, index, config, state, damaged, stage, tasks)
+        for name, entry in track(found, "indexing", len(by_name)):
+            if isinstance(entry, LogError):
                 if not leave_out_unreadable or name in config.validation:
-                    raise
-                entries[name] = BuiltLog(sources_of(name, path, index), notice=f"{error}; left out")
+                    raise entry
+                entry = BuiltLog(sources_of(name, by_name[name], index), notice=f"{entry}; left out")
+            entries[name] = entry
+        entries = dict(sorted(entries.items()))
         read = sorted(file.stem for file in (stage / FRAMES_FOLDER).iterdir())
         held = {name: entry for name, entry in entries.items() if entry.fingerprint}
         notices = [entry.notice for entry in entries.values() if entry.notice]
@@ -225,7 +228,7 @@ def _build(
             }
             try:
                 refuse_shared_pictures(frames, by_name)
-                labels = labels_of_sessions(frames, by_name, held, index, config)
+                labels = labels_of_sessions(frames, by_name, held, index, config, tasks)
                 with index_write_errors(index / SAMPLES_NAME):
                     made = (*write_samples(frames, samples, config, places, labels, cars), labels)
             except (LogError, FramesError):
@@ -239,6 +242,34 @@ def _build(
                 )
     balance, counts, labels = made
     return Indexed(index, list(held), read, balance, counts, notices, remarks, labels, sizes_px)
+
+
+def _entries(
+    by_name: Mapping[str, Path],
+    index: Path,
+    config: IndexConfig,
+    state: BuildState,
+    damaged: Mapping[str, str],
+    stage: Path,
+    tasks: Tasks,
+) -> Iterator[tuple[str, BuiltLog | LogError]]:
+    """The entry of each session, or why its log cannot be read, as they come."""
+    to_read: list[str] = []
+    for name, path in by_name.items():
+        try:
+            if name in damaged:
+                raise LogError(damaged[name])
+            entry = _unchanged(name, path, index, config, state)
+        except LogError as error:
+            yield name, error
+        else:
+            if entry is None:
+                to_read.append(name)
+            else:
+                yield name, entry
+    calls = [(name, by_name[name], index, config, stage) for name in to_read]
+    for number, read in tasks(_read_or_error, calls):
+        yield to_read[number], read
 
 
 def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: BuildState) -> BuiltLog | None:
@@ -266,6 +297,13 @@ def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: Bu
     }
     stored = read_metadata(file) or {}
     return entry if all(stored.get(key) == value for key, value in expected.items()) else None
+
+
+def _read_or_error(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> BuiltLog | LogError:
+    try:
+        return _read(name, path, index, config, stage)
+    except LogError as error:
+        return error
 
 
 def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:

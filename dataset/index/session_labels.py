@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from common.car import MAX_STEERING_DEG
 from common.progress import track
+from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.distinct_rows import number_distinct
@@ -39,6 +40,7 @@ def labels_of_sessions(
     built: Mapping[str, BuiltLog],
     index: Path,
     config: IndexConfig,
+    tasks: Tasks = one_by_one,
 ) -> dict[str, SessionLabels]:
     """By session, from its frames file, its log, and what is known of that. Pictures are decoded of sessions only
     whose labels may depend on them. Raises LogError or FramesError for a damaged file."""
@@ -47,13 +49,10 @@ def labels_of_sessions(
     asked = [name for name in frames if is_asked and goes_by_lag(habits[name], built[name].driven_by)]
     lags = {name: _read_lag(index, name, built[name].fingerprint) for name in asked}
     missing = [name for name in asked if lags[name] is None]
-    if missing:
-        from recorder.log.steering_lag import measure_lag  # OpenCV
-    for name in track(missing, "measuring the steering's lag", len(missing)):
-        with Log(logs[name]) as log:
-            measured = _Stored(1, built[name].fingerprint, measure_lag(log))
-            write_findings(_path(index, name), measured)
-            lags[name] = measured
+    calls = [(logs[name], index, name, built[name].fingerprint) for name in missing]
+    measured = tasks(_measure, calls)
+    for number, lag in track(measured, "measuring the steering's lag", len(missing)):
+        lags[missing[number]] = lag
     return {
         name: replace(
             _labels(config, habits[name], lags.get(name), built[name].driven_by),
@@ -95,6 +94,16 @@ class _Stored(msgspec.Struct):
     format: Literal[1]
     fingerprint: str
     lag: SteeringLag | None
+
+
+def _measure(path: Path, index: Path, session: str, fingerprint: str) -> _Stored:
+    """Measure the lag of a session in its pictures, and keep it."""
+    from recorder.log.steering_lag import measure_lag  # OpenCV
+
+    with Log(path) as log:
+        measured = _Stored(1, fingerprint, measure_lag(log))
+    write_findings(_path(index, session), measured)
+    return measured
 
 
 def _read_lag(index: Path, session: str, fingerprint: str) -> _Stored | None:

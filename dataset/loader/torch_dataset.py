@@ -1,6 +1,7 @@
 """Samples one by one, for PyTorch's own DataLoader.
 
-    DataLoader(SamplesDataset(Path("index"), "train"), batch_size=256, shuffle=True, num_workers=8)
+    with SamplesDataset(Path("index"), "train") as samples:
+        DataLoader(samples, batch_size=256, shuffle=True, num_workers=8)
 
 `load` gives the same pictures without worker processes, and faster. PyTorch is not imported here: all that its
 DataLoader asks of a data set is a length and items.
@@ -16,6 +17,7 @@ from typing import Any, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
+from common.closeable import Closeable
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
@@ -23,12 +25,13 @@ from dataset.preprocess import Image
 from dataset.samples.samples_reader import Samples, Split, loaded_columns, open_logs
 
 
-class SamplesDataset:
+class SamplesDataset(Closeable):
     """A split of an index: item i is (picture (`seen.shape`) uint8, steering -1..1 float32), mirrored and altered
     as the index says. With other targets, the second is (K,): see dataset.prediction_targets.
 
-    It may be pickled and used after a fork: a worker process opens the logs for itself, and raises DatasetError if
-    they have changed. An item whose picture does not decode raises DatasetError: a data set cannot be without it.
+    Use it as a context manager, or call `close()`. It may be pickled and used after a fork: a worker process opens
+    the logs for itself, and raises DatasetError if they have changed. An item whose picture does not decode raises
+    DatasetError: a data set cannot be without it.
     """
 
     def __init__(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.car import MAX_STEERING_DEG
 from common.errors import counted
+from common.location import Location, absolute
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
@@ -61,7 +62,7 @@ class Evaluation:
     frames: pa.Table
     """session, row, camera, log_time_ns, crash; recorded and predicted: steering, -1..1; recorded_NAME and
     predicted_NAME: other targets, in their unit."""
-    logs: dict[str, Path]  # of the sessions
+    logs: Mapping[str, Location]  # of the sessions
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
     trained_on: int | None  # number of the frames that the run was trained on; None where its config does not say
     skipped: Skipped  # pictures that do not decode
@@ -232,7 +233,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Ev
         Evaluation(
             run,
             _with_answers(frames, recorded, predicted, targets_of_run(run)).filter(pa.array(is_decoded)),
-            {session: log.path.resolve() for session, log in samples.logs.items()},
+            {session: absolute(log.path) for session, log in samples.logs.items()},
             {session: log.time_range_ns[0] for session, log in samples.logs.items()},
             count_trained_on(sessions, samples, config),
             skipped,

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.parameter import is_lazy
 
 from common.errors import UsageError, printable
 from common.named_function import in_one_line
@@ -131,6 +132,8 @@ class NetworkChoice:
             raise RunError(f"{self._label} has no parameters: there is nothing to learn")
         owners: dict[int, str] = {}
         for name, tensor in network.state_dict(keep_vars=True).items():
+            if is_lazy(tensor):
+                raise RunError(f"{self._label}: {name} has no size yet; give its layer one: lazy ones have none")
             other = owners.setdefault(tensor.untyped_storage().data_ptr(), name) if tensor.numel() else name
             if other != name:
                 raise RunError(

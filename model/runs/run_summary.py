@@ -110,7 +110,7 @@ def summarize_run(run: Path) -> RunSummary:
             epochs=epochs[-1].epoch if epochs else 0,
             epochs_asked=config.training.epochs,
             **_errors(kept),
-            results=_last_of_each(run) if weights.exists() else [],
+            results=last_results(run) if weights.exists() else [],
         )
     except (UserError, msgspec.ValidationError, OSError) as error:
         return RunSummary(*about, problem=" ".join(str(error).split()))
@@ -130,7 +130,7 @@ def _errors(kept: Epoch | None) -> dict[str, Any]:
     }
 
 
-def _last_of_each(run: Path) -> list[KeptResult]:
+def last_results(run: Path) -> list[KeptResult]:
     """The last result of each track or recording at each speed and length, of the weights that the run has now."""
     results, _ = kept_results(run)
     checksum = weights_checksum(run) if results else ""

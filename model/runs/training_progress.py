@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Protocol
 
@@ -27,6 +29,11 @@ class Step:
     training_loss: float  # mean squared error of steering, -1..1, and of other targets, since the step before
     samples_per_s: float
 
+    @property
+    def scalars(self) -> dict[str, float]:
+        """Its numbers by the names that curves have; those that exist."""
+        return finite({"loss/steps": self.training_loss, "samples_per_s": self.samples_per_s})
+
 
 @dataclass(frozen=True)
 class Epoch:
@@ -42,6 +49,23 @@ class Epoch:
     answers: AnswerScale = field(default_factory=AnswerScale)  # that the measures are of
     learnt: Errors | None = None  # of the answers without it; None in runs of earlier versions
     targets: tuple[TargetErrors, ...] = ()  # of those besides steering
+
+    @property
+    def scalars(self) -> dict[str, float]:
+        """Its losses and errors by the names that curves have, such as "rmse_deg/network"; those that exist."""
+        measures = self.measures
+        values = {
+            "epoch": float(self.epoch),
+            "loss/training": self.training_loss,
+            "loss/validation": self.validation_loss,
+            "rmse_deg/balanced": measures.balanced_rmse_deg,
+        }
+        for predictor in ("network", "mean", "zero"):
+            errors = asdict(getattr(measures, predictor))
+            values |= {f"{name}/{predictor}": value for name, value in errors.items()}
+        for of in self.targets:
+            values |= {f"{of.target}_rmse/network": of.rmse, f"{of.target}_rmse/mean": of.mean_rmse}
+        return finite(values)
 
     def as_dict(self) -> dict[str, Any]:
         measures = self.measures
@@ -65,8 +89,19 @@ class Epoch:
 
 
 class Listener(Protocol):
-    """Receives the progress of a training."""
+    """Is told of the progress of a training, while it waits. What one raises does not end it: see
+    `model.training.listeners`."""
 
-    def step(self, step: Step) -> object: ...
-    def epoch(self, epoch: Epoch) -> object: ...
-    def close(self) -> object: ...
+    def step(self, step: Step) -> object:
+        """Every ten batches."""
+
+    def epoch(self, epoch: Epoch) -> object:
+        """After each epoch, once its frames held out are measured and, if it is the best one, its weights kept."""
+
+    def close(self) -> object:
+        """At the end, however the training ends."""
+
+
+def finite(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Those of the numbers that exist."""
+    return {name: float(value) for name, value in numbers.items() if math.isfinite(value)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -30,11 +29,12 @@ from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import load_weights
-from model.runs.training_progress import Epoch, Listener, Step
+from model.runs.training_progress import Epoch, Step
 from model.training.averaged_weights import AveragedWeights
 from model.training.batches import make_batches
 from model.training.busy_processor import BusyProcessorWarning
 from model.training.distributed import Group
+from model.training.listeners import Listeners
 from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
 from model.training.step import make_optimizer, training_step
@@ -58,7 +58,7 @@ class TrainingLoop:
         picture: PictureSpec,
         machine: Machine,
         group: Group,
-        listeners: Sequence[Listener],
+        listeners: Listeners,
         bar: Progress,
     ) -> None:
         self.run = writer.run
@@ -232,8 +232,7 @@ class TrainingLoop:
         if self.group.is_first:
             step = Step(position.epoch, position.batch, self.batches.batches, self._samples_learnt(), loss, rate)
             self.writer.add_step(step)
-            for listener in self.listeners:
-                listener.step(step)
+            self.listeners.step(step)
         return f"loss {loss:.4f}  {rate:,.0f} samples/s"
 
     def _end_epoch(self) -> None:
@@ -266,8 +265,7 @@ class TrainingLoop:
         if epoch.is_best:
             self.writer.keep_best(position.epoch, self.averaged.network, self.answers)
             self.best_predictions = steering_in(predicted), steering_in(recorded)
-        for listener in self.listeners:
-            listener.epoch(epoch)
+        self.listeners.epoch(epoch)
         if epoch.is_best:
             return position.epoch, self.validation.error(epoch.measures)
         return position.best_epoch, position.best_error

@@ -13,7 +13,6 @@ import math
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
@@ -104,25 +103,13 @@ class TensorBoard:
 
     def _add_step(self, file: _EventFile, step: Step) -> None:
         self._epoch_ends[step.epoch] = step.samples
-        file.add_scalars({"loss/steps": step.training_loss, "samples_per_s": step.samples_per_s}, step.samples)
+        file.add_scalars(step.scalars, step.samples)
 
     def _add_epoch(self, file: _EventFile, epoch: Epoch) -> None:
-        measures = epoch.measures
-        values = {
-            "epoch": float(epoch.epoch),
-            "loss/training": epoch.training_loss,
-            "loss/validation": epoch.validation_loss,
-            "rmse_deg/balanced": measures.balanced_rmse_deg,
-        }
-        for predictor in ("network", "mean", "zero"):
-            errors = asdict(getattr(measures, predictor))
-            values |= {f"{name}/{predictor}": value for name, value in errors.items()}
-        for of in epoch.targets:
-            values |= {f"{of.target}_rmse/network": of.rmse, f"{of.target}_rmse/mean": of.mean_rmse}
         samples = self._epoch_ends.get(epoch.epoch, epoch.epoch)
-        file.add_scalars(values, samples)
-        if measures.bins:
-            file.add_text("errors by steering", _table(measures.bins), samples)
+        file.add_scalars(epoch.scalars, samples)
+        if bins := epoch.measures.bins:
+            file.add_text("errors by steering", _table(bins), samples)
 
 
 class _EventFile:
@@ -147,10 +134,8 @@ class _EventFile:
         self._add(session_log=SessionLog(status=SessionLog.START))  # at step 0: hides all earlier files
 
     def add_scalars(self, values: Mapping[str, float], samples: int) -> None:
-        """Add those of the values, by tag, that exist."""
         for tag, value in values.items():
-            if math.isfinite(value):
-                self._add(step=samples, summary=self._summary.scalar(tag, value))
+            self._add(step=samples, summary=self._summary.scalar(tag, value))
 
     def add_text(self, tag: str, markdown: str, samples: int) -> None:
         self._add(step=samples, summary=self._summary.text(tag, markdown))

@@ -44,6 +44,7 @@ from model.runs.run_lock import locked_for_training
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
 from model.training.known_targets import target_notices
+from model.training.listeners import Listeners
 from model.training.loop import TrainingLoop
 from model.training.other_network import refuse_other_network
 from model.training.resume import arithmetic_remarks, refuse_other_samples, resumed_config, resumed_settings
@@ -82,6 +83,7 @@ def train(
     where `config` leaves that open. `resume` goes on with the run where it was stopped, or killed;
     the weights are then those of a run that never was, on the same processor with as many threads. One that was
     killed before anything of it was saved begins again from its seed.
+    `listeners` are told of its progress; none of them can end it.
     `figures` draws its curves, for which matplotlib is needed.
     Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
     Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
@@ -112,8 +114,8 @@ def train(
     ):
         samples.refuse_missing(config.targets)
         notices = target_notices(samples, config.targets)
-        for listener in listeners:
-            stack.callback(listener.close)
+        told = Listeners(listeners, notices)
+        stack.callback(told.close)
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
         stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
         writer = RunWriter(run)
@@ -133,7 +135,7 @@ def train(
             if init is not None:
                 origin["init"] = init_provenance(init, run)
             group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin, network, picture)))
-        loop = TrainingLoop(samples, writer, config, network, picture, machine, group, listeners, bar)
+        loop = TrainingLoop(samples, writer, config, network, picture, machine, group, told, bar)
         notices += validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
         if begins:

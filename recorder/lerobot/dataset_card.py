@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from common.errors import counted, printable
+from common.errors import counted
+from common.markdown import as_markdown
 from common.versions import version_of
 
 CARD_PATH: Final = "README.md"
@@ -60,7 +61,7 @@ def card(
         else f"Pictures ({names}): in the parquet files, byte for byte as the camera or simulator made them."
     )
     rows = [
-        f"| {_cell(each.name)} | {_cell(_origin(each.session))} | {each.rows:,} | {each.episodes:,} |"
+        f"| {as_markdown(each.name)} | {as_markdown(_origin(each.session))} | {each.rows:,} | {each.episodes:,} |"
         f" {each.excluded:,} | `{each.fingerprint[:16]}` |"
         for each in sessions
     ]
@@ -72,7 +73,7 @@ def card(
         f"![A picture of it]({picture})",
         "",
         f"{counted(frames, 'frame')} of driving in {counted(episodes, 'episode')}, about {rate_hz:.3g} a second."
-        f" Task: {_cell(task)}",
+        f" Task: {as_markdown(task)}",
         "",
         "## What is in it",
         "",
@@ -117,9 +118,3 @@ def _origin(session: Mapping[str, str]) -> str:
         if session.get(name)
     ]
     return ", ".join(told) or "unknown"
-
-
-def _cell(text: str) -> str:
-    """Somebody else's text, as one that neither ends its cell nor becomes a link or a tag."""
-    safe = printable(text)
-    return "".join(f"\\{character}" if character in "\\|<>[]`*_!&" else character for character in safe)

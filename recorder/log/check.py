@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
+from common.location import Location
 from common.progress import track
 from recorder.log.check_contents import Contents, Finding
 from recorder.log.check_structure import sound_chunks
@@ -14,7 +14,7 @@ from recorder.log.mcap_file import McapFile
 from recorder.log.scan import read_structure
 
 
-def is_whole(path: Path) -> bool:
+def is_whole(path: Location) -> bool:
     """True for a file that is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
     findings: list[Finding] = []
     with McapFile(path) as file:
@@ -32,14 +32,14 @@ def is_whole(path: Path) -> bool:
 class Checked:
     """The result of a check: how much was read, and the findings."""
 
-    path: Path
+    path: Location
     messages: int
     pictures: int  # decoded
     findings: list[Finding]
     has_crcs: bool  # other programs may do without: damage is then not noticed
 
 
-def check(path: Path, *, look: bool = True) -> Checked:
+def check(path: Location, *, look: bool = True) -> Checked:
     """Read the whole log at `path` and say what is wrong with it; `look` decodes every picture.
 
     Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that

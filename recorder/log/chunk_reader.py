@@ -16,7 +16,8 @@ _CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
 
 class ChunkReader:
-    """Reads from chunks of a file. The CRC of each is compared once; compressed ones stay unpacked for a while."""
+    """Reads from chunks of a file. The CRC of each is compared once; compressed ones stay unpacked for
+    a while, as do those that were fetched from a store."""
 
     def __init__(self, file: McapFile, chunks: Sequence[Chunk]) -> None:
         self._file = file
@@ -39,6 +40,9 @@ class ChunkReader:
             if offset < 0 or len(data) != length:
                 raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
             return data
+        if self._file.is_remote:  # a chunk is one request, and so is a picture of it
+            start, records = self.records_around(offset, length)
+            return records[offset - start : offset - start + length]
         number = self._number_of(offset, length)
         if not self._is_verified[number]:
             self._file.records(self._chunks[number])
@@ -49,9 +53,10 @@ class ChunkReader:
         """Where in the file the records of the uncompressed chunk begin that has these bytes, and the records.
         Raises what `read` does."""
         number = self._number_of(offset, length)
-        records = self._file.records(self._chunks[number])
+        chunk = self._chunks[number]
+        records = self._unpacked_records(chunk.start) if self._file.is_remote else self._file.records(chunk)
         self._is_verified[number] = True
-        return self._file.records_at(self._chunks[number]), records
+        return self._file.records_at(chunk), records
 
     def _number_of(self, offset: int, length: int) -> int:
         number = bisect.bisect_right(self._starts, offset) - 1

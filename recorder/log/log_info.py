@@ -7,17 +7,18 @@ import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import msgspec
 
+from common.location import Location, Url
 from recorder.log import topics
 from recorder.log.label_plan import goes_by_lag, plan_labels
 from recorder.log.reader import Log
 from recorder.log.row_quality import ROW_FLAGS, States, summary
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits
-from recorder.log.tags import Tag, read_tags, stale_tags, tags_path
+from recorder.log.tags import Tag, tags_by_content
 
 
 @dataclass(frozen=True)
@@ -78,12 +79,24 @@ class LogInfo:
         return self.duration_s if self.driven_s is None else self.driven_s
 
 
-def logs_in(folder: Path) -> list[Path]:
-    """The logs of a folder by name, finished and not."""
+@overload
+def logs_in(folder: Path) -> list[Path]: ...
+
+
+@overload
+def logs_in(folder: Url) -> list[Url]: ...
+
+
+def logs_in(folder: Location) -> list[Path] | list[Url]:
+    """The logs of a folder by name, finished and not. Raises StoreError for what cannot be listed."""
+    if isinstance(folder, Url):
+        from common.object_store import list_objects  # an extra
+
+        return [each.url for each in list_objects(folder) if each.url.suffix == ".mcap"]
     return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
 
 
-def describe(path: Path, *, look: bool = False, with_tags: bool = True) -> LogInfo:
+def describe(path: Location, *, look: bool = False, with_tags: bool = True) -> LogInfo:
     """`look`: also at some pictures, for the lag of the steering. Raises LogError if the log cannot be read or,
     `with_tags`, its tags."""
     with Log(path) as log:
@@ -92,7 +105,8 @@ def describe(path: Path, *, look: bool = False, with_tags: bool = True) -> LogIn
         counts, schemas = log.counts, log.schemas
         quality = _quality(log)
         driven_s = _seconds(quality.get("driven_s")) if quality else None
-        has_tags = with_tags and tags_path(path).exists()  # without, the fingerprint need not be made
+        by_content = tags_by_content(path) if with_tags else {}
+        fingerprint = log.fingerprint if by_content else ""  # without tags, it need not be made
         rate_s = duration_s if driven_s is None else driven_s
         steering, lag = _steering(log, quality), None
         if look and steering and goes_by_lag(steering, driven_by(log)):
@@ -117,8 +131,8 @@ def describe(path: Path, *, look: bool = False, with_tags: bool = True) -> LogIn
             lag=lag,
             labels=str(plan_labels(steering, lag, driven_by(log))) if steering else "",
             picture_sizes=_texts(quality.get("picture_sizes", "")),
-            tags=read_tags(path, log.fingerprint) if has_tags else [],
-            stale_tags=stale_tags(path, log.fingerprint) if has_tags else 0,
+            tags=sorted(by_content.get(fingerprint, ())),
+            stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
             notice=log.notice,
             is_ours=log.is_ours,
         )

@@ -7,13 +7,10 @@ https://mcap.dev/spec; all integers are little-endian.
 from __future__ import annotations
 
 import io
-import os
 import struct
-import sys
-import threading
 import zlib
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,8 +23,9 @@ from mcap.records import Attachment
 from mcap.records import Metadata as MetadataRecord
 
 from common.closeable import Closeable
-from common.errors import counted
-from common.untrusted import open_regular
+from common.errors import NoSuchObjectError, counted
+from common.location import Location
+from common.random_access import open_for_reading
 from recorder.errors import LogError
 from recorder.log.compression import NOT_UNPACKED, unpack
 from recorder.log.topics import LIBRARY, PROFILE
@@ -100,14 +98,17 @@ class Parts(NamedTuple):
 class McapFile(Closeable):
     """A file open for reading at any place, from any thread."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises LogError if it cannot be opened or is of another kind."""
+    def __init__(self, path: Location) -> None:
+        """Raises LogError if it cannot be opened or is of another kind; StoreError."""
         self.path = path
         try:
-            self._stream = open_regular(path)
+            self._bytes = open_for_reading(path)
+        except NoSuchObjectError as error:
+            raise LogError(str(error)) from None
         except OSError as error:
-            raise LogError(f"{path}: cannot be opened ({error.strerror}); {_advice(path)}") from None
-        self._lock = threading.Lock()
+            advice = _advice(path) if isinstance(path, Path) else "give the command again"
+            raise LogError(f"{path}: cannot be opened ({error.strerror}); {advice}") from None
+        self.is_remote = self._bytes.is_remote
         self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
         self._unpacked_bytes = 0
         self._beside_chunks_at = set[int]()  # attachments and metadata that were read
@@ -119,34 +120,52 @@ class McapFile(Closeable):
             raise LogError(f"{path}: not an MCAP log (it does not start with MCAP's magic bytes)")
 
     def close(self) -> None:
-        self._stream.close()
+        self._bytes.close()
 
     def grow(self) -> bool:
         """Take in what was written behind the end since; False if the file has been deleted."""
-        status = os.fstat(self._stream.fileno())
-        self.size = status.st_size
-        return status.st_nlink > 0
+        is_there = self._bytes.grow()
+        self.size = self._bytes.size
+        return is_there
 
     def read(self, offset: int, length: int) -> bytes:
         """Raises LogError for what lies outside the file, is too long for any record, or is not readable."""
+        self._check_range(offset, length)
+        try:
+            data = self._bytes.read(offset, length)
+        except OSError as error:  # a failing disk
+            raise self._unreadable(offset, length, error) from None
+        if len(data) != length:
+            raise self.damaged("it has become shorter while it was read")
+        return data
+
+    def read_chunks(self, chunks: Sequence[Chunk]) -> Iterator[tuple[Chunk, bytes]]:
+        """Chunks, and the records of each, unpacked; of a file in a store, several are asked for at a time. Raises
+        what `records` does."""
+        ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
+        for chunk, data in zip(chunks, self._read_many(ranges), strict=True):
+            yield chunk, self._records(chunk, data)
+
+    def _read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+        if not self.is_remote:
+            yield from (self.read(offset, length) for offset, length in ranges)
+            return
+
+        def checked() -> Iterator[tuple[int, int]]:
+            for offset, length in ranges:
+                self._check_range(offset, length)
+                yield offset, length
+
+        yield from self._bytes.read_many(checked())
+
+    def _check_range(self, offset: int, length: int) -> None:
         if offset < 0 or length < 0 or offset + length > self.size:
             raise self.damaged(f"bytes {offset:,} to {offset + length:,} lie outside the file")
         if length > MAX_RECORD_BYTES:
             raise self.damaged(f"a record of {length:,} bytes")
-        try:
-            if sys.platform == "win32":  # no pread there
-                with self._lock:
-                    self._stream.seek(offset)
-                    data = self._stream.read(length)
-            else:
-                data = os.pread(self._stream.fileno(), length, offset)
-        except OSError as error:  # a failing disk
-            raise self.damaged(
-                f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})"
-            ) from None
-        if len(data) != length:
-            raise self.damaged("it has become shorter while it was read")
-        return data
+
+    def _unreadable(self, offset: int, length: int, error: OSError) -> LogError:
+        return self.damaged(f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})")
 
     @cached_property
     def profile_and_library(self) -> tuple[bytes, bytes]:
@@ -186,7 +205,9 @@ class McapFile(Closeable):
 
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC shows."""
-        record = self.read(chunk.start, chunk.end - chunk.start)
+        return self._records(chunk, self.read(chunk.start, chunk.end - chunk.start))
+
+    def _records(self, chunk: Chunk, record: bytes) -> bytes:
         if chunk.mended:
             record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)
@@ -293,7 +314,12 @@ class McapFile(Closeable):
             raise self.damaged(f"{counted(messages, 'message')} in {self.size:,} bytes")
 
     def damaged(self, what: str) -> LogError:
-        return LogError(f"{self.path}: damaged: {what}; `bc-log recover {self.path}` saves the rest")
+        path = self.path
+        if not isinstance(path, Path):
+            return LogError(
+                f"{path}: damaged: {what}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
+            )
+        return LogError(f"{path}: damaged: {what}; `bc-log recover {path}` saves the rest")
 
 
 def _message(records: bytes, start: int) -> StoredMessage:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -31,6 +31,9 @@ ENTRY: Final = np.dtype(
     ]
 )
 
+Read = tuple[Chunk, bytes]
+"""A chunk, and its records."""
+
 _HEAD: Final = np.dtype(
     [
         ("opcode", np.uint8),
@@ -43,15 +46,20 @@ _HEAD: Final = np.dtype(
 )  # as MESSAGE, without gaps
 
 
-def index_messages(file: McapFile, structure: Structure, chunks: Iterable[Chunk]) -> NDArray[np.void]:
-    """One ENTRY for each message in these chunks, in their order.
+def index_messages(
+    file: McapFile,
+    structure: Structure,
+    chunks: Sequence[Chunk],
+    track: Callable[[Iterable[Read]], Iterable[Read]] = lambda read: read,
+) -> NDArray[np.void]:
+    """One ENTRY for each message in these chunks, in their order. `track` shows how far it is.
 
     Raises LogError for a damaged chunk, or a time that no clock of ours can hold.
     """
     images = np.array(sorted(structure.image_channels), np.uint16)
     parts, count = [], 0
-    for chunk in chunks:
-        parts.append(_in_chunk(file, chunk, images))
+    for chunk, records in track(file.read_chunks(chunks)):
+        parts.append(_in_chunk(file, chunk, records, images))
         count += len(parts[-1])
         file.check_count(count)
     table = np.concatenate(parts) if parts else np.empty(0, ENTRY)
@@ -60,8 +68,7 @@ def index_messages(file: McapFile, structure: Structure, chunks: Iterable[Chunk]
     return table
 
 
-def _in_chunk(file: McapFile, chunk: Chunk, images: NDArray[np.uint16]) -> NDArray[np.void]:
-    records = file.records(chunk)
+def _in_chunk(file: McapFile, chunk: Chunk, records: bytes, images: NDArray[np.uint16]) -> NDArray[np.void]:
     starts = np.array(file.parts(records).messages, np.int64)
     base = 0 if chunk.compression else file.records_at(chunk)
     return chunk_entries(records, starts, images, base, chunk.start if chunk.compression else UNCOMPRESSED)

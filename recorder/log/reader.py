@@ -9,10 +9,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -24,11 +23,12 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.car import CAMERAS, Camera
 from common.closeable import Closeable
+from common.location import Location, location
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.chunk_reader import ChunkReader
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
-from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, index_messages
+from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.log.number_fields import decode_numbers
 from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.log.salvage import salvage
@@ -76,8 +76,8 @@ class Log(Closeable):
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
-    def __init__(self, path: Path | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
-        self.path = Path(path)
+    def __init__(self, path: Location | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
+        self.path = location(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
         try:
@@ -344,14 +344,16 @@ class Log(Closeable):
         if places is not None:
             images = self._structure.image_channels
             read = [chunk for chunk in read if not is_of_pictures(chunk, images)]
-        chunks: Iterable[Chunk] = read
-        if self._shows_progress:
-            from common.progress import track  # training reads logs where no bars are installed
-
-            chunks = track(chunks, f"reading {self.path.name}", len(read))
-        index = index_messages(self._file, self._structure, chunks)
+        index = index_messages(self._file, self._structure, read, self._tracked(len(read)))
         self._chunk_reader.set_verified(read)
         return index if places is None else np.concatenate([index, places])
+
+    def _tracked(self, chunks: int) -> Callable[[Iterable[Read]], Iterable[Read]]:
+        if not self._shows_progress:
+            return lambda read: read
+        from common.progress import track  # training reads logs where no bars are installed
+
+        return lambda read: track(read, f"reading {self.path.name}", chunks)
 
     def _of_topic(self, topic: str) -> NDArray[np.void]:
         mask = np.zeros(len(self._index), np.bool_)

@@ -11,13 +11,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 
 from common.car import MAX_STEERING_DEG, MPS_PER_MPH, Camera
 from common.errors import printable
+from common.location import Location
 from common.stored_settings import settings_from
 from common.untrusted import read_bounded
 from recorder.errors import LogError, RecordingError
@@ -230,7 +230,7 @@ def _is_merged(session: Mapping[str, str]) -> bool:
     return session.get("source") == "merged"
 
 
-def car_in(session: Mapping[str, str], where: Path) -> Car | None:
+def car_in(session: Mapping[str, str], where: Location) -> Car | None:
     """The car that the metadata of a session, in the log at `where`, tells; None where they tell none.
 
     Raises LogError for settings that no car has.

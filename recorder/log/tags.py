@@ -14,16 +14,18 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Final, overload
 
+from common.location import Location, Url
 from common.locks import lock
+from common.random_access import read_bytes
 from recorder.errors import LogError
 
 EXCLUDE: Final = "exclude"
 """Rows with this tag are never trained on."""
 _ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
-_MOST_BYTES: Final = 1 << 24
+MOST_BYTES: Final = 1 << 24
 
 
 @dataclass(frozen=True, order=True)
@@ -35,16 +37,24 @@ class Tag:
     name: str
 
 
-def tags_path(log: Path) -> Path:
+@overload
+def tags_path(log: Path) -> Path: ...
+
+
+@overload
+def tags_path(log: Url) -> Url: ...
+
+
+def tags_path(log: Location) -> Location:
     return log.with_name(f"{log.name.removesuffix('.mcap')}{_ENDING}")
 
 
-def read_tags(log: Path, fingerprint: str) -> list[Tag]:
+def read_tags(log: Location, fingerprint: str) -> list[Tag]:
     """The tags of the log with this fingerprint, by their rows. Raises LogError for a damaged file."""
     return sorted(tags_by_content(log)[fingerprint])
 
 
-def stale_tags(log: Path, fingerprint: str) -> int:
+def stale_tags(log: Location, fingerprint: str) -> int:
     """Number of tags beside the log that are for another content of it. Raises what `read_tags` does."""
     return sum(len(tags) for content, tags in tags_by_content(log).items() if content != fingerprint)
 
@@ -94,7 +104,7 @@ def _checked(tag: Tag) -> Tag:
     return tag
 
 
-def tags_by_content(log: Path) -> defaultdict[str, set[Tag]]:
+def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
     """The tags by the fingerprint that they are for. Raises LogError for a damaged file."""
     found: defaultdict[str, set[Tag]] = defaultdict(set)
     for number, line in enumerate(_lines(log), start=1):
@@ -113,17 +123,16 @@ def tags_by_content(log: Path) -> defaultdict[str, set[Tag]]:
     return found
 
 
-def _lines(log: Path) -> list[str]:
-    path = _plain(tags_path(log))
+def _lines(log: Location) -> list[str]:
+    path = tags_path(log)
     try:
-        with path.open("rb") as stream:
-            data = stream.read(_MOST_BYTES + 1)
-    except FileNotFoundError:
-        return []
+        data = read_bytes(_plain(path) if isinstance(path, Path) else path, MOST_BYTES + 1)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from None
-    if len(data) > _MOST_BYTES:
-        raise LogError(f"{path}: larger than {_MOST_BYTES:,} bytes, which no tags are")
+    if data is None:
+        return []
+    if len(data) > MOST_BYTES:
+        raise LogError(f"{path}: larger than {MOST_BYTES:,} bytes, which no tags are")
     whole = data[: data.rfind(b"\n") + 1]
     return whole.decode("utf-8", "replace").splitlines()
 

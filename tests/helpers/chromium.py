@@ -23,7 +23,10 @@ def chromium() -> Iterator[Browser]:
     program = next(filter(None, map(shutil.which, PROGRAMS)), "")
     if not program or os.name != "posix":
         pytest.skip("pages were not tried in a browser: no Chromium here (Debian: apt install chromium)")
-    flags = ["--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]  # it reaches this machine only
+    flags = [
+        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # it reaches this machine only
+        "--enable-unsafe-swiftshader",  # newer ones draw WebGL in software only if they are told to
+    ]
     if os.geteuid() == 0:
         flags.append("--no-sandbox")  # it refuses to run as root with one
     with api.sync_playwright() as playwright:

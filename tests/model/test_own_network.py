@@ -236,6 +236,7 @@ def body(made: str = "pass", answer: str = "return self.one(x.mean((2, 3)))") ->
         (body("self.one = nn.Linear(7, 1)"), r"cannot take pictures of 128 x 128 px \(RuntimeError"),
         (body("self.two = self.one"), r"network\.one\.weight and network\.two\.weight share their numbers"),
         (body("self.one = nn.Identity()"), "has no parameters"),
+        (body("self.one = nn.LazyLinear(1)"), r"network\.one\.weight has no size yet"),
     ],
 )
 def test_what_cannot_be_trained_is_one_line(tmp_path: Path, source: str, said: str) -> None:

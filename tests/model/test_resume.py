@@ -19,6 +19,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
+from common.location import local_path
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Samples, build_index
 from disk import files_of_at_most
@@ -281,7 +282,7 @@ def test_a_run_goes_on_when_its_log_was_rewritten(index: Path, stopped: Path, tm
         (log,) = samples.logs.values()
         settings = settings_from(IndexConfig, samples.metadata["settings"])
         fingerprint = samples.fingerprint
-    rewritten = rewrite(log.path, tmp_path / log.path.name).path
+    rewritten = rewrite(local_path(log.path), tmp_path / log.path.name).path
     with Samples(build_index([rewritten], tmp_path / "index", settings).path) as samples:
         assert samples.fingerprint != fingerprint  # the pictures have other places
     train(tmp_path / "index", stopped, replace(CONFIG, epochs=4), resume=True, figures=False)

@@ -10,7 +10,7 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-import pandas as pd  # type: ignore[import-untyped]
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest

@@ -128,7 +128,7 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
         wait_until(lambda: "8.0° too far to the right" in bench.get("/runs/r/body").text)
         text = bench.get("/runs/r").text
         assert "6.0° too far to the left" in text
-        assert 'href="/sessions/sunday#row=7"' in text
+        assert 'href="/sessions/sunday#row=7&amp;run=' in text
         assert bench.get("/runs/r/worst/1/1.jpg").body == road_jpeg(3)
         assert bench.get("/runs/r/worst/1/2.jpg").status == 404
         assert "6.0°" not in bench.get("/runs/r?epoch=2").text

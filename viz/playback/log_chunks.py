@@ -21,6 +21,7 @@ from mcap.well_known import MessageEncoding
 from rerun.chunk import Chunk, McapReader
 
 from common import Skipped
+from common.location import local_path
 from common.progress import progress_bar
 from recorder import Log, LogError, LogWriter
 from recorder.errors import damaged_pictures
@@ -62,10 +63,12 @@ def protobuf_topics(log: Log) -> dict[str, str]:
 
 def _chunks(log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str) -> Iterator[Chunk]:
     if not log.is_ours:
-        yield from on_clock(McapReader(log.path, exclude_topic_regex=_exactly(drawn)).stream(), clock, left_out)
+        yield from on_clock(
+            McapReader(local_path(log.path), exclude_topic_regex=_exactly(drawn)).stream(), clock, left_out
+        )
         return
     pictures = [topic for topic, schema in protobuf_topics(log).items() if schema == COMPRESSED_IMAGE.name]
-    yield from _summary(log.path, drawn)
+    yield from _summary(local_path(log.path), drawn)
     yield from on_clock(_others(log, {*drawn, *pictures}), clock, left_out)
     yield from _pictures(log, pictures, clock, skipped)
 

@@ -29,13 +29,18 @@ class CacheFolder:
 
     def get(self, key: str, make: Callable[[], bytes]) -> bytes:
         """What was kept under that key, or what `make` makes; an error that it raises is kept nowhere."""
-        path = self._path(key)
-        with contextlib.suppress(OSError):
-            if data := path.read_bytes():
-                return data
+        if data := self.find(key):
+            return data
         data = make()
-        self._keep(path, data)
+        self.keep(key, data)
         return data
+
+    def find(self, key: str) -> bytes | None:
+        """What is kept under that key, if anything is."""
+        try:
+            return self._path(key).read_bytes() or None
+        except OSError:
+            return None
 
     def forget(self, key: str) -> None:
         """What is kept under that key is no good."""
@@ -62,7 +67,9 @@ class CacheFolder:
         name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()
         return self.folder / name[:2] / name[2:]
 
-    def _keep(self, path: Path, data: bytes) -> None:
+    def keep(self, key: str, data: bytes) -> None:
+        """Keep it; `get` and `find` give it back, unless the folder is deleted meanwhile."""
+        path = self._path(key)
         part = path.with_name(f"{path.name}.{secrets.token_hex(3)}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

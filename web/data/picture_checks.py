@@ -1,4 +1,5 @@
-"""The check of all pictures of a log, which decodes them: read from the index, or made here when somebody asks."""
+"""The check of all pictures of a log, which decodes them: frozen and broken ones, and steering that contradicts
+them. Read from the index, or made here when somebody asks."""
 
 from __future__ import annotations
 
@@ -6,14 +7,21 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
+
+import msgspec
 
 from common import UserError
 from common.errors import printable
-from dataset.frames.frame_flags import ImageFindings
+from common.stretches import stretches
+from dataset.frames.frame_flags import ImageFindings, Stretches
 from dataset.frames.frames_file import session_name
 from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from recorder import Log
+from recorder.log.steering_against_pictures import against_pictures
 from web.data.cache_folder import CacheFolder
+
+_AGAINST: Final = "against pictures 1"
 
 
 class _StoppedError(Exception):
@@ -34,6 +42,7 @@ class PictureChecks:
 
     def __init__(self, index: Path, cache: CacheFolder) -> None:
         self._index = index
+        self._cache = cache
         self._kept = cache.folder / "checks"
         self._pool = ThreadPoolExecutor(1, "checking pictures")
         self._lock = threading.Lock()
@@ -44,6 +53,16 @@ class PictureChecks:
         """What is known of the pictures of a log; None where nobody has looked at them."""
         kept = read_image_check(self._index, session_name(log.path), log.fingerprint)
         return kept or read_image_check(self._kept, log.fingerprint, log.fingerprint)
+
+    def against(self, log: Log) -> Stretches | None:
+        """The stretches of rows whose steering contradicts the pictures; None where nobody has looked."""
+        key = f"{_AGAINST} {log.fingerprint}"
+        if data := self._cache.find(key):
+            try:
+                return msgspec.json.decode(data, type=Stretches)
+            except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
+                self._cache.forget(key)
+        return None
 
     def checking(self, fingerprint: str) -> Checking | None:
         with self._lock:
@@ -71,7 +90,9 @@ class PictureChecks:
         try:
             with Log(path) as log:  # of its own: a page may close the other
                 found = check_images(log, on_decoded)
+                against = stretches(against_pictures(log))
             write_image_check(self._kept, fingerprint, fingerprint, found)
+            self._cache.keep(f"{_AGAINST} {fingerprint}", msgspec.json.encode(against))
         except _StoppedError:
             return
         except (UserError, OSError, MemoryError) as error:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from urllib.parse import urlencode
 
 from starlette.concurrency import run_in_threadpool
@@ -28,6 +29,7 @@ from web.pages.workbench import Workbench
 from web.server.templates import render
 
 _INDEX_FORM = "index"
+_PATIENCE_S: Final = 0.3
 
 
 def index_routes(bench: Workbench) -> list[Route]:
@@ -53,10 +55,13 @@ def index_routes(bench: Workbench) -> list[Route]:
         return HTMLResponse(render("index.html", **told))
 
     def _stale() -> list[str]:
-        try:
-            return [printable(name) for name in sessions_not_indexed(bench.folders.index, bench.folders.sessions)]
-        except UserError:
-            return []
+        """The sessions that are newer than the index, and those whose log or tags have changed since."""
+        cards = bench.cards.cards("sessions", _PATIENCE_S)
+        names = {card.name for card in cards if card.index.words == "changed since"}
+        with contextlib.suppress(UserError):
+            found = sessions_not_indexed(bench.folders.index, bench.folders.sessions)
+            names |= set(map(printable, found))
+        return sorted(names)
 
     def bins(request: Request) -> Response:
         return _picture(bins_sketch(view_index(folder_of(request))))

@@ -142,7 +142,7 @@ def _worst(bench: Workbench, path: Path, card: RunCard, asked: str) -> dict[str,
                 "picture": f"/runs/{card.key}/worst/{epoch}/{number}.jpg",
                 "session": printable(frame.session),
                 "frame": frame,
-                "address": f"{address}#row={frame.row}" if address else "",
+                "address": f"{address}#row={frame.row}&run={card.key}" if address else "",
             }
         )
     return {"worst": frames, "epochs": list(by_epoch), "epoch": epoch, "kept": kept, "problem": ""}

@@ -21,6 +21,8 @@ from web.data.file_versions import version_of
 from web.data.odd_stretches import odd_stretches
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
+from web.data.rerun_viewers import command_of
+from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import change_tags
 from web.pages.workbench import Workbench
 from web.server.templates import render
@@ -43,6 +45,10 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 info=info,
                 cameras=CAMERAS,
                 path=printable(str(path)),
+                log_jobs=shown_log_jobs(path),
+                others=_others(bench, place, path),
+                play_command=command_of(path),
+                runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
             )
         )
 
@@ -108,9 +114,19 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     ]
 
 
+def _others(bench: Workbench, place: Place, path: Path) -> list[tuple[str, str]]:
+    """Keys and names of the finished logs beside it."""
+    logs = bench.folders.logs(place).items()
+    return [
+        (key, printable(log.name.removesuffix(".mcap")))
+        for key, log in logs
+        if log != path and log.name.endswith(".mcap")
+    ]
+
+
 def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
     log, states = opened.log, opened.states
-    findings = bench.checks.findings(log)
+    findings, against = bench.checks.findings(log), bench.checks.against(log)
     return {
         "version": opened.version,
         "fingerprint": log.fingerprint,
@@ -119,7 +135,7 @@ def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": [
             (stretch.flag, stretch.first, stretch.last)
-            for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())
+            for stretch in (odd_stretches(log, states, findings, against or ()) if len(states.row) else ())
         ],
-        "looked": findings is not None,
+        "looked": findings is not None and against is not None,
     }

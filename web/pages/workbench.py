@@ -9,7 +9,9 @@ from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.predictions import Predictions
 from web.data.project_folders import ProjectFolders
+from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
@@ -28,3 +30,5 @@ class Workbench:
     runs: RunCards
     jobs: Jobs
     trials: IndexTrials
+    viewers: RerunViewers
+    predictions: Predictions

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 import uvicorn
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from common import UserError
 from common.interrupts import leave_signals_to_main_thread
@@ -33,9 +33,11 @@ class WorkbenchServer:
         # head and body are two writes, waits 40 ms for the delayed acknowledgement. Connections inherit it.
         send_at_once(self._socket)
         self.port: int = self._socket.getsockname()[1]
+        self._app = app
         self._server = uvicorn.Server(
             uvicorn.Config(
-                app,
+                self._answer,
+                interface="asgi3",
                 lifespan="off",
                 ws="none",
                 log_config=None,
@@ -60,6 +62,10 @@ class WorkbenchServer:
         self._server.should_exit = True
         self._thread.join()
         self._socket.close()
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        scope["is_ending"] = lambda: self._server.should_exit  # for an answer that lasts
+        await self._app(scope, receive, send)
 
     def _run(self) -> None:
         leave_signals_to_main_thread()

@@ -8,14 +8,14 @@ import { clock } from "./clock.js";
 const LEAST_ROWS = 10; // across, zoomed in as far as it goes
 const AXIS_WIDTH = 46;
 const PLOTS = [
-  { height: 190, scales: { y: [-1.05, 1.05] }, lines: [["steering", "y", "--steering"]] },
+  { height: 190, scales: { y: [-1.05, 1.05] }, lines: [["steering", "y", "--steering"], ["predicted", "y", "--predicted"]] },
   {
     height: 130,
     scales: { pedal: [0, 1.05], mph: null },
     lines: [["throttle", "pedal", "--throttle"], ["brake", "pedal", "--brake"], ["speed_mph", "mph", "--speed"]],
   },
 ];
-const NAMES = { steering: "steering (right is up)", throttle: "throttle", brake: "brake", speed_mph: "speed, mph" };
+const NAMES = { steering: "steering (right is up)", predicted: "predicted", throttle: "throttle", brake: "brake", speed_mph: "speed, mph" };
 
 export class Curves {
   /** `onMove(position)`: the mouse points there; `onSelect({first, last})`: a stretch was dragged over. */
@@ -64,8 +64,9 @@ export class Curves {
     };
   }
 
-  makePlot({ height, scales, lines }, x, color) {
+  makePlot({ height, scales, lines: all }, x, color) {
     const columns = this.data.columns;
+    const lines = all.filter(([name]) => columns[name]); // no run is chosen: nothing is predicted
     const text = color("--text");
     const grid = { stroke: color("--line"), width: 1 };
     const axis = (more) => ({ stroke: text, grid, ticks: grid, size: AXIS_WIDTH, font: "11px system-ui", ...more });
@@ -176,7 +177,8 @@ export class Curves {
     const size = Math.min(max - min, end) || 1;
     const from = Math.max(0, Math.min(min, end - size));
     this.view = size < end ? { min: from, max: from + size } : null; // all of it, also when it grows
-    for (const plot of this.plots) plot.setScale("x", { min: from, max: from + size });
+    const seen = { min: from, max: from + size };
+    for (const plot of this.plots) plot.batch(() => plot.setScale("x", seen)); // at once: the markers go by it
     this.placeMarkers();
   }
 

@@ -21,6 +21,10 @@ export function listTags(element, data, { canChange, onPick, onRemove }) {
   });
 }
 
+export function listWorst(element, moments, onPick) {
+  fill(element, moments, (moment) => [button(moment.short, () => onPick(moment), ""), text("span", moment.words, "dim")]);
+}
+
 function fill(element, items, made) {
   const lines = items.slice(0, MOST).map((item) => {
     const line = document.createElement("li");

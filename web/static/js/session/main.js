@@ -5,11 +5,14 @@ import { clock } from "./clock.js";
 import { Curves } from "./curves.js";
 import { History } from "./history.js";
 import { listen } from "./keys.js";
-import { listOdd, listTags } from "./lists.js";
+import { listOdd, listTags, listWorst } from "./lists.js";
 import { ask, LogData } from "./log_data.js";
+import { Predictions } from "./predictions.js";
 import { following, grouped, left, words } from "./odd.js";
+import { Makers } from "./make.js";
 import { Pictures } from "./pictures.js";
 import { Player } from "./player.js";
+import { RerunFrame } from "./rerun.js";
 
 const EXCLUDE = "exclude";
 const by = (id) => document.getElementById(id);
@@ -19,6 +22,9 @@ const pictures = new Pictures(document.querySelectorAll("figure[data-camera]"), 
 const curves = new Curves(by("curves"), data, { onMove: point, onSelect: select });
 const player = new Player(data, { onMove: move, onChange: showPlaying });
 const done = new History(data);
+const makers = new Makers(by("make"), data);
+const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: say });
+const predictions = new Predictions(data, { onChange: showPredicted });
 let groups = [];
 let toDo = [];
 let selection = null;
@@ -33,12 +39,14 @@ function move(position) {
   if (!data.length) return;
   curves.point(position);
   pictures.show(curves.position);
+  rerun.moveTo(curves.position);
   const at = curves.position;
-  const { row, time_s, steering, throttle, brake, speed_mph } = data.columns;
+  const { row, time_s, steering, throttle, brake, speed_mph, predicted } = data.columns;
   const told = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
   const text =
     `row ${row[at]} · ${clock(time_s[at])} · steering ${told(steering[at])} · throttle ${told(throttle[at])}` +
-    ` · brake ${told(brake[at])} · ${told(speed_mph[at])} mph`;
+    ` · brake ${told(brake[at])} · ${told(speed_mph[at])} mph` +
+    (predicted ? ` · predicted ${told(predicted[at])}` : "");
   by("now").textContent = text;
   by("curves").setAttribute("aria-valuenow", at);
   by("curves").setAttribute("aria-valuetext", text);
@@ -50,6 +58,7 @@ function select(stretch) {
   const canTag = Boolean(selection) && !data.state.problem;
   by("exclude").disabled = by("tag").disabled = !canTag;
   const rows = selection && data.rowsOf(selection);
+  makers.select(rows);
   by("selected").textContent = rows ? `rows ${rows[0]} to ${rows[1]} selected` : "";
 }
 
@@ -136,6 +145,45 @@ function setSpeed(speed) {
   by("speed").value = speed;
 }
 
+/** The prediction of the chosen run, as far as it is there. */
+function showPredicted() {
+  by("predicted").textContent = predictions.told;
+  by("predicted").className = predictions.problem ? "problem" : "dim";
+  by("worst-next").disabled = !predictions.worst.length;
+  by("worst-part").hidden = !predictions.about;
+  listWorst(by("worst"), predictions.worst, goToMoment);
+  curves.build();
+  move(curves.position);
+  page.dataset.run = predictions.about ? predictions.run : ""; // what is shown now, for whoever waits for it
+}
+
+function goToMoment(moment) {
+  player.pause();
+  curves.reveal({ first: moment.position, last: moment.position });
+  move(moment.position);
+}
+
+function goToWorst(step) {
+  const moment = predictions.next(step);
+  if (!moment) {
+    say(predictions.about ? "nothing was recorded to compare with" : "choose a run first, whose network looks at this log");
+    return;
+  }
+  goToMoment(moment);
+  say(`${predictions.at + 1} of ${predictions.worst.length}: ${moment.words}`);
+}
+
+function toggleRerun() {
+  if (rerun.isOpen) rerun.close();
+  else rerun.open(curves.position);
+}
+
+/** Rerun shows the cameras, too: theirs make room for it. */
+function showRerun() {
+  by("rerun-button").setAttribute("aria-pressed", rerun.isOpen);
+  page.classList.toggle("in-rerun", rerun.isOpen);
+}
+
 function showTags() {
   toDo = left(groups, data.tags);
   const undone = new Set(toDo);
@@ -151,11 +199,13 @@ function showTags() {
 
 data.addEventListener("rows", () => {
   groups = grouped(data.state.odd);
+  predictions.forget(); // of the log as it was
   player.useRows();
   pictures.useCameras();
   by("look").hidden = data.state.looked || !data.state.cameras.length;
   curves.odd = groups;
   curves.build();
+  makers.select(selection && data.rowsOf(selection));
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);
 });
@@ -174,7 +224,7 @@ async function look() {
   } catch (error) {
     say(error.message);
   }
-  by("look").textContent = "Look for frozen and broken pictures";
+  by("look").textContent = "Look at all pictures";
   by("look").disabled = false;
 }
 
@@ -191,6 +241,13 @@ by("before").addEventListener("click", () => goToOdd(-1));
 by("exclude").addEventListener("click", () => tag(EXCLUDE));
 by("undo").addEventListener("click", undo);
 by("look").addEventListener("click", look);
+by("run").addEventListener("change", () => {
+  predictions.choose(by("run").value);
+  by("run").blur(); // its keys are the page's again
+});
+by("worst-next").addEventListener("click", () => goToWorst(1));
+by("rerun-button").addEventListener("click", toggleRerun);
+by("rerun-close").addEventListener("click", toggleRerun);
 by("redo").addEventListener("click", redo);
 by("name-form").addEventListener("submit", (event) => {
   event.preventDefault();
@@ -248,18 +305,26 @@ listen({
   "+": () => curves.zoom(0.5),
   "-": () => curves.zoom(2),
   0: () => curves.show(0, data.length - 1),
+  o: toggleRerun,
+  w: () => goToWorst(1),
+  W: () => goToWorst(-1),
   "?": toggleHelp,
 });
 
 try {
   await data.load();
-  const asked = new URLSearchParams(location.hash.slice(1)).get("row");
+  const named = new URLSearchParams(location.hash.slice(1));
+  const asked = named.get("row");
   if (asked !== null && data.length) {
     const at = data.position(Number(asked), false);
     move(at);
     curves.reveal({ first: curves.position, last: curves.position });
   }
   data.follow();
+  if (named.get("run")) {
+    by("run").value = named.get("run");
+    predictions.choose(by("run").value);
+  }
 } catch (error) {
   data.tell(error.message);
 }

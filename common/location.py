@@ -1,0 +1,124 @@
+"""Where a file is: a path of this machine, or the URL of an object in a store (s3://, gs://, az://).
+
+`pathlib` would make "s3:/bucket" of "s3://bucket": what a person gives is read once, by `location`, and is from
+then on either a `Path` or a `Url`, which has those of a path's methods that need no file.
+"""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import re
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final, TypeAlias
+from urllib.parse import unquote, urlsplit
+
+from common.errors import UsageError, UserError
+
+SCHEMES: Final = ("s3", "gs", "az")
+"""Of Amazon's S3 and all that speak its protocol, Google Cloud Storage, Azure Blob Storage."""
+
+_URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
+_COLLAPSED: Final = re.compile(rf"(?:{'|'.join(SCHEMES)}|file):/(?!/)")
+
+
+@dataclass(frozen=True, order=True)
+class Url:
+    """An object in a store, or a folder of objects; written as scheme://bucket/key."""
+
+    scheme: str
+    bucket: str
+    key: str = ""  # without a slash at either end
+
+    def __str__(self) -> str:
+        return f"{self.scheme}://{self.bucket}/{self.key}"
+
+    def __truediv__(self, name: str) -> Url:
+        return Url(self.scheme, self.bucket, f"{self.key}/{name}" if self.key else name)
+
+    @property
+    def name(self) -> str:
+        return self.key.rpartition("/")[2]
+
+    @property
+    def suffix(self) -> str:
+        return PurePosixPath(self.name).suffix
+
+    @property
+    def stem(self) -> str:
+        return PurePosixPath(self.name).stem
+
+    @property
+    def parent(self) -> Url:
+        return Url(self.scheme, self.bucket, self.key.rpartition("/")[0])
+
+    def with_name(self, name: str) -> Url:
+        return self.parent / name
+
+    def joined(self, relative: str) -> Url:
+        """What a path that is relative to this folder leads to. Raises ValueError for one that leads out of the
+        bucket."""
+        parts = self.key.split("/") if self.key else []
+        for part in relative.split("/"):
+            if part == "..":
+                if not parts:
+                    raise ValueError(f"{relative} leads out of {self}")
+                parts.pop()
+            elif part not in ("", "."):
+                parts.append(part)
+        return Url(self.scheme, self.bucket, "/".join(parts))
+
+
+Location: TypeAlias = Path | Url
+
+
+def location(text: str | Location) -> Location:
+    """The place that a person names. Raises UsageError for a URL of another kind, or of no bucket."""
+    if not isinstance(text, str):
+        return text
+    found = _URL.fullmatch(text)
+    if found is None:
+        return Path(text)
+    scheme, rest = found[1].lower(), found[2]
+    if scheme == "file":
+        return Path(unquote(urlsplit(text).path))
+    if scheme not in SCHEMES:
+        kinds = ", ".join(f"{each}://" for each in SCHEMES)
+        raise UsageError(f"{text}: no place for logs; give a path, or a URL that begins with {kinds} or file://")
+    bucket, _, key = rest.partition("/")
+    if not bucket:
+        raise UsageError(f"{text}: no bucket in it; {scheme}://BUCKET/NAME is expected")
+    return Url(scheme, bucket, "/".join(filter(None, key.split("/"))))
+
+
+def absolute(place: Location) -> Location:
+    """The same, from whatever folder it is looked at."""
+    return place if isinstance(place, Url) else place.resolve()
+
+
+def local_path(place: Location) -> Path:
+    """The place if it is on this machine. Raises UserError for one in a store."""
+    if isinstance(place, Url):
+        raise UserError(f"{place}: is needed on this machine; `bc-log copy {place} FOLDER` brings it here")
+    return place
+
+
+def refuse_collapsed(path: Path) -> None:
+    """Raise UsageError for a path that was made of a URL: what it is asked for has to lie on this machine."""
+    if _COLLAPSED.match(os.fspath(path)):
+        raise UsageError(
+            f"{path}: a place of this machine is expected here, no URL; `bc-log copy URL FOLDER` brings a log here"
+        )
+
+
+def relative_to(place: Location, folder: Location) -> str:
+    """How a file is named in another one that lies in `folder`: both can be moved together. Where only one of them
+    is in a store, or they are in different buckets, it is named by its URL."""
+    if isinstance(place, Url):
+        if not isinstance(folder, Url) or (place.scheme, place.bucket) != (folder.scheme, folder.bucket):
+            return str(place)
+        return posixpath.relpath(f"/{place.key}", f"/{folder.key}")
+    if isinstance(folder, Url):
+        return place.resolve().as_uri()
+    return Path(os.path.relpath(place.resolve(), folder.resolve())).as_posix()

@@ -1,0 +1,398 @@
+"""Objects in a store, by obstore: listed, read by range, written whole and never over another one unasked.
+
+Credentials and endpoint are those of the usual environment: AWS_ACCESS_KEY_ID and its neighbours or ~/.aws,
+AWS_ENDPOINT_URL_S3, GOOGLE_APPLICATION_CREDENTIALS, AZURE_STORAGE_ACCOUNT_NAME and so on. obstore asks again,
+later and later, where a store does not answer, answers 5xx, or is cut off. What it cannot mend is a StoreError.
+"""
+
+from __future__ import annotations
+
+import configparser
+import contextlib
+import os
+import re
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import timedelta
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+from common.closeable import Closeable
+from common.errors import NoSuchObjectError, ObjectChangedError, ObjectExistsError, StoreError, UserError
+from common.location import Url
+from common.random_access import Range
+
+try:
+    import obstore
+    from obstore import exceptions as failures
+    from obstore.store import from_url
+except ImportError:
+    raise UserError(
+        "reading from a store needs obstore: `pip install behavioural-cloning-toolkit[scale]` brings it"
+    ) from None
+
+if TYPE_CHECKING:
+    from obstore import GetOptions
+    from obstore.store import ClientConfig, ObjectStore, RetryConfig
+
+AT_ONCE: Final = 16
+"""Requests that wait for their answers at a time: at 50 ms each, and 256 KB, some 80 MB/s."""
+
+_SMALL: Final = 1 << 15  # a read of less brings its neighbours along: records lie side by side
+_LARGEST: Final = 1 << 23  # read ahead of who reads a file through
+_KEPT_BYTES: Final = 1 << 26
+_KEPT: Final = 16  # stretches of a file that were read
+_END: Final = 1 << 17  # of a file, read at once: a log of ours says there what is in it
+_TRUNCATED: Final = 4  # times that an answer is asked for again that has ended early
+
+# The first request of a process to a bucket shall fail within seconds; those of a training that has run for hours
+# wait a minute for the network.
+_IMPATIENT: Final[RetryConfig] = {
+    "max_retries": 3,
+    "retry_timeout": timedelta(seconds=10),
+    "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=1), "base": 2},
+}
+_PATIENT: Final[RetryConfig] = {
+    "max_retries": 10,
+    "retry_timeout": timedelta(seconds=90),
+    "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=15), "base": 2},
+}
+
+
+@dataclass(frozen=True, order=True)
+class StoredObject:
+    """An object as a listing tells of it."""
+
+    url: Url
+    size: int  # bytes
+    version: str  # ETag
+
+
+class ObjectFile(Closeable):
+    """An object, open for reading at any place, from any thread. It is one content that is read: if the object is
+    replaced meanwhile, ObjectChangedError is raised."""
+
+    is_remote = True
+
+    def __init__(self, url: Url) -> None:
+        """Raises NoSuchObjectError, or another StoreError. Reads the end of the object: one request."""
+        self.url = url
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[int, bytes] = OrderedDict()  # by where they begin
+        self._read_from = self._read_to = -1  # the last stretch that was read
+        self._ahead = _SMALL
+        self._pool: ThreadPoolExecutor | None = None
+        with _told(url):
+            try:
+                found = obstore.get(_store(url, False), url.key, options={"range": {"suffix": _END}})
+                end = found.bytes().to_bytes()
+            except failures.BaseError as error:
+                if not _is_out_of_range(str(error)):
+                    raise
+                found = obstore.get(_store(url, False), url.key)  # an empty one has no end
+                end = b""
+        self.size: int = found.meta["size"]
+        self.version: str = found.meta["e_tag"] or ""
+        self._keep(self.size - len(end), end)
+
+    def close(self) -> None:
+        self._kept.clear()
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def grow(self) -> bool:
+        """Objects do not grow."""
+        return True
+
+    def read(self, offset: int, length: int) -> bytes:
+        if (known := self._known(offset, length)) is not None:
+            return known
+        with self._lock:
+            is_next = (
+                self._read_from <= offset <= self._read_to
+            )  # a record may begin in what its head was read with
+            self._ahead = min(2 * self._ahead, _LARGEST) if is_next else _SMALL
+            wanted = min(max(length, self._ahead if is_next or length < _SMALL else 0), self.size - offset)
+        data = self._fetched(offset, wanted)
+        self._keep(offset, data)
+        return data[:length]
+
+    def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(AT_ONCE, "store")
+        waiting: deque[Future[bytes]] = deque()
+        for offset, length in ranges:
+            known = self._known(offset, length)
+            waiting.append(self._pool.submit(self._fetched, offset, length) if known is None else _done(known))
+            if len(waiting) == 2 * AT_ONCE:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+    def read_now(self, offset: int, length: int) -> bytes:
+        """As `read`, but nothing is kept, and nothing else is read."""
+        return self._fetched(offset, length)
+
+    def _fetched(self, offset: int, length: int) -> bytes:
+        if length == 0:
+            return b""
+        with _told(self.url):
+            for attempt in range(_TRUNCATED):
+                try:
+                    answer = obstore.get(
+                        _store(self.url, True),
+                        self.url.key,
+                        options=_range_of(offset, length, self.version),
+                    )
+                    if (answer.meta["e_tag"] or "") != self.version or answer.meta["size"] != self.size:
+                        self._changed()
+                    data = answer.bytes().to_bytes()
+                except failures.PreconditionError:
+                    self._changed()
+                except FileNotFoundError:
+                    raise ObjectChangedError(f"{self.url}: was removed while it was read") from None
+                except failures.GenericError as error:
+                    if _is_out_of_range(str(error)):  # but it was within the object's size
+                        self._changed()
+                    if attempt == _TRUNCATED - 1:
+                        raise
+                    continue
+                if len(data) == length:
+                    return data
+        raise StoreError(f"{self.url}: bytes {offset:,} to {offset + length:,} came incomplete {_TRUNCATED} times")
+
+    def _changed(self) -> NoReturn:
+        raise ObjectChangedError(
+            f"{self.url}: was replaced while it was read (another ETag or size than {self.version or self.size});"
+            " give the command again"
+        )
+
+    def _known(self, offset: int, length: int) -> bytes | None:
+        with self._lock:
+            for start, data in self._kept.items():
+                if start <= offset and offset + length <= start + len(data):
+                    self._kept.move_to_end(start)
+                    return data[offset - start : offset - start + length]
+        return None
+
+    def _keep(self, offset: int, data: bytes) -> None:
+        with self._lock:
+            self._kept[offset] = data
+            self._read_from, self._read_to = offset, offset + len(data)
+            while len(self._kept) > _KEPT or sum(map(len, self._kept.values())) > _KEPT_BYTES:
+                self._kept.popitem(last=False)
+
+
+def list_objects(folder: Url) -> list[StoredObject]:
+    """The objects right in a folder, by name. One request for a thousand names. Raises StoreError."""
+    with _told(folder):
+        found = obstore.list_with_delimiter(_store(folder, False), folder.key or None)["objects"]
+    objects = (
+        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], each["e_tag"] or "")
+        for each in found
+    )
+    return sorted(objects)
+
+
+def find_object(url: Url) -> StoredObject | None:
+    """What a store tells of an object; None if there is none. Raises StoreError."""
+    with _told(url):
+        try:
+            found = obstore.head(_store(url, False), url.key)
+        except FileNotFoundError as error:
+            if _is_no_bucket(str(error)):
+                raise
+            return None
+    return StoredObject(url, found["size"], found["e_tag"] or "")
+
+
+def read_object(url: Url, max_bytes: int) -> bytes | None:
+    """All of a small object; None if there is none. Raises StoreError, also for one that is larger."""
+    with _told(url):
+        try:
+            found = obstore.get(_store(url, False), url.key)
+            if found.meta["size"] > max_bytes:
+                raise StoreError(f"{url}: larger than {max_bytes:,} bytes")
+            return found.bytes().to_bytes()
+        except FileNotFoundError as error:
+            if _is_no_bucket(str(error)):
+                raise
+            return None
+
+
+def put_new(url: Url, data: bytes) -> None:
+    """Write a small object, whole or not at all. Raises ObjectExistsError where there is one of this name."""
+    with _told(url):
+        obstore.put(_store(url, True), url.key, data, mode="create")
+
+
+def put_over(url: Url, data: bytes) -> None:
+    """Write a small object, whole or not at all, over whatever had its name."""
+    with _told(url):
+        obstore.put(_store(url, True), url.key, data)
+
+
+def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
+    """Write an object of `size` bytes in parts, several at once; it appears whole or not at all, over whatever had
+    its name. Raises StoreError."""
+    part_bytes = max(_LARGEST, -(-size // 9000))  # a store takes 10,000 parts
+    with _told(url):
+        obstore.put(
+            _store(url, True), url.key, iter(parts), use_multipart=True, chunk_size=part_bytes, max_concurrency=4
+        )
+
+
+def name_new(made: Url, url: Url) -> None:
+    """Give an object another name in its bucket, in the store itself. Raises ObjectExistsError where that is
+    taken: then, and where anything else is raised, it keeps the one it has."""
+    with _told(url):
+        obstore.copy(_store(url, True), made.key, url.key, overwrite=False)
+        obstore.delete(_store(url, True), made.key)
+
+
+def remove(url: Url) -> None:
+    with _told(url):
+        obstore.delete(_store(url, True), url.key)
+
+
+def _range_of(offset: int, length: int, version: str) -> GetOptions:
+    options: GetOptions = {"range": (offset, offset + length)}
+    if version:
+        options["if_match"] = version
+    return options
+
+
+def _done(data: bytes) -> Future[bytes]:
+    future: Future[bytes] = Future()
+    future.set_result(data)
+    return future
+
+
+def forget_stores() -> None:
+    """Read the environment and the configuration again when a store is next asked."""
+    _bucket.cache_clear()
+
+
+def _store(url: Url, is_patient: bool) -> ObjectStore:
+    return _bucket(url.scheme, url.bucket, is_patient)
+
+
+@cache
+def _bucket(scheme: str, bucket: str, is_patient: bool) -> ObjectStore:
+    config: dict[str, Any] = _s3_config() if scheme == "s3" else {}
+    endpoint = str(config.get("endpoint", os.environ.get("AZURE_STORAGE_ENDPOINT", "")))
+    client: ClientConfig = {
+        "timeout": timedelta(minutes=5),
+        "connect_timeout": timedelta(seconds=5),
+        "allow_http": endpoint.startswith("http://") or os.environ.get("AWS_ALLOW_HTTP") == "true",
+    }
+    store: ObjectStore = from_url(
+        f"{scheme}://{bucket}",
+        config=config,  # type: ignore[call-overload]  # of the store that the scheme names
+        client_options=client,
+        retry_config=_PATIENT if is_patient else _IMPATIENT,
+    )
+    return store
+
+
+def _s3_config() -> dict[str, Any]:
+    """What of the usual configuration obstore does not find by itself: it reads the environment, not ~/.aws."""
+    given = os.environ
+    # one object at a time is deleted here, and not every store knows how to delete many
+    config: dict[str, Any] = {"disable_bulk_delete": True}
+    if "AWS_COPY_IF_NOT_EXISTS" not in given:
+        config["copy_if_not_exists"] = "multipart"
+    profile = _aws_profile()
+    if "AWS_ACCESS_KEY_ID" not in given:
+        for name in ("aws_access_key_id", "aws_secret_access_key", "aws_session_token"):
+            if name in profile:
+                config[name] = profile[name]
+    if not given.keys() & {"AWS_REGION", "AWS_DEFAULT_REGION"} and "region" in profile:
+        config["region"] = profile["region"]
+    endpoint = given.get("AWS_ENDPOINT_URL_S3") or given.get("AWS_ENDPOINT_URL") or profile.get("endpoint_url")
+    if endpoint:
+        config["endpoint"] = endpoint
+    return config
+
+
+def _aws_profile() -> dict[str, str]:
+    """The chosen profile of ~/.aws/config and ~/.aws/credentials."""
+    name = os.environ.get("AWS_PROFILE", "default")
+    home = Path.home() / ".aws"
+    files = (
+        (os.environ.get("AWS_CONFIG_FILE", home / "config"), name if name == "default" else f"profile {name}"),
+        (os.environ.get("AWS_SHARED_CREDENTIALS_FILE", home / "credentials"), name),
+    )
+    found: dict[str, str] = {}
+    for file, section in files:
+        parser = configparser.RawConfigParser()
+        with contextlib.suppress(OSError, UnicodeDecodeError, configparser.Error):
+            parser.read(file, "utf-8")
+            if parser.has_section(section):
+                found.update(parser.items(section))
+    return found
+
+
+@contextlib.contextmanager
+def _told(url: Url) -> Iterator[None]:
+    """Make one line of what obstore raises, which is several of what its layers say."""
+    try:
+        yield
+    except (failures.BaseError, FileNotFoundError) as error:  # of what is not there, it raises Python's own
+        raise _as_told(url, error, " ".join(str(error).split())) from None
+
+
+def _is_out_of_range(text: str) -> bool:
+    return "416 Range Not Satisfiable" in text or "InvalidRange" in text
+
+
+def _is_no_bucket(text: str) -> bool:
+    return "NoSuchBucket" in text or "ContainerNotFound" in text or "specified bucket does not exist" in text
+
+
+def _as_told(url: Url, error: Exception, text: str) -> StoreError:
+    bucket = f"{url.scheme}://{url.bucket}"
+    if isinstance(error, failures.AlreadyExistsError):
+        return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
+    if _is_no_bucket(text):
+        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint()}; give the name of one that is there")
+    if isinstance(error, FileNotFoundError):
+        return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists what is there")
+    if "169.254.169.254" in text or "metadata.google.internal" in text or "credential" in text.lower():
+        names = {"s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY", "gs": "GOOGLE_APPLICATION_CREDENTIALS"}
+        wanted = names.get(url.scheme, "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY")
+        public = "; AWS_SKIP_SIGNATURE=true for a public bucket" if url.scheme == "s3" else ""
+        return StoreError(f"{bucket}: no credentials: set {wanted}{public}")
+    if "redirect" in text.lower() or "AuthorizationHeaderMalformed" in text or "IncorrectEndpoint" in text:
+        return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
+    if "RequestTimeTooSkewed" in text:
+        return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
+    if isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError) or "AccessDenied" in text:
+        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}")
+    if isinstance(error, failures.NotSupportedError) or "NotImplemented" in text:
+        return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
+    return StoreError(f"{url}: {_reason(text)}{_endpoint()}")
+
+
+def _code(text: str) -> str:
+    found = re.search(r"<Code>(\w+)</Code>", text)
+    return f" ({found[1]})" if found else ""
+
+
+def _endpoint() -> str:
+    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
+    return f" (endpoint {endpoint})" if endpoint else ""
+
+
+def _reason(text: str) -> str:
+    status = re.search(r"[Ss]erver returned non-2xx status code: (\d+ [A-Z][\w ]*?):", text)
+    if status:
+        return f"the store answers {status[1]}{_code(text)}"
+    if "onnect" in text and ("refused" in text or "error trying to connect" in text or "dns" in text.lower()):
+        return "the store cannot be reached"
+    plain = text.partition(" Debug source:")[0]
+    return f"the store does not answer as it should: {plain[:300]}"

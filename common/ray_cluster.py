@@ -1,0 +1,236 @@
+"""Calls made by a Ray cluster: each is a task there, and is made again where its node died.
+
+Nobody who works on one machine imports this; `pip install "behavioural-cloning-toolkit[scale]"` brings Ray. Files
+are not sent: a task works in the folder that the command was started in, so that every path means the same.
+
+Ray unpickles what it is sent, and runs code for whoever reaches its ports: see docs/scale.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from common.errors import UsageError, UserError, printable
+from common.tasks import Tasks
+from common.versions import TOOLKIT, version_of
+
+Result = TypeVar("Result")
+
+SAME_VERSIONS: Final = (TOOLKIT, "numpy", "pyarrow", "opencv-python-headless", "torch")
+"""Packages that write the results: with other versions of them, a node's would have other bytes."""
+
+UNREACHABLE_S: Final = 8.0
+"""Ray itself tries for more than a minute, and then ends the process."""
+
+MAX_RETRIES: Final = 5
+"""A call whose worker died for the sixth time is given up: it may be the call that kills it."""
+
+_IN_FLIGHT: Final = 1_000
+_READY_AT_ONCE: Final = 64
+_LOOK_EVERY_S: Final = 0.5
+
+# a client's first bytes in HTTP/2, and an empty SETTINGS frame (RFC 9113, 3.4 and 6.5): gRPC answers with its own
+_HTTP2_PREFACE: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+_FRAME_HEADER_BYTES: Final = 9
+_SETTINGS: Final = 4
+
+_ADDRESS: Final = re.compile(r"(ray://)?(\[[0-9a-fA-F:]+\]|[^\s:/\[\]]+):(\d{1,5})")
+_LOCAL_ADDRESSES: Final = ("", "auto", "local")
+
+
+class ClusterError(UserError):
+    """A cluster that cannot be reached, or on whose nodes nothing of ours can run."""
+
+
+class _LostError(ClusterError):
+    """A task whose process died each time."""
+
+
+@dataclass(frozen=True)
+class _Failed:
+    error: Exception
+
+
+def address_of(flag: Sequence[str]) -> str:
+    """The address that `--ray [ADDRESS]` gives: "" for the one that Ray finds by itself. Raises UsageError for
+    what is none."""
+    if len(flag) > 1:
+        raise UsageError(f"--ray {' '.join(flag)}: at most one address; names go before --ray")
+    address = flag[0] if flag else ""
+    if address not in _LOCAL_ADDRESSES and not _ADDRESS.fullmatch(address):
+        raise UsageError(
+            f"--ray {address}: HOST:PORT, ray://HOST:PORT, auto or local was expected; names go before --ray"
+        )
+    return address
+
+
+@contextlib.contextmanager
+def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
+    """Connect to a cluster, and yield what makes calls there.
+
+    `address` is HOST:PORT of its head, from one of its nodes; ray://HOST:PORT from elsewhere; "auto" a cluster
+    that this machine is a node of; "local" starts one on this machine alone; "" is as RAY_ADDRESS says, else
+    "auto", else "local". `options` are those of Ray's tasks, such as what a call takes (`num_cpus`,
+    1 by default; `num_gpus`). Raises ClusterError if there is none, or its versions are others.
+    """
+    with connection(address) as ray:
+
+        def tasks(
+            function: Callable[..., Result],
+            calls: Sequence[tuple[Any, ...]],
+            lost: Callable[[int, str], Result] | None = None,
+        ) -> Iterator[tuple[int, Result]]:
+            return _results(ray, options, function, calls, lost)
+
+        yield tasks
+
+
+@contextlib.contextmanager
+def connection(address: str) -> Iterator[Any]:
+    """The module `ray`, connected to a cluster in the block. See `cluster_tasks`."""
+    try:
+        import ray
+    except ImportError:
+        raise ClusterError(
+            f'--ray: Ray is not installed here; `pip install "{TOOLKIT}[scale]"` brings it'
+        ) from None
+    address = address or os.environ.get("RAY_ADDRESS", "")
+    if address not in _LOCAL_ADDRESSES:
+        _check_answers(address)
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here tells nobody
+    os.environ.setdefault(
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0"
+    )  # its way from 2.55 on, of which it warns else
+    before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
+    try:
+        ray.init(address or None, log_to_driver=False, logging_level="ERROR", include_dashboard=None)
+    except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
+        raise ClusterError(_why_not(address, str(error))) from None
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _check_answers(address: str) -> None:
+    """Raise ClusterError unless a gRPC server answers there."""
+    matched = _ADDRESS.fullmatch(address)
+    if matched is None:
+        raise ClusterError(f"RAY_ADDRESS={address}: HOST:PORT or ray://HOST:PORT was expected")
+    host, port = matched[2].strip("[]"), int(matched[3])
+    try:
+        with socket.create_connection((host, port), UNREACHABLE_S / 2) as stream:
+            if os.environ.get("RAY_USE_TLS", "0") in ("0", ""):
+                stream.settimeout(UNREACHABLE_S / 2)
+                stream.sendall(_HTTP2_PREFACE)
+                answer = stream.recv(_FRAME_HEADER_BYTES)
+                if len(answer) < _FRAME_HEADER_BYTES or answer[3] != _SETTINGS:
+                    raise ClusterError(f"--ray {address}: something else than Ray listens there")
+    except (OSError, OverflowError) as error:
+        why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
+        raise ClusterError(
+            f"--ray {address}: no cluster can be reached there ({why}); `ray status` on its head tells how it is"
+        ) from None
+
+
+def _why_not(address: str, error: str) -> str:
+    """What Ray says of a cluster that cannot be used, in one line."""
+    versions = re.findall(r"(Ray|Python): (\S+)", error)
+    if "ersion mismatch" in error and len(versions) == 4:
+        theirs, ours = (" and ".join(map(" ".join, pair)) for pair in (versions[:2], versions[2:]))
+        return f"--ray {address}: the cluster has {theirs}, this machine {ours}: they must be the same"
+    line = " ".join(error.split())
+    return f"--ray {address or 'auto'}: {printable(line[:300])}"
+
+
+def _results(
+    ray: Any,
+    options: Mapping[str, object],
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    lost: Callable[[int, str], Result] | None,
+) -> Iterator[tuple[int, Result]]:
+    of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
+    call = ray.remote(_call).options(**of_tasks)
+    versions, folder = _versions(), Path.cwd()
+    numbers: dict[Any, int] = {}
+    to_do = iter(enumerate(calls))
+    try:
+        while True:
+            while len(numbers) < _IN_FLIGHT and (next_one := next(to_do, None)) is not None:
+                number, arguments = next_one
+                numbers[call.remote(function, arguments, versions, folder)] = number
+            if not numbers:
+                return
+            pending = list(numbers)
+            ready, _ = ray.wait(pending, num_returns=min(len(pending), _READY_AT_ONCE), timeout=_LOOK_EVERY_S)
+            for reference in ready:
+                number = numbers.pop(reference)
+                try:
+                    result = _get(ray, reference)
+                except _LostError as error:
+                    if lost is None:
+                        raise
+                    result = lost(number, str(error))
+                yield number, result
+    finally:
+        if numbers:  # Ctrl-C, or an error: the cluster ends what a driver has left there. Ray 2.60 may abort the
+            ray.shutdown()  # process where a task is cancelled that has just failed
+
+
+def _get(ray: Any, reference: Any) -> Any:
+    try:
+        result = ray.get(reference)
+    except ray.exceptions.RayTaskError as error:
+        if "No module named" in str(error) or "failed to import" in str(error):
+            raise ClusterError(_without_toolkit(str(error))) from None
+        raise
+    except ray.exceptions.RayError as error:
+        why = printable(" ".join(str(error).split())[:300])
+        raise _LostError(f"the cluster has given a task up after {MAX_RETRIES + 1} trials: {why}") from None
+    if isinstance(result, _Failed):
+        raise result.error
+    return result
+
+
+def _without_toolkit(error: str) -> str:
+    missing = re.findall(r"No module named '([\w.]+)'", error)
+    where = re.findall(r"ip=([\d.a-fA-F:]+)", error)
+    what = missing[-1] if missing else "the toolkit"
+    needed = f"every node needs {TOOLKIT}[scale] {version_of()}"
+    return f"the cluster's node {where[-1] if where else ''} cannot import {what}: {needed}"
+
+
+def _versions() -> dict[str, str]:
+    return {package: version_of(package) for package in SAME_VERSIONS}
+
+
+def _call(
+    function: Callable[..., Result], arguments: tuple[Any, ...], versions: Mapping[str, str], folder: Path
+) -> Result | _Failed:
+    """Runs on a node. What its caller's files are to blame for is returned: Ray would wrap what is raised."""
+    node = socket.gethostname()
+    if others := [f"{name} {here}" for name, here in _versions().items() if here != versions[name]]:
+        ours = ", ".join(f"{name} {versions[name]}" for name in versions if f"{name} " in " ".join(others) + " ")
+        return _Failed(ClusterError(f"the cluster's node {node} has {', '.join(others)}, this machine {ours}"))
+    try:
+        os.chdir(folder)
+    except OSError as error:
+        why = f"({error.strerror}); logs, index and runs must lie on a disk that all nodes share, by the same path"
+        return _Failed(ClusterError(f"the cluster's node {node} has no {folder} {why}"))
+    try:
+        return function(*arguments)
+    except (UserError, OSError) as error:
+        return _Failed(error)

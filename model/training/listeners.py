@@ -1,0 +1,55 @@
+"""Who is told of a training's progress. None of them can end it: one that fails is told nothing more, and that is
+said, at once and when the training is over."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from common import UserError
+from common.named_function import in_one_line
+from model.runs.training_progress import Epoch, Listener, Step
+
+_LOGGER: Final = logging.getLogger(__name__)
+
+
+class Listeners:
+    """Passes steps and epochs on to each."""
+
+    def __init__(self, listeners: Sequence[Listener], notices: list[str]) -> None:
+        """A line is added to `notices` for each that fails."""
+        self._listening = list(listeners)
+        self._notices = notices
+
+    def step(self, step: Step) -> None:
+        self._tell(lambda listener: listener.step(step))
+
+    def epoch(self, epoch: Epoch) -> None:
+        self._tell(lambda listener: listener.epoch(epoch))
+
+    def close(self) -> None:
+        """Close all that still listen; those that failed were closed then."""
+        self._tell(_close)
+
+    def _tell(self, what: Callable[[Listener], object]) -> None:
+        for listener in list(self._listening):
+            if error := _error_of(what, listener):
+                self._listening.remove(listener)
+                _error_of(_close, listener)  # whatever it can still write; why it failed is known
+                why = str(error) if isinstance(error, UserError) else in_one_line(error)
+                line = f"{type(listener).__name__} is told nothing more of this training: {why}"
+                self._notices.append(line)
+                _LOGGER.warning("%s", line)
+
+
+def _close(listener: Listener) -> object:
+    return listener.close()
+
+
+def _error_of(what: Callable[[Listener], object], listener: Listener) -> Exception | None:
+    try:
+        what(listener)
+    except Exception as error:  # somebody else's code
+        return error
+    return None

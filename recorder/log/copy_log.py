@@ -1,0 +1,176 @@
+"""Copying logs between this machine and a store: whole or not at all, compared by fingerprint, over nothing.
+
+To a store: the parts make an object NAME.mcap.XXXXXX.part, which gets its name in the store itself, and only if
+nobody has taken that meanwhile. From a store: NAME.mcap.XXXXXX.part grows on the disk, named after the object's
+ETag, so that a copy which was stopped goes on where it was; every CRC in it is compared before it gets its name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, TypeAlias
+
+from common import UserError
+from common.errors import ObjectExistsError
+from common.files import PART_SUFFIX, atomic_file, make_folder, publish, refuse_existing
+from common.interrupts import uninterrupted
+from common.location import Location, Url
+from common.locks import try_lock
+from common.object_store import (
+    ObjectFile,
+    find_object,
+    name_new,
+    put_new,
+    put_over,
+    put_parts,
+    read_object,
+    remove,
+)
+from recorder.errors import LogError
+from recorder.log.check import is_whole
+from recorder.log.reader import Log
+from recorder.log.tags import MOST_BYTES, tags_path
+
+_PART_BYTES: Final = 1 << 23
+_MOST_NAMED_IN_STORE: Final = 5 << 30
+"""Bytes that S3 gives another name in one request; more than that is written under its own name at once."""
+
+OnBytes: TypeAlias = Callable[[int], object]
+"""Is told how many bytes more are copied."""
+
+
+@dataclass(frozen=True)
+class Copied:
+    """What was made of one log."""
+
+    place: Location
+    size: int  # bytes
+    is_new: bool  # False: the very same log was there already
+    notice: str = ""  # what could not be done beside it
+
+
+def copy_log(
+    log: Location, to: Location, *, overwrite: bool = False, on_bytes: OnBytes = lambda more: None
+) -> Copied:
+    """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
+
+    Raises LogError for a log that is unfinished or damaged, UserError where something else has the name (unless
+    `overwrite`), or one of the places is of the wrong kind; StoreError.
+    """
+    if isinstance(log, Path) and isinstance(to, Url):
+        return _upload(log, to, overwrite, on_bytes)
+    if isinstance(log, Url) and isinstance(to, Path):
+        return _download(log, to, overwrite, on_bytes)
+    if isinstance(log, Url):
+        raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
+    raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
+
+
+def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
+    with Log(log) as opened:  # says of what is no log that it is none
+        size, fingerprint = opened.size, opened.file_fingerprint
+    if (there := find_object(url)) is not None:
+        if there.size == size and _fingerprint(url) == fingerprint:
+            on_bytes(size)
+            return Copied(url, size, False, _upload_tags(log, url, overwrite))
+        if not overwrite:
+            raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
+    if not is_whole(log):
+        raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
+    is_small = size <= _MOST_NAMED_IN_STORE
+    made = url.with_name(f"{url.name}.{secrets.token_hex(3)}{PART_SUFFIX}") if is_small and not overwrite else url
+    try:
+        put_parts(made, _parts(log, on_bytes, None if overwrite or is_small else url), size)
+        if _fingerprint(made) != fingerprint:
+            raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
+        if made != url:
+            name_new(made, url)
+    except BaseException:
+        if made != url:
+            with uninterrupted():
+                remove(made)
+        raise
+    return Copied(url, size, True, _upload_tags(log, url, overwrite))
+
+
+def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
+    """The bytes of a file. `free`: an object that must not be there when all have been given."""
+    with log.open("rb") as stream:
+        while data := stream.read(_PART_BYTES):
+            yield data
+            on_bytes(len(data))
+    if free is not None and find_object(free) is not None:
+        raise ObjectExistsError(f"{free} was written by someone else meanwhile; nothing was changed")
+
+
+def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copied:
+    with Log(url) as opened:
+        if opened.problem:
+            raise LogError(opened.notice)
+        fingerprint = opened.file_fingerprint
+    with ObjectFile(url) as source:
+        if path.is_file() and path.stat().st_size == source.size and _fingerprint(path) == fingerprint:
+            on_bytes(source.size)
+            return Copied(path, source.size, False, _download_tags(url, path, overwrite))
+        refuse_existing(path, overwrite)
+        make_folder(path.parent)
+        token = hashlib.sha256(f"{url} {source.version} {source.size}".encode()).hexdigest()[:6]
+        part = path.with_name(f"{path.name}.{token}{PART_SUFFIX}")
+        with part.open("ab") as stream:
+            if not try_lock(stream):
+                raise UserError(f"{part}: is being written by another copy")
+            begun = min(stream.tell(), source.size)
+            stream.truncate(begun)
+            on_bytes(begun)
+            starts = range(begun, source.size, _PART_BYTES)
+            for data in source.read_many((at, min(_PART_BYTES, source.size - at)) for at in starts):
+                stream.write(data)
+                on_bytes(len(data))
+            stream.flush()
+        if not is_whole(part) or _fingerprint(part) != fingerprint:
+            part.unlink()
+            raise LogError(f"{url}: damaged there, or on its way; what came was removed: give the command again")
+        with uninterrupted():
+            publish(part, path, overwrite)
+    return Copied(path, source.size, True, _download_tags(url, path, overwrite))
+
+
+def _fingerprint(place: Location) -> str:
+    with Log(place) as log:
+        return log.file_fingerprint
+
+
+def _upload_tags(log: Path, url: Url, overwrite: bool) -> str:
+    """Copy the tags beside a log; returns why not, where others are there."""
+    ours, there = tags_path(log), tags_path(url)
+    if not ours.is_file():
+        return ""
+    tags = ours.read_bytes()
+    if overwrite:
+        put_over(there, tags)
+        return ""
+    try:
+        put_new(there, tags)
+    except ObjectExistsError:
+        return "" if read_object(there, MOST_BYTES) == tags else _other_tags(ours, there)
+    return ""
+
+
+def _download_tags(url: Url, path: Path, overwrite: bool) -> str:
+    there, ours = tags_path(url), tags_path(path)
+    tags = read_object(there, MOST_BYTES)
+    if tags is None or (ours.is_file() and ours.read_bytes() == tags):
+        return ""
+    if ours.exists() and not overwrite:
+        return _other_tags(there, ours)
+    with atomic_file(ours, overwrite=overwrite) as part:
+        part.write_bytes(tags)
+    return ""
+
+
+def _other_tags(tags: Location, there: Location) -> str:
+    return f"{tags}: not copied, {there} has other tags; --force replaces them"

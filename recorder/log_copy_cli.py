@@ -1,0 +1,120 @@
+"""`bc-log copy`: logs to a store, and from one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Final
+
+import tyro
+
+from common import UserError
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, warn
+from common.errors import StoreError, UsageError, counted, printable
+from common.location import Location, Url
+from common.location_flag import LocationFlag
+from common.output import print_message, print_result
+from common.progress import progress_bar
+from recorder.log.log_info import logs_in
+
+_MOST_NAMED: Final = 8
+
+
+@dataclass(frozen=True)
+class CopyLogs:
+    """Copy logs, and their tags, to a store or from one: whole or not at all, every CRC compared. A copy that was
+    stopped goes on where it was: what is there already is left alone. Nothing is replaced unasked."""
+
+    places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
+    """The logs, or folders of them, and at last where to: s3://BUCKET/FOLDER, a folder here, or a name that ends
+    in .mcap for a single log."""
+    force: bool = False
+    """Replace logs and tags of the same names."""
+
+    def run(self) -> int:
+        if len(self.places) < 2:
+            raise UsageError("give the logs and where to: `bc-log copy sessions/lake.mcap s3://BUCKET/sessions`")
+        return copy_logs(self.places[:-1], self.places[-1], overwrite=self.force)
+
+
+def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
+    """Copy logs and folders of logs, also those behind one that cannot be; the worst of the exit codes."""
+    from recorder.log.copy_log import copy_log  # obstore, an extra
+
+    pairs = _pairs(places, to)
+    codes = [DONE]
+    with progress_bar() as progress:
+        for number, (log, target) in enumerate(pairs, start=1):
+            of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
+            task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=_size(log), note="")
+            try:
+                done = copy_log(log, target, overwrite=overwrite, on_bytes=partial(progress.advance, task))
+            except (UserError, OSError) as error:
+                told = error if isinstance(error, UserError) else UserError(f"{log}: {error.strerror}")
+                codes.append(print_error(prog, told))
+                continue
+            finally:
+                progress.remove_task(task)
+            is_there = "" if done.is_new else ", was there already"
+            print_result(f"{done.place}: {done.size / 1e6:,.1f} MB{is_there}")
+            if done.notice:
+                codes.append(warn(done.notice))
+    if FAILED in codes and len(pairs) > 1:
+        failed = codes.count(FAILED)
+        print_message(f"{counted(failed, 'log')} of {len(pairs):,} not copied; the same command copies the rest")
+    return FAILED if FAILED in codes else max(codes)
+
+
+def refuse_copying(to: Location) -> None:
+    """Raise UserError, before anything is recorded, for a place that logs cannot be copied to."""
+    if not isinstance(to, Url) or to.suffix == ".mcap":
+        raise UsageError(f"--copy-to {to}: a folder in a store was expected, such as s3://BUCKET/sessions")
+    logs_in(to)
+
+
+def copy_recording(log: Path, to: Location, overwrite: bool) -> int:
+    """Copy what was just recorded, and say what else beside it is not there. Exit code 3 if it is not copied: it
+    is recorded all the same."""
+    code = DONE if copy_logs([log], to, overwrite=overwrite, prog="bc-record") == DONE else DONE_BUT_SKIPPED
+    try:
+        there = {other.name for other in logs_in(to)}
+    except StoreError:  # said already
+        there = set()
+    missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in there]
+    if missing:
+        names = ", ".join(printable(each.name) for each in missing[:_MOST_NAMED])
+        more = f" and {len(missing) - _MOST_NAMED:,} more" if len(missing) > _MOST_NAMED else ""
+        print_message(f"not in {to} yet: {names}{more}; `bc-log copy {log.parent} {to}` copies them")
+    return code
+
+
+def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Location]]:
+    """Each log, and the place of its copy."""
+    logs: list[Location] = []
+    for place in places:
+        is_folder = place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
+        inside = [log for log in logs_in(place) if log.suffix == ".mcap"] if is_folder else [place]
+        if not inside:
+            raise UserError(f"{place}: no finished log in it")
+        logs += inside
+    if to.suffix != ".mcap":
+        pairs = [(log, to / log.name) for log in logs]
+    elif len(logs) == 1:
+        pairs = [(logs[0], to)]
+    else:
+        raise UsageError(f"{to}: one log, but {len(logs):,} are given; give a folder")
+    names = [target.name for _, target in pairs]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise UsageError(f"{min(twice)}: two logs of one name; copy them to different folders")
+    return pairs
+
+
+def _size(log: Location) -> int | None:
+    if isinstance(log, Url):
+        from common.object_store import find_object
+
+        found = find_object(log)
+        return found.size if found else None
+    return log.stat().st_size if log.is_file() else None

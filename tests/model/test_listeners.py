@@ -1,0 +1,158 @@
+"""Listeners: code of one's own that is told of a training, shown with MLflow; none of them can end it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from driving import one_line_in
+from model import Epoch, Step, train
+from model.cli import main
+from repository import ROOT
+from toy import SMALL, toy_index
+from udacity import call
+
+TWO = replace(SMALL, epochs=2)
+
+LISTENER = """
+import json
+from pathlib import Path
+
+class Notes:
+    def __init__(self, run, config):
+        self.file = Path(__file__).with_name("notes.jsonl").open("w")
+        self.note({"run": run.name, "epochs": config.epochs})
+
+    def note(self, values):
+        print(json.dumps(values), file=self.file, flush=True)
+
+    def step(self, step):
+        self.note(step.scalars)
+
+    def epoch(self, epoch):
+        self.note(epoch.scalars)
+
+    def close(self):
+        self.file.close()
+
+class Broken(Notes):
+    def epoch(self, epoch):
+        raise ConnectionError("no such server")
+
+def nothing(run, config):
+    return config
+
+def fails(run, config):
+    raise ValueError("no key")
+"""
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture
+def flags(index: Path, tmp_path: Path, without_figures: None) -> tuple[object, ...]:
+    """Those of a short training, and a file with listeners, whose class is to follow."""
+    (tmp_path / "mine.py").write_text(LISTENER)
+    settings = ("--network", "small", "--epochs", 2, "--batch", 4, "--recipe", "original", "--threads", 1)
+    return ("--name", "first", "--index", index, "--runs", tmp_path / "runs", *settings, "--listener")
+
+
+def lines(path: Path) -> list[dict[str, float]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def test_code_that_is_named_is_told_of_every_step_and_epoch(flags: tuple[object, ...], tmp_path: Path) -> None:
+    assert call(main, *flags, f"{tmp_path / 'mine.py'}:Notes") == 0
+    first, *told = lines(tmp_path / "notes.jsonl")
+    assert first == {"run": "first", "epochs": 2}
+    epochs = lines(tmp_path / "runs" / "first" / "metrics.jsonl")
+    assert [each["loss/validation"] for each in told if "epoch" in each] == [e["validation_loss"] for e in epochs]
+    steps = lines(tmp_path / "runs" / "first" / "steps.jsonl")
+    assert [each["loss/steps"] for each in told if "loss/steps" in each] == [e["training_loss"] for e in steps]
+
+
+def test_one_that_fails_is_said_and_the_training_goes_on(
+    flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, *flags, f"{tmp_path / 'mine.py'}:Broken") == 3
+    said = "Broken is told nothing more of this training: ConnectionError: no such server"
+    assert said in capsys.readouterr().err
+    assert len(lines(tmp_path / "runs" / "first" / "metrics.jsonl")) == 2
+    assert (tmp_path / "runs" / "first" / "model.safetensors").exists()
+
+
+@pytest.mark.parametrize("where", ["step", "epoch", "close"])
+def test_wherever_it_fails_others_hear_all(
+    index: Path, tmp_path: Path, where: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    heard: list[str] = []
+
+    class Heard:
+        def step(self, step: Step) -> None:
+            heard.append("step")
+
+        def epoch(self, epoch: Epoch) -> None:
+            heard.append(f"epoch {epoch.epoch}")
+
+        def close(self) -> None:
+            heard.append("close")
+
+    class Fails(Heard):
+        def __getattribute__(self, name: str) -> object:
+            if name == where:
+                raise OSError("full")
+            return lambda *told: None
+
+    with caplog.at_level(logging.WARNING):
+        trained = train(index, tmp_path / "first", TWO, [Fails(), Heard()], figures=False, show_progress=False)
+    assert trained.notices == ["Fails is told nothing more of this training: OSError: full"]
+    assert [record.getMessage() for record in caplog.records] == trained.notices
+    assert [each for each in heard if each != "step"] == ["epoch 1", "epoch 2", "close"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("nothing", "a listener was expected, with step, epoch and close; it has no step"),
+        ("fails", r"mine.py:fails fails (ValueError: no key)"),
+        ("Note", "did you mean Notes?"),
+    ],
+)
+def test_what_is_no_listener_is_one_line_before_anything_is_trained(
+    flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, said: str
+) -> None:
+    assert call(main, *flags, f"{tmp_path / 'mine.py'}:{name}") == 1
+    assert said in one_line_in(capsys)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.skipif(not find_spec("mlflow"), reason="MLflow was not tried: `pip install mlflow-skinny` brings it")
+def test_mlflow_has_the_settings_and_every_point(
+    flags: tuple[object, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")  # plain files, without a database
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", (tmp_path / "mlruns").as_uri())
+    assert call(main, *flags, f"{ROOT / 'examples' / 'mlflow_listener.py'}:MlflowListener") == 0
+    import mlflow
+
+    client = mlflow.MlflowClient()
+    experiment = client.get_experiment_by_name("driving")
+    assert experiment is not None
+    (found,) = client.search_runs([experiment.experiment_id])
+    assert found.info.run_name == "first"
+    assert found.info.status == "FINISHED"
+    assert (found.data.params["epochs"], found.data.params["network"]) == ("2", "small")
+    epochs = lines(tmp_path / "runs" / "first" / "metrics.jsonl")
+    history = client.get_metric_history(found.info.run_id, "loss/validation")
+    assert [point.value for point in history] == [epoch["validation_loss"] for epoch in epochs]
+    steps = lines(tmp_path / "runs" / "first" / "steps.jsonl")
+    kept = client.get_metric_history(found.info.run_id, "loss/steps")
+    assert [(point.step, point.value) for point in kept] == [(e["samples"], e["training_loss"]) for e in steps]

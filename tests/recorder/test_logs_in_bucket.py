@@ -1,0 +1,434 @@
+"""Logs in a store: read by range as those of a disk, copied whole, and every way in which a store fails."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bucket import Answer, Bucket, serving_bucket
+from common.errors import ObjectChangedError, StoreError
+from common.location import Url, location, relative_to
+from driving import one_line_in
+from layouts import mixed
+from logs import write_log
+from recorder import Log, LogError
+from recorder.cli import main as bc_record
+from recorder.log.check import check
+from recorder.log.tags import Tag, add_tag
+from recorder.log_cli import main
+from udacity import call, jpeg
+
+ROWS = 40
+
+
+def picture(camera: str, row: int) -> bytes:
+    return jpeg(60 + row, 10 * row + len(camera))
+
+
+@pytest.fixture
+def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
+    with serving_bucket(tmp_path / "server", monkeypatch) as served:
+        yield served
+
+
+@pytest.fixture
+def log(bucket: Bucket) -> Path:
+    """A log in the bucket, by its place on the server's disk; b.mcap."""
+    return write_log(bucket.folder / "b.mcap", [0.01 * row for row in range(ROWS)], picture)
+
+
+def large_log(folder: Path, name: str = "large.mcap") -> Path:
+    """20 MB, nearly all of it pictures."""
+    noise = bytes(range(256)) * 64
+    return write_log(folder / name, [0.0] * 400, lambda camera, row: f"{camera} {row}".encode() + noise)
+
+
+def tag(path: Path, name: str) -> None:
+    with Log(path) as log:
+        add_tag(path, log.fingerprint, Tag(1, 2, name))
+
+
+# places
+
+
+def test_a_place_is_a_path_or_a_url() -> None:
+    assert location("sessions/a.mcap") == Path("sessions/a.mcap")
+    assert location("file:///x/a%20b.mcap") == Path("/x/a b.mcap")
+    url = location("s3://bucket//sessions/a.mcap/")
+    assert url == Url("s3", "bucket", "sessions/a.mcap")
+    assert (str(url), url.name, url.stem, url.suffix) == ("s3://bucket/sessions/a.mcap", "a.mcap", "a", ".mcap")
+    assert str(url.parent / "b.mcap") == "s3://bucket/sessions/b.mcap"
+
+
+@pytest.mark.parametrize("text", ["http://x/a.mcap", "s3:///a.mcap", "ftp://x/y"])
+def test_a_url_of_another_kind_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "info", text) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_what_works_on_this_machine_only_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "trim", "s3://bucket/a.mcap", "--to", "b.mcap") == 2
+    assert "bc-log copy" in one_line_in(capsys)
+
+
+def test_a_place_is_named_relative_to_a_folder_that_can_be_moved_with_it(tmp_path: Path) -> None:
+    assert relative_to(tmp_path / "sessions/a.mcap", tmp_path / "index") == "../sessions/a.mcap"
+    in_store = Url("s3", "b", "data/sessions/a.mcap")
+    assert relative_to(in_store, Url("s3", "b", "data/index")) == "../sessions/a.mcap"
+    assert Url("s3", "b", "data/index").joined("../sessions/a.mcap") == in_store
+    assert relative_to(in_store, tmp_path) == str(in_store)
+
+
+# reading
+
+
+def test_a_log_says_the_same_wherever_it_lies(
+    bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tag(log, "recovery")
+    told = []
+    for place in (log, bucket.url("b.mcap")):
+        assert call(main, "info", place, "--json") == 0
+        told.append({**json.loads(capsys.readouterr().out), "path": ""})
+        assert call(main, "check", place) == 0
+        assert (
+            capsys.readouterr().out
+            == f"{place}: {4 * ROWS} messages, {3 * ROWS} pictures decoded: nothing wrong\n"
+        )
+    assert told[0] == told[1]
+    assert told[0]["tags"] == [{"first_row": 1, "last_row": 2, "name": "recovery"}]
+
+
+@pytest.mark.parametrize("layout", ["two kinds of chunks", "mixed", "unfinished"])
+def test_rows_and_pictures_are_the_same_wherever_they_lie(bucket: Bucket, log: Path, layout: str) -> None:
+    if layout == "mixed":
+        log = mixed(log)
+    elif layout == "unfinished":
+        data = write_log(bucket.folder / "whole.mcap", [0.1] * 1500).read_bytes()
+        log.write_bytes(data[: len(data) * 2 // 3])
+    with Log(log) as here, Log(bucket.url(log.name)) as there:
+        assert here.fingerprint == there.fingerprint
+        assert here.problem == there.problem
+        assert here.vehicle().equals(there.vehicle())
+        assert here.frames().equals(there.frames())
+        last = here.vehicle()["row"].to_pylist()[-1]
+        for row in (0, last, last // 2):
+            assert here.picture(row, "left") == there.picture(row, "left")
+
+
+def test_the_end_of_a_log_is_all_that_info_moves(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    size = large_log(bucket.folder).stat().st_size
+    bucket.requests.clear()
+    assert call(main, "info", bucket.url("large.mcap")) == 0
+    assert size > 19e6
+    assert bucket.bytes_sent < 300_000
+    assert bucket.count() <= 4  # its end, its start, and whether it has tags
+
+
+def test_rows_are_read_without_pictures(bucket: Bucket) -> None:
+    large_log(bucket.folder)
+    bucket.requests.clear()
+    with Log(bucket.url("large.mcap")) as log:
+        assert len(log.frames()) == 1200
+        assert len(log.vehicle()) == 400
+    assert bucket.bytes_sent < 400_000
+
+
+def test_ls_lists_a_folder_in_a_store(bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (bucket.folder / "other.txt").write_text("no log")
+    assert call(main, "ls", "s3://logs") == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["log", "b"]
+
+
+def test_damage_in_a_store_is_found_and_named(bucket: Bucket, log: Path) -> None:
+    data = bytearray(log.read_bytes())
+    with Log(log) as opened:
+        at = int(opened.pictures("/camera/center").offset[3]) + 20
+    data[at] ^= 1
+    log.write_bytes(data)
+    with (
+        Log(bucket.url("b.mcap")) as opened,
+        pytest.raises(LogError, match=r"another content.*bc-log copy s3://logs/b"),
+    ):
+        opened.picture(3)
+    assert [finding.kind for finding in check(bucket.url("b.mcap")).findings] == [
+        finding.kind for finding in check(log).findings
+    ]
+
+
+def test_an_object_that_is_replaced_while_it_is_read_is_named(bucket: Bucket) -> None:
+    path = large_log(bucket.folder)
+    with Log(bucket.url("large.mcap")) as log:
+        log.picture(0)
+        path.unlink()
+        write_log(path, [0.5] * 300)
+        with pytest.raises(ObjectChangedError, match=r"s3://logs/large.mcap: was replaced while it was read"):
+            log.picture(200)
+        path.unlink()
+        with pytest.raises(ObjectChangedError, match="removed"):
+            log.picture(300)
+
+
+# a store that fails
+
+
+def test_a_store_that_stumbles_is_asked_again(bucket: Bucket, log: Path) -> None:
+    with Log(log) as opened:
+        expected = opened.vehicle()
+    failing = iter([503, 500, "cut", 503, "cut"] * 2)
+
+    def stumble(handler: Any) -> bool:
+        match next(failing, None):
+            case None:
+                return False
+            case "cut":
+                return bool(handler.cut()) if handler.command == "GET" else False
+            case status:
+                return bool(handler.fail(status, "SlowDown"))
+
+    with Log(bucket.url("b.mcap")) as opened:
+        bucket.answer = stumble
+        bucket.requests.clear()
+        assert opened.vehicle().equals(expected)
+
+
+def refused(status: int, code: str) -> Answer:
+    return lambda handler: bool(handler.fail(status, code))
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (refused(403, "AccessDenied"), r"refuses that to these credentials \(AccessDenied\)"),
+        (refused(403, "RequestTimeTooSkewed"), "this machine's clock is wrong"),
+        (refused(404, "NoSuchBucket"), "s3://logs: no such bucket"),
+        (refused(301, "PermanentRedirect"), "another region: set AWS_REGION"),
+        (refused(400, "AuthorizationHeaderMalformed"), "another region: set AWS_REGION"),
+        (refused(501, "NotImplemented"), "does not know what was asked"),
+        (refused(503, "SlowDown"), "answers 503"),
+    ],
+)
+@pytest.mark.parametrize("command", ["ls", "info"])
+def test_a_store_that_refuses_is_one_line(
+    bucket: Bucket, answer: Answer, told: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bucket.answer = answer
+    assert call(main, command, "s3://logs/sessions" + (".mcap" if command == "info" else "")) == 1
+    assert re.search(told, one_line_in(capsys))
+
+
+def test_no_such_log_names_what_lists_those_there_are(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "info", "s3://logs/sessions/a.mcap") == 1
+    assert "no such object" in (line := one_line_in(capsys))
+    assert "bc-log ls s3://logs/sessions" in line
+
+
+def test_a_store_that_is_not_there_is_said(
+    bucket: Bucket, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL_S3", "http://127.0.0.1:1")
+    assert call(main, "ls", "s3://logs") == 1
+    assert "cannot be reached (endpoint http://127.0.0.1:1)" in one_line_in(capsys)
+
+
+def test_credentials_are_those_of_the_usual_files(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[str] = []
+
+    def note(handler: Any) -> bool:
+        seen.append(handler.headers["Authorization"])
+        return False
+
+    bucket.answer = note
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
+    monkeypatch.delenv("AWS_REGION")
+    (tmp_path / "credentials").write_text("[lab]\naws_access_key_id = LABKEY\naws_secret_access_key = secret\n")
+    (tmp_path / "config").write_text("[profile lab]\nregion = eu-west-3\n")
+    monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "credentials"))
+    monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "config"))
+    monkeypatch.setenv("AWS_PROFILE", "lab")
+    call(main, "ls", "s3://logs")
+    assert all("Credential=LABKEY/" in each and "/eu-west-3/" in each for each in seen)
+    assert seen
+
+
+def test_without_obstore_a_url_says_what_to_install(tmp_path: Path) -> None:
+    code = "import sys; sys.modules['obstore'] = None; from recorder.log_cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, "info", "s3://b/a.mcap"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "pip install" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+# copying
+
+
+def test_a_log_and_its_tags_go_to_a_store_and_back(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = large_log(tmp_path)
+    tag(log, "recovery")
+    assert call(main, "copy", log, "s3://logs/sessions") == 0
+    assert capsys.readouterr().out == f"s3://logs/sessions/large.mcap: {log.stat().st_size / 1e6:,.1f} MB\n"
+    files = {path.name: path.read_bytes() for path in (bucket.folder / "sessions").iterdir()}
+    assert files == {path.name: path.read_bytes() for path in (log, tmp_path / "large.tags.jsonl")}
+    assert call(main, "copy", "s3://logs/sessions", tmp_path / "back") == 0
+    assert {path.name: path.read_bytes() for path in (tmp_path / "back").iterdir()} == files
+
+
+def test_what_is_there_already_is_left_alone(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = large_log(tmp_path)
+    assert call(main, "copy", log, "s3://logs") == 0
+    bucket.requests.clear()
+    assert call(main, "copy", log, "s3://logs") == 0
+    assert "was there already" in capsys.readouterr().out
+    assert bucket.count("PUT") == bucket.count("POST") == 0
+    assert call(main, "copy", "s3://logs/large.mcap", tmp_path) == 0
+    assert "was there already" in capsys.readouterr().out
+    assert bucket.bytes_sent < 1e6
+
+
+@pytest.mark.parametrize("is_upload", [True, False])
+def test_nothing_is_replaced_unasked(
+    bucket: Bucket, tmp_path: Path, is_upload: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ours = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    theirs = write_log(bucket.folder / "a.mcap", [0.2] * 5)
+    places = (ours, bucket.url()) if is_upload else (bucket.url("a.mcap"), tmp_path)
+    before = (ours.read_bytes(), theirs.read_bytes())
+    assert call(main, "copy", *places) == 1
+    assert "--force" in one_line_in(capsys)
+    assert (ours.read_bytes(), theirs.read_bytes()) == before
+    assert call(main, "copy", *places, "--force") == 0
+    assert ours.read_bytes() == theirs.read_bytes() == before[not is_upload]
+
+
+def test_who_writes_the_same_name_meanwhile_wins(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "a.mcap", [0.1] * 5)
+
+    def somebody(handler: Any) -> bool:
+        if handler.command == "POST" and "a.mcap?uploadId" in handler.path:
+            (bucket.folder / "a.mcap").write_bytes(b"somebody else's")
+        return False
+
+    bucket.answer = somebody
+    assert call(main, "copy", log, "s3://logs") == 1
+    assert "exists already" in one_line_in(capsys)
+    assert [(path.name, path.read_bytes()) for path in bucket.folder.iterdir()] == [("a.mcap", b"somebody else's")]
+
+
+def test_a_download_that_was_stopped_goes_on_where_it_was(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = large_log(bucket.folder)
+
+    def end_early(handler: Any) -> bool:
+        begin = (handler.headers["Range"] or "bytes=0-").removeprefix("bytes=").partition("-")[0]
+        return bool(handler.fail(403, "ExpiredToken")) if int(begin or 0) >= 16 << 20 else False
+
+    bucket.answer = end_early
+    assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 1
+    (part,) = (tmp_path / "here").iterdir()
+    assert part.stat().st_size == 16 << 20
+    capsys.readouterr()
+    bucket.answer = lambda handler: False
+    bucket.requests.clear()
+    assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 0
+    assert bucket.bytes_sent < 5 << 20
+    assert {path.name: path.read_bytes() for path in (tmp_path / "here").iterdir()} == {
+        "large.mcap": log.read_bytes()
+    }
+
+
+def test_an_upload_that_fails_leaves_nothing_of_that_name(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = large_log(tmp_path)
+    bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
+    assert call(main, "copy", log, "s3://logs") == 1
+    assert "AccessDenied" in one_line_in(capsys)
+    assert list(bucket.folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("is_upload", [True, False])
+def test_what_is_not_whole_is_not_copied(
+    bucket: Bucket, tmp_path: Path, is_upload: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path if is_upload else bucket.folder
+    log = write_log(source / "a.mcap", [0.1] * 50, picture)
+    data = bytearray(log.read_bytes())
+    data[len(data) // 2] ^= 1
+    log.write_bytes(data)
+    places = (log, bucket.url()) if is_upload else (bucket.url("a.mcap"), tmp_path / "here")
+    assert call(main, "copy", *places) == 1
+    assert "damaged" in one_line_in(capsys)
+    assert not list((tmp_path / "here").glob("*"))
+    assert len(list(bucket.folder.iterdir())) == (0 if is_upload else 1)
+
+
+def test_other_tags_than_ours_stay(bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    tag(log, "mine")
+    (bucket.folder / "a.tags.jsonl").write_text("theirs")
+    assert call(main, "copy", log, "s3://logs") == 3
+    assert "a.tags.jsonl: not copied" in capsys.readouterr().err
+    assert (bucket.folder / "a.tags.jsonl").read_text() == "theirs"
+
+
+def test_copies_are_between_this_machine_and_a_store(tmp_path: Path, bucket: Bucket, log: Path) -> None:
+    assert call(main, "copy", log, tmp_path / "x") == 1
+    assert call(main, "copy", "s3://logs/b.mcap", "s3://logs/x") == 1
+    assert call(main, "copy", log) == 2
+    assert call(main, "copy", log, log, "s3://logs/x.mcap") == 2
+
+
+def test_a_recording_is_copied_when_it_is_finished(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "sessions/before.mcap", [0.1] * 5)
+    flags = ("--track", "lake", "--laps", "0.01", "--copy-to", "s3://logs/sessions")
+    assert call(bc_record, "now", *flags) == 0
+    assert (bucket.folder / "sessions/now.mcap").read_bytes() == (tmp_path / "sessions/now.mcap").read_bytes()
+    assert "not in s3://logs/sessions yet: before.mcap; `bc-log copy sessions s3://logs/sessions`" in " ".join(
+        capsys.readouterr().err.split()
+    )
+
+
+def test_a_recording_that_cannot_be_copied_is_recorded_all_the_same(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
+    assert call(bc_record, "now", "--track", "lake", "--laps", "0.01", "--copy-to", "s3://logs/sessions") == 3
+    assert check(tmp_path / "sessions/now.mcap").findings == []
+    assert "AccessDenied" in capsys.readouterr().err
+
+
+def test_a_bucket_that_is_not_there_is_said_before_anything_is_recorded(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(bc_record, "now", "--track", "lake", "--copy-to", "s3://nowhere/sessions") == 1
+    assert not (tmp_path / "sessions").exists()
+
+
+def test_errors_of_a_store_are_errors_of_their_own() -> None:
+    assert not issubclass(
+        StoreError, LogError
+    )  # what cannot be reached is not damaged: nothing is left out for it

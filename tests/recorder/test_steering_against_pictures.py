@@ -1,0 +1,45 @@
+"""Steering that contradicts the pictures is found without a network, and sound steering is left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from common.stretches import stretches
+from panorama import RATE_HZ, Seconds, hand, views, write_drive
+from recorder import Log
+from recorder.log.steering_against_pictures import against_pictures
+
+ROWS = 600
+WRONG_S = (20.0, 32.0)
+
+
+def found_in(path: Path) -> list[tuple[int, int]]:
+    with Log(path) as log:
+        return stretches(against_pictures(log))
+
+
+def wrong_for_a_while(other: Callable[[Seconds], Seconds]) -> Callable[[Seconds], Seconds]:
+    return lambda at_s: np.where((at_s >= WRONG_S[0]) & (at_s < WRONG_S[1]), other(at_s), hand(at_s))
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.3])
+def test_mirrored_labels_are_found(lag_s: float, tmp_path: Path) -> None:
+    wheel = wrong_for_a_while(lambda at_s: -hand(at_s))
+    drive = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: wheel(at_s - lag_s))
+    assert found_in(drive) == [pytest.approx([(each + lag_s) * RATE_HZ for each in WRONG_S], abs=10)]
+
+
+def test_sound_labels_are_not(tmp_path: Path) -> None:
+    """Nor those of a straight, of a standing car, or where pictures tell nothing."""
+    assert found_in(write_drive(tmp_path / "sound.mcap", views(ROWS))) == []
+    straight = wrong_for_a_while(np.zeros_like)
+    assert found_in(write_drive(tmp_path / "straight.mcap", views(ROWS), straight)) == []
+    assert found_in(write_drive(tmp_path / "slow.mcap", views(ROWS), speed_mph=1.0)) == []
+    assert found_in(write_drive(tmp_path / "short.mcap", views(ROWS)[:5])) == []
+    assert found_in(write_drive(tmp_path / "broken.mcap", [b"no picture"] * 100)) == []
+    someone_else = np.random.default_rng(3).uniform(-1, 1, ROWS)
+    assert found_in(write_drive(tmp_path / "other.mcap", views(ROWS), lambda at_s: someone_else)) == []

@@ -1,0 +1,175 @@
+"""`--ray`: what one machine would make, byte for byte; what is said where it cannot be; and nodes that die.
+
+One file for all commands, because one cluster takes seconds to start."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sysconfig
+import time
+import venv
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clusters import ray_cluster
+from common.ray_cluster import cluster_tasks
+from dataset import build_index
+from driving import one_line_of, run, run_code, untrained_run
+from logs import write_log
+from toy import toy_index
+from waiting import wait_until
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    with ray_cluster(nodes=2) as started:
+        yield started
+
+
+def drives(folder: Path, sessions: int = 4) -> list[Path]:
+    """Logs of a car that winds along, each at a time of its own."""
+    rows = np.arange(120)
+    return [
+        write_log(folder / f"drive {n}.mcap", np.sin(rows / (5 + n)).tolist(), start_ns=10**18 + n * 10**15)
+        for n in range(sessions)
+    ]
+
+
+def index_files(index: Path) -> dict[str, bytes]:
+    """What of an index does not tell when it was made."""
+    files = sorted(index.rglob("*.parquet"))
+    return {str(path.relative_to(index)): path.read_bytes() for path in files}
+
+
+def test_the_index_has_the_same_bytes_and_a_damaged_log_is_left_out_as_on_one_machine(
+    tmp_path: Path, cluster: Any
+) -> None:
+    drives(tmp_path / "sessions")
+    (tmp_path / "sessions" / "damaged.mcap").write_bytes(b"this is no log")
+    here = run("bc-index", "--index", "here", cwd=tmp_path)
+    there = run("bc-index", "--index", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (3, 3), there.stderr
+    assert there.stderr == here.stderr
+    assert "sessions/damaged.mcap: not an MCAP log" in there.stderr
+    assert there.stdout == here.stdout.replace("here:", "there:")
+    assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
+    assert len(index_files(tmp_path / "there")) == 5
+
+
+@pytest.mark.long
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path, cluster: Any) -> None:
+    logs = drives(tmp_path / "sessions")
+    build_index(logs, tmp_path / "here")
+    began, gone = tmp_path / "began", tmp_path / "gone"
+    dying = cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
+
+    def waiting_at_first(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(name: str, *arguments: Any) -> Any:
+            if name == "drive 2" and not gone.exists():
+                began.write_text("")
+                time.sleep(1_000)
+            return function(name, *arguments)
+
+        return call
+
+    with cluster_tasks(cluster.address, resources={"dying": 0.01}) as there:
+
+        def tasks(
+            function: Callable[..., Any],
+            calls: Sequence[tuple[Any, ...]],
+            lost: Callable[[int, str], Any] | None = None,
+        ) -> Iterator[tuple[int, Any]]:
+            for number, result in there(waiting_at_first(function), calls):
+                if number == 0:
+                    wait_until(began.exists)
+                    gone.write_text("")
+                    cluster.remove_node(dying, allow_graceful=False)
+                    cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
+                yield number, result
+
+        build_index(logs, tmp_path / "there", tasks=tasks)
+    assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
+
+
+def test_a_cluster_of_another_version_is_told(tmp_path: Path, cluster: Any) -> None:
+    drives(tmp_path / "sessions", sessions=1)
+    arguments = ["bc-index", "--ray", cluster.address]
+    code = f"import sys, ray; ray.__version__ = '2.0.0'; sys.argv = {arguments}\n"
+    done = run_code(f"{code}from behavioural_cloning_toolkit import bc_index; bc_index()", cwd=tmp_path)
+    assert done.returncode == 1
+    import ray
+
+    assert f"the cluster has Ray {ray.__version__} and Python" in one_line_of(done)
+    assert "this machine Ray 2.0.0" in one_line_of(done)
+    assert not (tmp_path / "index").exists()
+
+
+@pytest.mark.long
+def test_a_node_without_the_toolkit_is_told(tmp_path: Path) -> None:
+    drives(tmp_path / "sessions", sessions=2)
+    venv.create(tmp_path / "bare", with_pip=False)
+    packages = next((tmp_path / "bare").rglob("site-packages"))
+    (packages / "others.pth").write_text(sysconfig.get_path("purelib"))  # all that is installed beside the toolkit
+    without = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    ray = "import sys; from ray.scripts.scripts import main; sys.argv[0] = 'ray'; main()"
+    with ray_cluster(nodes=0) as cluster:
+        start = [str(tmp_path / "bare" / "bin" / "python"), "-c", ray, "start", "--num-cpus", "1"]
+        subprocess.run([*start, "--address", cluster.address], check=True, capture_output=True, env=without)
+        done = run("bc-index", "--ray", cluster.address, cwd=tmp_path)
+    assert "cannot import dataset: every node needs behavioural-cloning-toolkit[scale]" in one_line_of(done)
+    assert done.returncode == 1
+
+
+@pytest.mark.parametrize("scheme", ["", "ray://"])
+def test_an_address_that_does_not_answer_is_told_within_ten_seconds(tmp_path: Path, scheme: str) -> None:
+    drives(tmp_path / "sessions", sessions=1)
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        address = f"{scheme}127.0.0.1:{mute.getsockname()[1]}"
+        began = time.monotonic()
+        done = run("bc-index", "--ray", address, cwd=tmp_path)
+        assert time.monotonic() - began < 10
+    assert one_line_of(done) == (
+        f"bc-index: --ray {address}: no cluster can be reached there (no answer); `ray status` on its head tells"
+        " how it is"
+    )
+    assert done.returncode == 1
+
+
+def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
+    drives(tmp_path / "sessions", sessions=1)
+    done = run("bc-index", "--ray", "drive 0", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "HOST:PORT, ray://HOST:PORT, auto or local was expected; names go before --ray" in one_line_of(done)
+
+
+def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
+    untrained_run(tmp_path / "runs" / "untrained")
+    drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
+    here = run("bc-eval", *drives, "--logs", "here", cwd=tmp_path)
+    there = run("bc-eval", *drives, "--logs", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (0, 0), there.stderr
+    assert there.stderr == ""
+    expected = [line.replace('"here/', '"there/') for line in here.stdout.splitlines()]
+    assert sorted(there.stdout.splitlines()) == sorted(expected)
+    assert all("trajectory_sha256" in line for line in expected)
+    assert len(list((tmp_path / "there").glob("*.mcap"))) == 2
+
+
+@pytest.mark.long
+def test_a_sweep_on_a_cluster_comes_to_the_runs_of_one_machine(tmp_path: Path, cluster: Any) -> None:
+    toy_index(tmp_path)
+    settings = 'epochs = 2\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
+    (tmp_path / "s.toml").write_text(f"seeds = [1, 2]\n[train]\n{settings}[grid]\nrate = [1e-4, 1e30]\n")
+    here = run("bc-sweep", "s.toml", "--runs", "here", cwd=tmp_path)
+    there = run("bc-sweep", "s.toml", "--runs", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (3, 3), there.stderr
+    assert there.stdout == here.stdout
+    for seed in (1, 2):
+        name = f"s-rate_0.0001-seed{seed}/model.safetensors"
+        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()

@@ -1,0 +1,110 @@
+"""The steering that a run's network predicts, over what was recorded: its curve, its worst moments, its errors."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from chromium import chromium
+from driving import PATIENCE_S
+from logs import write_log
+from model.network.choice import built_in
+from model.runs.run_folder import create_run, save_weights
+from toy import STEERING, road
+from waiting import wait_until
+from workbench import Served, served
+
+ANSWER = 0.26  # of a network with no weights but its last bias, whatever it sees
+ROWS = len(STEERING)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("predictions")
+    (folder / "sessions").mkdir()
+    write_log(folder / "sessions" / "toy.mcap", STEERING, road, cameras=["center"])
+    write_log(folder / "sessions" / "blind.mcap", STEERING[:5], cameras=[])
+    constant_run(folder / "runs" / "constant")
+    with served(folder) as found:
+        yield found
+
+
+def constant_run(folder: Path, **changed: Any) -> None:
+    choice = built_in("small", {})
+    network = choice.build()
+    with torch.no_grad():
+        for weights in network.parameters():
+            weights.zero_()
+        list(network.parameters())[-1].fill_(ANSWER)
+    create_run(folder, {"network": choice.description, **changed}, choice.picture)
+    save_weights(folder, network.state_dict(), 1)
+
+
+def changed_config(folder: Path, **changed: Any) -> None:
+    config = folder / "config.json"
+    config.write_text(json.dumps({**json.loads(config.read_text()), **changed}))
+
+
+def test_the_page_shows_the_prediction_and_its_worst_moments_first(bench: Served) -> None:
+    errors_deg = 25 * (ANSWER - np.array(STEERING))
+    worst = int(np.argmax(np.abs(errors_deg)))
+    rmse_deg = math.sqrt(np.mean(errors_deg**2))
+    mean_rmse_deg = 25 * np.std(STEERING)
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(PATIENCE_S * 1000)
+        page.goto(f"{bench.address}/sessions/toy")
+        page.wait_for_selector("#session[data-ready]")
+        page.select_option("#run", "constant")
+        page.wait_for_selector("#session[data-run=constant]")
+        told = page.inner_text("#predicted")
+        assert f"{ROWS} frames, RMSE {rmse_deg:.2f}°; always predicting the mean: {mean_rmse_deg:.2f}°" in told
+        first = page.locator("#worst li").first.inner_text()
+        assert f"{abs(errors_deg[worst]):.1f}° too far right" in first
+        assert f"row {worst}," in first
+        page.keyboard.press("w")
+        wait_until(lambda: page.get_attribute("#curves", "aria-valuenow") == str(worst))
+        assert "predicted 0.26" in page.inner_text("#now")
+        assert page.locator("#curves .key .predicted").count() == 1
+        # kept: a page that names the run has it at once, and the project's own folders have nothing new
+        page.goto(f"{bench.address}/sessions/toy#run=constant")
+        page.reload()
+        page.wait_for_selector("#session[data-run=constant]")
+    assert sorted(path.name for path in (bench.folder / "sessions").iterdir()) == ["blind.mcap", "toy.mcap"]
+    assert len(list((bench.folder / "cache").rglob("predictions/*.npz"))) == 1
+
+
+def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
+    runs = bench.folder / "runs"
+    constant_run(runs / "later")
+    changed_config(runs / "later", format=99)
+    ran = bench.folder / "ran"
+    constant_run(runs / "own")
+    (runs / "own" / "network.py").write_text(f"open({str(ran)!r}, 'w')\n")
+    changed_config(runs / "own", network={"name": "mine.py:Net", "arguments": {}, "file_sha256": "0" * 64})
+    constant_run(runs / "young")
+    (runs / "young" / "model.safetensors").unlink()
+
+    def problem(run: str, log: str = "toy", fingerprint: str = "") -> str:
+        shown = fingerprint or bench.get(f"/sessions/{log}/state").json["fingerprint"]
+        answer = bench.ask("POST", f"/sessions/{log}/predictions/{run}?log={shown}")
+        return str(answer.json.get("problem") or answer.json["error"])
+
+    assert "of format 99" in problem("later")
+    own = problem("own")
+    assert "code of your own" in own
+    assert "--network" in own
+    assert not ran.exists()
+    assert "weights after its first epoch" in problem("young")
+    assert "no picture of the centre camera" in problem("constant", "blind")
+    assert "no run 'none'" in problem("none")
+    assert "the log has changed" in problem("constant", fingerprint="0" * 64)
+    assert bench.get("/sessions/toy/predictions/rows/..%2f..%2fx").status == 404
+    assert bench.ask("POST", "/sessions/toy/predictions/constant", b"", Sec_Fetch_Site="cross-site").status == 403

@@ -1,0 +1,92 @@
+"""The process in which a run's network sees a whole log. It says on stdout how far it is, and leaves a file.
+
+Of its own: a network uses all processors for a while, and shall not hold up the pages. Code of a network of one's
+own is not run here, as nobody has named it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from common import UserError
+from common.errors import printable
+from model.evaluation.log_predictions import LogPredictions
+from model.evaluation.predict import BATCH
+from model.evaluation.predict_log import predict_log
+from model.metrics import measure
+from viz.preview_command import end_with_parent
+from web.data.predictions import Measured, WorstMoment
+from web.errors import WebError
+
+_WORST: Final = 30  # moments that are listed
+_NICENESS: Final = 5
+
+
+def main() -> None:
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
+        os.nice(_NICENESS)
+    threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
+    log, run, fingerprint, result = sys.argv[1:]
+    try:
+        found = _predict(Path(log), Path(run))
+        if found.about["log_fingerprint"] != fingerprint:
+            raise WebError("the log has been replaced since this page was opened: reload it")
+        _write(found, Path(result))
+    except UserError as error:
+        _say(problem=printable(str(error)))
+    except OSError as error:
+        _say(problem=printable(f"{error.filename or log}: {error.strerror}"))
+    except MemoryError:
+        _say(problem="not enough memory")
+
+
+def _predict(log: Path, run: Path) -> LogPredictions:
+    pictures = 0
+
+    def on_batch() -> None:
+        nonlocal pictures
+        pictures += BATCH
+        _say(pictures=pictures)
+
+    return predict_log(log, [run], on_batch=on_batch)
+
+
+def _write(found: LogPredictions, result: Path) -> None:
+    (run,) = found.predicted
+    predicted = found.predicted[run]
+    known = np.isfinite(found.recorded)
+    measured = measure(predicted[known], found.recorded[known], max_deg=found.max_deg)
+    about = Measured(
+        frames=measured.frames,
+        rmse_deg=measured.network.rmse_deg if measured.frames else None,
+        mean_rmse_deg=measured.mean.rmse_deg if measured.frames else None,
+        max_deg=found.max_deg,
+        worst=[
+            WorstMoment(worst.row, worst.error_deg, worst.predicted_deg, worst.recorded_deg)
+            for worst in found.worst(run, _WORST)
+        ],
+        notes=[printable(line) for line in (*found.skipped.lines(), found.notice) if line],
+    )
+    told = np.frombuffer(msgspec.json.encode(about), np.uint8)
+    result.parent.mkdir(parents=True, exist_ok=True)
+    part = result.with_name(f"{result.name}.{os.getpid()}")
+    try:
+        with part.open("wb") as stream:
+            np.savez(stream, row=found.row, predicted=predicted, about=told)
+        part.replace(result)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _say(**values: object) -> None:
+    print(json.dumps(values), flush=True)

@@ -1,0 +1,198 @@
+"""What a run's network would have steered in a log: made by a process of its own, one at a time, and kept in the
+cache by the fingerprints of the log and of the run's weights."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+import behavioural_cloning_toolkit
+from common.errors import printable
+from common.interrupts import leave_signals_to_main_thread
+from web.data.file_versions import version_of
+from web.data.project_folders import RUN_CONFIG
+from web.errors import WebError
+
+_FORMAT: Final = 1  # of the files that are kept
+_WEIGHTS: Final = "model.safetensors"  # `model.runs.run_folder.WEIGHTS`, without PyTorch
+_ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
+_START: Final = (
+    "import sys; sys.path.append(sys.argv.pop(1)); from web.data.prediction_process import main; main()"
+)
+
+
+class WorstMoment(msgspec.Struct, frozen=True):
+    """A moment at which the network is off the most; `error_deg` is positive where it steers too far right."""
+
+    row: int
+    error_deg: float
+    predicted_deg: float
+    recorded_deg: float
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """How well a network predicts. RMSEs are None where nothing was recorded to compare with."""
+
+    frames: int
+    rmse_deg: float | None
+    mean_rmse_deg: float | None  # of always predicting the mean
+    max_deg: float  # the wheels' angle at steering 1
+    worst: list[WorstMoment]
+    notes: list[str]  # what was left out
+
+
+@dataclass(frozen=True)
+class Predicted:
+    about: Measured
+    row: NDArray[np.int64]  # (N,), of each picture of the centre camera that decodes
+    steering: NDArray[np.float64]  # (N,), -1 (left) to 1 (right), before any clamp
+
+    def at(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """For rows (M,) of the log; NaN where there was no picture."""
+        found = np.full(len(rows), np.nan)
+        if len(self.row):
+            order = np.argsort(self.row, kind="stable")
+            places = np.minimum(np.searchsorted(self.row[order], rows), len(order) - 1)
+            is_there = self.row[order][places] == rows
+            found[is_there] = self.steering[order][places[is_there]]
+        return found
+
+
+@dataclass
+class Predicting:
+    """A prediction that was asked for."""
+
+    total: int  # pictures
+    pictures: int = 0
+    is_done: bool = False
+    problem: str = ""
+    left_s: float | None = None
+    """How long it will take; None while that cannot be told."""
+    _first: tuple[int, float] | None = None  # pictures by the first report, and when: before lies the beginning
+
+    def has_seen(self, pictures: int) -> None:
+        self.pictures = min(self.total, pictures)
+        now_s = time.monotonic()
+        if self._first is None:
+            self._first = self.pictures, now_s
+        elif self.pictures > self._first[0]:
+            each_s = (now_s - self._first[1]) / (self.pictures - self._first[0])
+            self.left_s = each_s * (self.total - self.pictures)
+
+
+class Predictions:
+    """Those that are kept, and those that are being made. The folder may be deleted at any time."""
+
+    def __init__(self, cache: Path) -> None:
+        self._folder = cache / "predictions"
+        self._pool = ThreadPoolExecutor(1, "predicting")
+        self._lock = threading.Lock()
+        self._asked: dict[str, Predicting] = {}
+        self._fingerprints: dict[Path, tuple[str, str]] = {}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._is_closed = False
+
+    def key(self, log_fingerprint: str, run: Path) -> str:
+        """The name that this prediction has here. Raises WebError for a run without weights."""
+        files = [run / _WEIGHTS, run / RUN_CONFIG]
+        version = version_of(*files)
+        known = self._fingerprints.get(run)
+        if known is None or known[0] != version:
+            digest = hashlib.sha256()
+            try:
+                for file in files:
+                    with file.open("rb") as stream:
+                        digest.update(hashlib.file_digest(stream, "sha256").digest())
+            except OSError as error:
+                why = f"{error.filename}: {error.strerror}"
+                raise WebError(f"{why}; a run has weights after its first epoch", 409) from None
+            self._fingerprints[run] = known = version, digest.hexdigest()
+        return hashlib.sha256(f"{_FORMAT} {log_fingerprint} {known[1]}".encode()).hexdigest()
+
+    def find(self, key: str) -> Predicted | None:
+        """None where it was not made yet, or is kept no more."""
+        path = self._path(key)
+        try:
+            with np.load(path, allow_pickle=False) as kept:
+                about = msgspec.json.decode(kept["about"].tobytes(), type=Measured)
+                return Predicted(about, kept["row"].astype(np.int64), kept["predicted"].astype(np.float64))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, EOFError, msgspec.MsgspecError):  # damaged: it is made again
+            with contextlib.suppress(OSError):
+                path.unlink()
+            return None
+
+    def predicting(self, key: str) -> Predicting | None:
+        with self._lock:
+            return self._asked.get(key)
+
+    def start(self, key: str, log: Path, log_fingerprint: str, run: Path, pictures: int) -> None:
+        """Begin with it, if it is not under way."""
+        with self._lock:
+            known = self._asked.get(key)
+            if known is not None and not known.is_done:
+                return
+            self._asked[key] = asked = Predicting(pictures)
+        words = [str(log.absolute()), str(run.absolute()), log_fingerprint, str(self._path(key).absolute())]
+        self._pool.submit(self._run, asked, words)
+
+    def close(self) -> None:
+        self._is_closed = True
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+        self._pool.shutdown(cancel_futures=True)
+
+    def _path(self, key: str) -> Path:
+        return self._folder / f"{key}.npz"
+
+    def _run(self, asked: Predicting, words: list[str]) -> None:
+        leave_signals_to_main_thread()
+        try:
+            with self._lock:
+                if self._is_closed:
+                    return
+                self._process = process = subprocess.Popen(
+                    [sys.executable, "-P", "-c", _START, _ROOT, *words],
+                    stdin=subprocess.PIPE,  # it ends with this process
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                    env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                    start_new_session=True,
+                )
+            with process:
+                assert process.stdout is not None  # noqa: S101
+                for line in process.stdout:
+                    _hear(asked, line)
+            if process.returncode and not asked.problem:
+                asked.problem = f"the process that predicts ended with {process.returncode}; try it again"
+        except OSError as error:
+            asked.problem = f"it cannot be started: {error.strerror}"
+        finally:
+            with self._lock:
+                self._process = None
+            asked.is_done = True
+
+
+def _hear(asked: Predicting, line: bytes) -> None:
+    with contextlib.suppress(ValueError):
+        said = json.loads(line)
+        if "problem" in said:
+            asked.problem = printable(str(said["problem"]))
+        else:
+            asked.has_seen(int(said["pictures"]))

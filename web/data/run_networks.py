@@ -1,0 +1,23 @@
+"""Networks of runs, as far as bc-web runs them: not code of one's own, which nobody has named here."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from web.errors import WebError
+
+
+def check_network(run: Path, log: Path) -> None:
+    """Raises WebError for a run whose network is code of one's own, with the command that shows it over a log;
+    RunError for a run of a later version, or one that cannot be read."""
+    from model.runs.network_of_run import is_own_network, network_flag, stored_network
+    from model.runs.run_folder import load_config
+
+    config = load_config(run)
+    if is_own_network(config):
+        words = shlex.join(["bc-play", str(log), "--run", str(run)])
+        command = f"{words} {network_flag(stored_network(config, run), run)}"
+        raise WebError(
+            f"{run}: its network is code of your own, which runs only if you name it: `{command}` does", 409
+        )

@@ -1,0 +1,82 @@
+"""The predictions of a run over a session: asked for, how far they are, and as a column beside the log's own."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+import msgspec
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from common.errors import printable
+from recorder.log.topics import camera_topic
+from web.data.open_logs import OpenLog
+from web.data.project_folders import Place
+from web.data.run_networks import check_network
+from web.errors import WebError
+from web.pages.workbench import Workbench
+
+_KEY: Final = re.compile(r"[0-9a-f]{64}")
+
+
+def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
+    def asked(request: Request) -> Response:
+        """How far a prediction is. POST begins with it where it has not been made yet."""
+        path = bench.folders.log(place, request.path_params["log"])
+        run = bench.folders.run(request.path_params["run"])
+        log = request.query_params.get("log", "")  # the fingerprint of what the page shows
+        with bench.logs.open(path) as opened:
+            return JSONResponse(_told(bench, path, opened, log, run, is_start=request.method == "POST"))
+
+    def column(request: Request) -> Response:
+        """The predicted steering of each row of the log, as float64; NaN where there is none."""
+        path = bench.folders.log(place, request.path_params["log"])
+        key = request.path_params["key"]
+        found = bench.predictions.find(key) if _KEY.fullmatch(key) else None
+        if found is None:
+            raise WebError("this prediction is not kept any more: choose the run again", 404)
+        with bench.logs.open(path) as opened:
+            data = found.at(opened.states.row).astype("<f8").tobytes()
+        return Response(data, media_type="application/octet-stream")
+
+    at = f"/{place}/{{log}}/predictions"
+    return [
+        Route(f"{at}/{{run}}", asked, methods=["GET", "POST"]),
+        Route(f"{at}/rows/{{key}}", column),
+    ]
+
+
+def _told(
+    bench: Workbench, path: Path, opened: OpenLog, log: str, run: Path, *, is_start: bool
+) -> dict[str, object]:
+    fingerprint = opened.log.fingerprint
+    if fingerprint != log:
+        raise WebError("the log has changed since this page has read it: choose the run again, or reload it", 409)
+    key = bench.predictions.key(fingerprint, run)
+    told: dict[str, object] = {"key": key, "name": printable(run.name), "about": None, "problem": ""}
+    before = bench.predictions.predicting(key)
+    was_done = before is not None and before.is_done  # then what it has made is there
+    if (found := bench.predictions.find(key)) is not None:
+        return {**told, "about": msgspec.to_builtins(found.about)}
+    pictures = len(opened.log.pictures(camera_topic("center")).sequence)
+    if not pictures:
+        return {**told, "problem": "no picture of the centre camera in this log: a network has nothing to see"}
+    if is_start:
+        check_network(run, path)
+        bench.predictions.start(key, path, fingerprint, run, pictures)
+    predicting = bench.predictions.predicting(key)
+    if predicting is None:
+        return told
+    problem = predicting.problem
+    if was_done and predicting is before and not problem:
+        problem = "the prediction could not be kept: the cache folder may be full"
+    return {
+        **told,
+        "problem": problem,
+        "pictures": predicting.pictures,
+        "total": predicting.total,
+        "left_s": predicting.left_s,
+    }

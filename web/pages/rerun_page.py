@@ -1,0 +1,98 @@
+"""A log in Rerun, inside the page of its session: the viewer in a frame, and the request that keeps it open."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator
+from typing import Final
+
+import anyio
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from common import UserError
+from common.errors import printable
+from common.files import PART_SUFFIX
+from common.locks import is_being_written
+from recorder.server.allowed_hosts import is_loopback
+from web.data.project_folders import Place
+from web.data.rerun_viewers import FILES, command_of, viewer_version
+from web.errors import WebError
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+_LOOK_EVERY_S: Final = 0.1
+
+
+def rerun_routes(bench: Workbench) -> list[Route]:
+    """The frame that a viewer runs in, and the viewer's own files."""
+
+    def frame(request: Request) -> Response:
+        viewer = bench.viewers.get(request.path_params["key"])
+        data = f"127.0.0.1:{viewer.data_port}"
+        page = render("rerun.html", data=f"rerun+http://{data}/proxy", rerun_version=viewer_version())
+        return HTMLResponse(page, headers={"Content-Security-Policy": _policy(f"http://{data}")})
+
+    def file(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in FILES:
+            raise WebError(f"{name}: no file of Rerun's viewer", 404)
+        is_kept = request.query_params.get("v") == viewer_version()
+        headers = {"Cache-Control": "private, max-age=31536000, immutable"} if is_kept else {}
+        return Response(bench.viewers.file(name), media_type=FILES[name], headers=headers)
+
+    return [Route("/rerun/{key}", frame), Route("/rerun/files/{name}", file)]
+
+
+def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
+    def open_log(request: Request) -> Response:
+        """Lines of JSON: where the viewer is, as soon as it can be opened, and what ends it. It lives as long as
+        somebody reads them."""
+        path = bench.folders.log(place, request.path_params["log"])
+        if request.client is not None and not is_loopback(request.client.host):
+            why = "Rerun gets its data on the machine that bc-web runs on, and there only"
+            raise WebError(f"{why}; there: {command_of(path)} --web", 409)
+        is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
+        with bench.logs.open(path) as opened:
+            late_s = 1e-9 * (opened.first_time_ns - opened.log.time_range_ns[0])
+
+        async def told() -> AsyncIterator[str]:
+            viewer = None
+            try:
+                viewer = await run_in_threadpool(bench.viewers.open, path, is_growing=is_growing)
+                is_told = False
+                while not viewer.is_ended and not request.scope["is_ending"]():
+                    if not is_told and (is_told := viewer.is_listening()):
+                        yield _line(frame=f"/rerun/{viewer.key}", late_s=late_s)
+                    await anyio.sleep(_LOOK_EVERY_S)
+                yield _line(problem=viewer.why_ended())
+            except UserError as error:
+                yield _line(problem=printable(str(error)))
+            finally:  # also when the page is closed
+                if viewer is not None:
+                    bench.viewers.end(viewer)
+
+        return StreamingResponse(told(), media_type="application/x-ndjson")
+
+    return [Route(f"/{place}/{{log}}/rerun", open_log, methods=["POST"])]
+
+
+def _line(**values: object) -> str:
+    return json.dumps(values) + "\n"
+
+
+def _policy(data: str) -> str:
+    """The viewer is a program of Rerun's: it reaches nothing but this server and the data of its log."""
+    return "; ".join(
+        (
+            "default-src 'none'",
+            "script-src 'self' 'wasm-unsafe-eval'",
+            "style-src 'self'",
+            "img-src 'self' blob: data:",
+            f"connect-src 'self' {data}",
+            "base-uri 'none'",
+            "frame-ancestors 'self'",
+        )
+    )

@@ -1,0 +1,71 @@
+// Rerun's viewer in this frame. The page around it tells the moment that it shows, by messages {at_s}; it is told
+// {shown_s} when that is shown, and {problem} when something goes wrong.
+
+import { moment } from "./time_cursor.js";
+
+const TIMELINE = "since start"; // as bc-play names it
+const AGAIN_MS = 200; // the moment's data is still on its way
+const LOOK_EVERY_MS = 1000;
+const { source, program } = document.body.dataset;
+const told = document.getElementById("told");
+console.debug = () => {}; // it tells tens of thousands of lines about its shaders
+let wanted = null;
+let isBusy = false;
+
+function tell(message) {
+  parent.postMessage(message, location.origin);
+}
+
+/** Rerun shows the newest moment that is wanted; those wanted while it was busy with another one, never. */
+async function follow(viewer) {
+  if (isBusy) return;
+  isBusy = true;
+  while (wanted !== null) {
+    const at = wanted;
+    try {
+      await viewer.viewer_control(moment(TIMELINE, at));
+      tell({ shown_s: at });
+      if (wanted === at) wanted = null;
+    } catch {
+      await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+    }
+  }
+  isBusy = false;
+}
+
+function fail(why) {
+  document.getElementById("viewer").remove();
+  told.textContent = `Rerun's viewer does not run in this browser: ${why}`;
+  tell({ problem: told.textContent });
+}
+
+async function start() {
+  await wasm_bindgen({ module_or_path: fetch(program) });
+  const viewer = new wasm_bindgen.WebHandle({
+    url: [source],
+    hide_welcome_screen: true,
+    enable_history: false,
+    notebook: false,
+    persist: false,
+    theme: matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light",
+  });
+  await viewer.start(document.getElementById("viewer"));
+  told.hidden = true;
+  addEventListener("message", (event) => {
+    if (event.origin !== location.origin || typeof event.data?.at_s !== "number") return;
+    wanted = event.data.at_s;
+    follow(viewer);
+  });
+  const looking = setInterval(() => {
+    if (!viewer.has_panicked()) return;
+    clearInterval(looking);
+    fail(viewer.panic_message());
+  }, LOOK_EVERY_MS);
+  tell({ is_ready: true });
+}
+
+try {
+  await start();
+} catch (error) {
+  fail(error?.message ?? error);
+}

@@ -1,0 +1,90 @@
+// What the network of a chosen run would have steered: asked for, waited for, and then a column beside the log's own
+// and a list of its worst moments.
+
+import { clock } from "./clock.js";
+import { ask } from "./log_data.js";
+
+const LOOK_EVERY_MS = 400;
+
+export class Predictions {
+  /** `onChange()`: another run, further, or there. */
+  constructor(data, { onChange }) {
+    Object.assign(this, { data, onChange });
+    this.clear("");
+  }
+
+  clear(run) {
+    Object.assign(this, { run, told: "", problem: "", about: null, worst: [], at: -1 });
+    delete this.data.columns.predicted;
+  }
+
+  /** The log is another one, or has grown. */
+  forget() {
+    if (!this.run) return;
+    this.clear("");
+    this.told = "the log has changed: choose the run again";
+  }
+
+  async choose(run) {
+    this.clear(run);
+    this.onChange();
+    if (!run) return;
+    try {
+      let found = await this.asked(run, { method: "POST" });
+      while (this.run === run && !found.about && !found.problem) {
+        this.told = waiting(found);
+        this.onChange();
+        await new Promise((resolve) => setTimeout(resolve, LOOK_EVERY_MS));
+        found = await this.asked(run);
+      }
+      if (found.problem) throw new Error(found.problem);
+      const column = await ask(`${this.data.address}/predictions/rows/${found.key}`);
+      const predicted = new Float64Array(await column.arrayBuffer());
+      if (this.run !== run) return; // another one was chosen meanwhile
+      if (predicted.length !== this.data.length) throw new Error("the log has changed: choose the run again");
+      this.data.columns.predicted = predicted;
+      this.show(found);
+    } catch (error) {
+      if (this.run !== run) return;
+      this.told = this.problem = error.message;
+    }
+    this.onChange();
+  }
+
+  async asked(run, options) {
+    return (await ask(`${this.data.address}/predictions/${run}?log=${this.data.state.fingerprint}`, options)).json();
+  }
+
+  show({ name, about }) {
+    this.about = about;
+    const compared =
+      about.rmse_deg === null
+        ? "nothing was recorded to compare with"
+        : `RMSE ${about.rmse_deg.toFixed(2)}°; always predicting the mean: ${about.mean_rmse_deg.toFixed(2)}°`;
+    this.told = [`${name}: ${about.frames.toLocaleString("en")} frames`, compared, ...about.notes].join(", ");
+    this.worst = about.worst.map((moment) => {
+      const position = this.data.position(moment.row, false);
+      const side = moment.error_deg > 0 ? "right" : "left";
+      return {
+        position,
+        short: `${Math.abs(moment.error_deg).toFixed(1)}° too far ${side}`,
+        words:
+          `row ${moment.row}, at ${clock(this.data.columns.time_s[position])}: ` +
+          `${moment.predicted_deg.toFixed(1)}° predicted, ${moment.recorded_deg.toFixed(1)}° recorded`,
+      };
+    });
+  }
+
+  /** The next worst moment, or the one before (`step` -1). */
+  next(step) {
+    if (!this.worst.length) return null;
+    this.at = (Math.max(this.at, step > 0 ? -1 : 0) + step + this.worst.length) % this.worst.length;
+    return this.worst[this.at];
+  }
+}
+
+function waiting({ pictures, total, left_s: leftS }) {
+  if (!pictures) return "the network is loaded";
+  const left = leftS === null ? "" : `, ${clock(leftS)} left`;
+  return `${pictures.toLocaleString("en")} of ${total.toLocaleString("en")} pictures${left}`;
+}
