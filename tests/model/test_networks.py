@@ -23,6 +23,7 @@ from model.cli import main
 from model.evaluation.evaluate import evaluate_runs
 from model.evaluation.predict import as_input
 from model.network.choice import choose_network
+from model.network.original import SteeringNetwork
 from model.network.visual_backprop import predict_with_attention
 from model.runs.run_folder import load_answer_scale, load_network
 from toy import TINY, road, toy_index
@@ -83,6 +84,17 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(run: Path, index: Pa
         ours, theirs = load_file(run / file), load_file(at_once / file)
         assert ours.keys() == theirs.keys()
         assert all((ours[name] == theirs[name]).all() for name in ours)
+
+
+@pytest.mark.parametrize("stored", [{}, {"network": "bojarski2016-modified"}], ids=["nothing", "a name"])
+def test_a_run_of_before_there_was_a_choice_has_the_original_network(
+    stored: dict[str, str], tmp_path: Path
+) -> None:
+    run = untrained_run(tmp_path / "run", network="original")
+    config = json.loads((run / "config.json").read_text())
+    del config["network"]
+    (run / "config.json").write_text(json.dumps({**config, **stored}))
+    assert isinstance(load_network(run), SteeringNetwork)
 
 
 def test_its_config_says_which_network_and_what_it_sees(run: Path) -> None:
