@@ -22,6 +22,8 @@ from common.car import MAX_STEERING_DEG
 from common.closeable import Closeable
 from common.files import short_path
 from common.open_file_limit import allow_open_files
+from common.stored_settings import settings_from
+from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.parquet_file import METADATA_KEY
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
@@ -128,6 +130,14 @@ class Samples(Closeable):
         try:
             return seen.set_column(seen.schema.get_field_index("label"), "label", seen["recorded"])
         except _UNREADABLE as error:
+            raise self._damaged(error) from None
+
+    @cached_property
+    def settings(self) -> IndexConfig:
+        """Those that the index was built with. Raises DatasetError for what are none."""
+        try:
+            return settings_from(IndexConfig, self.metadata["settings"])
+        except (KeyError, ValueError) as error:
             raise self._damaged(error) from None
 
     @cached_property
