@@ -100,6 +100,7 @@ bc_play = _command("bc-play", "viz.cli")
 bc_sim = _command("bc-sim", "simulator.cli")
 bc_runs = _command("bc-runs", "model.runs_cli")
 bc_eval = _command("bc-eval", "drive.evaluation.eval_cli")
+bc_sweep = _command("bc-sweep", "drive.sweep_cli")
 bc_demo = _command("bc-demo", "drive.demo")
 bc_web = _command("bc-web", "web.cli")
 

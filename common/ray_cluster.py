@@ -51,16 +51,18 @@ class ClusterError(UserError):
     """A cluster that cannot be reached, or on whose nodes nothing of ours can run."""
 
 
+class _LostError(ClusterError):
+    """A task whose process died each time."""
+
+
 @dataclass(frozen=True)
 class _Failed:
     error: Exception
 
 
-def address_of(flag: Sequence[str] | None) -> str | None:
-    """The address that `--ray [ADDRESS]` gives: None without the flag, "" for the one that Ray finds by itself.
-    Raises UsageError for what is none."""
-    if flag is None:
-        return None
+def address_of(flag: Sequence[str]) -> str:
+    """The address that `--ray [ADDRESS]` gives: "" for the one that Ray finds by itself. Raises UsageError for
+    what is none."""
     if len(flag) > 1:
         raise UsageError(f"--ray {' '.join(flag)}: at most one address; names go before --ray")
     address = flag[0] if flag else ""
@@ -83,9 +85,11 @@ def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
     with connection(address) as ray:
 
         def tasks(
-            function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
+            function: Callable[..., Result],
+            calls: Sequence[tuple[Any, ...]],
+            lost: Callable[[int, str], Result] | None = None,
         ) -> Iterator[tuple[int, Result]]:
-            return _results(ray, options, function, calls)
+            return _results(ray, options, function, calls, lost)
 
         yield tasks
 
@@ -152,7 +156,11 @@ def _why_not(address: str, error: str) -> str:
 
 
 def _results(
-    ray: Any, options: Mapping[str, object], function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
+    ray: Any,
+    options: Mapping[str, object],
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    lost: Callable[[int, str], Result] | None,
 ) -> Iterator[tuple[int, Result]]:
     of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
     call = ray.remote(_call).options(**of_tasks)
@@ -169,8 +177,14 @@ def _results(
             pending = list(numbers)
             ready, _ = ray.wait(pending, num_returns=min(len(pending), _READY_AT_ONCE), timeout=_LOOK_EVERY_S)
             for reference in ready:
-                result = _get(ray, reference)
-                yield numbers.pop(reference), result
+                number = numbers.pop(reference)
+                try:
+                    result = _get(ray, reference)
+                except _LostError as error:
+                    if lost is None:
+                        raise
+                    result = lost(number, str(error))
+                yield number, result
     finally:
         if numbers:  # Ctrl-C, or an error: the cluster ends what a driver has left there. Ray 2.60 may abort the
             ray.shutdown()  # process where a task is cancelled that has just failed
@@ -184,10 +198,8 @@ def _get(ray: Any, reference: Any) -> Any:
             raise ClusterError(_without_toolkit(str(error))) from None
         raise
     except ray.exceptions.RayError as error:
-        why = " ".join(str(error).split())[:300]
-        raise ClusterError(
-            f"the cluster gave a task up after {MAX_RETRIES} more trials: {printable(why)}"
-        ) from None
+        why = printable(" ".join(str(error).split())[:300])
+        raise _LostError(f"the cluster has given a task up after {MAX_RETRIES + 1} trials: {why}") from None
     if isinstance(result, _Failed):
         raise result.error
     return result

@@ -2,26 +2,53 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Annotated, Any, Protocol, TypeVar
+
+import tyro
 
 Result = TypeVar("Result")
+
+
+RayAddress = Annotated[
+    tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]", help_behavior_hint="(default: none)")
+]
+"""The flag `--ray [ADDRESS]`: None where it is not given, empty where no address is."""
 
 
 class Tasks(Protocol):
     """A way to make calls that do not depend on each other."""
 
     def __call__(
-        self, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
+        self,
+        function: Callable[..., Result],
+        calls: Sequence[tuple[Any, ...]],
+        lost: Callable[[int, str], Result] | None = None,
     ) -> Iterator[tuple[int, Result]]:
         """Call `function` with each of the tuples of arguments; yield number and result of each, as they come.
 
         What one raises is raised, and the rest is not done. A call may be made again where its process died: it
-        must come to the same.
+        must come to the same. `lost` gives the result, by its number and why, of a call whose process died each
+        time; without it, that is raised.
         """
 
 
-def one_by_one(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
+def one_by_one(
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    lost: Callable[[int, str], Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
     """Make the calls in this process, in their order."""
     for number, arguments in enumerate(calls):
         yield number, function(*arguments)
+
+
+def tasks_of(ray: RayAddress, **options: object) -> contextlib.AbstractContextManager[Tasks]:
+    """What makes calls as `--ray` says: one after the other without it. `options` are those of Ray's tasks. Raises
+    UsageError for an address that is none, ClusterError where no cluster can be reached."""
+    if ray is None:
+        return contextlib.nullcontext(one_by_one)
+    from common.ray_cluster import address_of, cluster_tasks
+
+    return cluster_tasks(address_of(ray), **options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result, print_table
 from common.recipe import recipe_given
-from common.tasks import Tasks, one_by_one
+from common.tasks import RayAddress, tasks_of
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
@@ -58,9 +57,7 @@ class Index:
     """Write four figures for a paper: preprocessing, augmentation, balance, and how the sessions were steered."""
     force: bool = False
     """Replace figures of the same names."""
-    ray: Annotated[
-        tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]", help_behavior_hint="(default: none)")
-    ] = None
+    ray: RayAddress = None
     """Read the logs on a Ray cluster, one task a log; all of its nodes see these folders by the same paths."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
 
@@ -79,7 +76,7 @@ def index(config: Index) -> int:
     if config.look:
         check_all_images({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
     others = [] if is_any else sessions_beside(logs, config.folder)
-    with _tasks(config) as tasks:
+    with tasks_of(config.ray) as tasks:
         indexed = build_index(
             logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
         )
@@ -110,14 +107,6 @@ def index(config: Index) -> int:
         print_result("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
         code = FAILED if leaks else code
     return code
-
-
-def _tasks(config: Index) -> contextlib.AbstractContextManager[Tasks]:
-    if config.ray is None:
-        return contextlib.nullcontext(one_by_one)
-    from common.ray_cluster import address_of, cluster_tasks
-
-    return cluster_tasks(address_of(config.ray) or "")
 
 
 def _refuse_contradictions(config: Index) -> None:

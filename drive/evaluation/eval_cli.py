@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -24,6 +25,8 @@ from common.command import (
 )
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
+from common.progress import track
+from common.tasks import RayAddress, tasks_of
 
 if TYPE_CHECKING:
     from drive.config import DriveConfig
@@ -92,6 +95,8 @@ class Eval:
     """Folder for the drives' logs."""
     force: bool = False
     """Replace logs of the same names."""
+    ray: RayAddress = None
+    """Make the drives on a Ray cluster, each as a task; all of its nodes see these folders by the same paths."""
     runs: Path = Path("runs")
     """Where runs are kept."""
     json: bool = False
@@ -101,7 +106,7 @@ class Eval:
 RECORDED = "recorded frames"
 WAYS = {
     RECORDED: ("index", "split", "session", "sessions", "worst"),
-    "--simulator TRACK": ("laps", "speed", "precision", "logs", "force"),
+    "--simulator TRACK": ("laps", "speed", "precision", "logs", "force", "ray"),
     "--on SESSION": ("sessions", "departure", "car", "precision"),
 }
 """The flags that belong to each way of measuring."""
@@ -299,7 +304,8 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
 
     drives = _drives(config)
     logs = config.logs or Path("drives")
-    (of_a, of_b) = (list(_driven(config, run, drives, logs / side)) for run, side in ((a, "a"), (b, "b")))
+    results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
+    of_a, of_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
     found = DriveComparison(*names, of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
     if config.json:
         print_result(json.dumps(found.as_dict()))
@@ -313,17 +319,17 @@ def _drive(config: Eval) -> int:
     from drive.evaluation.eval_report import print_drives
 
     drives = _drives(config)  # before the seconds that a network takes to load: a track may be misspelt
-    results = []
+    results: dict[int, DriveResult] = {}
     try:
         (run,) = _found_runs(config, config.run)
-        for result in _driven(config, run, drives, config.logs or Path("drives")):
-            results.append(result)
+        for number, result in _driven(config, [(run, config.logs or Path("drives"))], drives):
+            results[number] = result
             _keep(run, "simulator", result.as_dict())
             if config.json:
                 print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
-            print_drives(results)
+            print_drives([results[number] for number in sorted(results)])
     return DONE
 
 
@@ -341,20 +347,49 @@ def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
 
 
 def _driven(
-    config: Eval, run: Path, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]], logs: Path
-) -> Iterator[DriveResult]:
-    """The results of a run's drives, as they come."""
+    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+) -> Iterator[tuple[int, DriveResult]]:
+    """The results of the drives of runs, each with the folder of its logs: number and result, as they come."""
     from drive.driven_car import other_steering
+
+    for run, _ in runs:
+        if line := other_steering(run, None):
+            print_message(f"bc-eval: {line}")
+    drive = _driven_here if config.ray is None else _driven_on_cluster
+    yield from drive(config, runs, drives)
+
+
+def _driven_here(
+    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+) -> Iterator[tuple[int, DriveResult]]:
     from drive.evaluation.closed_loop import evaluate as evaluate_run
     from model import load_pilot
 
-    if line := other_steering(run, None):
-        print_message(f"bc-eval: {line}")
-    pilot = load_pilot(run, config.precision or "auto")
-    pilot.warm_up()
-    yield from evaluate_run(
-        pilot, drives, logs, overwrite=config.force, notify=lambda text: print_message(f"bc-eval: {text}")
-    )
+    numbers = itertools.count()
+    for run, logs in runs:
+        pilot = load_pilot(run, config.precision or "auto")
+        pilot.warm_up()
+        for result in evaluate_run(
+            pilot, drives, logs, overwrite=config.force, notify=lambda text: print_message(f"bc-eval: {text}")
+        ):
+            yield next(numbers), result
+
+
+def _driven_on_cluster(
+    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+) -> Iterator[tuple[int, DriveResult]]:
+    from drive.evaluation.closed_loop import drive_runs
+
+    with tasks_of(config.ray) as tasks:
+        found = drive_runs(
+            runs,
+            drives,
+            tasks,
+            networks=config.network,
+            precision=config.precision or "auto",
+            overwrite=config.force,
+        )
+        yield from track(found, "driving", len(runs) * len(drives))
 
 
 def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:

@@ -78,6 +78,7 @@ def drive_and_log(
     *,
     overwrite: bool = False,
     mode: ServerMode = "eventlet",
+    shows_progress: bool = True,
 ) -> tuple[dict[str, Any], DriveSummary]:
     """Drive the built-in simulator, and log that: the simulator's own report, and the summary of the log.
 
@@ -87,7 +88,7 @@ def drive_and_log(
         stop_signals() as stopped,
         DriveServer(pilot, config, log, overwrite=overwrite, port=0, mode=mode, is_built_in=True) as server,
     ):
-        report = drive_built_in(server, simulator, stopped)
+        report = drive_built_in(server, simulator, stopped, shows_progress=shows_progress)
         if not report:
             raise KeyboardInterrupt
         return report, server.session.summary

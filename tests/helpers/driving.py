@@ -38,6 +38,7 @@ COMMANDS = (
     "bc-play",
     "bc-sim",
     "bc-eval",
+    "bc-sweep",
     "bc-demo",
     "bc-web",
 )

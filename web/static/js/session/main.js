@@ -9,6 +9,7 @@ import { listOdd, listTags, listWorst } from "./lists.js";
 import { ask, LogData } from "./log_data.js";
 import { Predictions } from "./predictions.js";
 import { following, grouped, left, words } from "./odd.js";
+import { Makers } from "./make.js";
 import { Pictures } from "./pictures.js";
 import { Player } from "./player.js";
 import { RerunFrame } from "./rerun.js";
@@ -21,6 +22,7 @@ const pictures = new Pictures(document.querySelectorAll("figure[data-camera]"), 
 const curves = new Curves(by("curves"), data, { onMove: point, onSelect: select });
 const player = new Player(data, { onMove: move, onChange: showPlaying });
 const done = new History(data);
+const makers = new Makers(by("make"), data);
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: say });
 const predictions = new Predictions(data, { onChange: showPredicted });
 let groups = [];
@@ -56,6 +58,7 @@ function select(stretch) {
   const canTag = Boolean(selection) && !data.state.problem;
   by("exclude").disabled = by("tag").disabled = !canTag;
   const rows = selection && data.rowsOf(selection);
+  makers.select(rows);
   by("selected").textContent = rows ? `rows ${rows[0]} to ${rows[1]} selected` : "";
 }
 
@@ -202,6 +205,7 @@ data.addEventListener("rows", () => {
   by("look").hidden = data.state.looked || !data.state.cameras.length;
   curves.odd = groups;
   curves.build();
+  makers.select(selection && data.rowsOf(selection));
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);
 });

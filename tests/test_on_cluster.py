@@ -1,4 +1,6 @@
-"""`bc-index --ray`: the index that one machine would make, byte for byte; and what is said where none is made."""
+"""`--ray`: what one machine would make, byte for byte; what is said where it cannot be; and nodes that die.
+
+One file for all commands, because one cluster takes seconds to start."""
 
 from __future__ import annotations
 
@@ -18,8 +20,9 @@ import pytest
 from clusters import ray_cluster
 from common.ray_cluster import cluster_tasks
 from dataset import build_index
-from driving import one_line_of, run, run_code
+from driving import one_line_of, run, run_code, untrained_run
 from logs import write_log
+from toy import toy_index
 from waiting import wait_until
 
 
@@ -77,7 +80,11 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Pat
 
     with cluster_tasks(cluster.address, resources={"dying": 0.01}) as there:
 
-        def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+        def tasks(
+            function: Callable[..., Any],
+            calls: Sequence[tuple[Any, ...]],
+            lost: Callable[[int, str], Any] | None = None,
+        ) -> Iterator[tuple[int, Any]]:
             for number, result in there(waiting_at_first(function), calls):
                 if number == 0:
                     wait_until(began.exists)
@@ -139,3 +146,30 @@ def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
     done = run("bc-index", "--ray", "drive 0", cwd=tmp_path)
     assert done.returncode == 2
     assert "HOST:PORT, ray://HOST:PORT, auto or local was expected; names go before --ray" in one_line_of(done)
+
+
+def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
+    untrained_run(tmp_path / "runs" / "untrained")
+    drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
+    here = run("bc-eval", *drives, "--logs", "here", cwd=tmp_path)
+    there = run("bc-eval", *drives, "--logs", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (0, 0), there.stderr
+    assert there.stderr == ""
+    expected = [line.replace('"here/', '"there/') for line in here.stdout.splitlines()]
+    assert sorted(there.stdout.splitlines()) == sorted(expected)
+    assert all("trajectory_sha256" in line for line in expected)
+    assert len(list((tmp_path / "there").glob("*.mcap"))) == 2
+
+
+@pytest.mark.long
+def test_a_sweep_on_a_cluster_comes_to_the_runs_of_one_machine(tmp_path: Path, cluster: Any) -> None:
+    toy_index(tmp_path)
+    settings = 'epochs = 2\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
+    (tmp_path / "s.toml").write_text(f"seeds = [1, 2]\n[train]\n{settings}[grid]\nrate = [1e-4, 1e30]\n")
+    here = run("bc-sweep", "s.toml", "--runs", "here", cwd=tmp_path)
+    there = run("bc-sweep", "s.toml", "--runs", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (3, 3), there.stderr
+    assert there.stdout == here.stdout
+    for seed in (1, 2):
+        name = f"s-rate_0.0001-seed{seed}/model.safetensors"
+        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()

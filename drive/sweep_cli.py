@@ -1,0 +1,155 @@
+"""`bc-sweep`: many trainings, each driven; on this machine one by one, or on a Ray cluster."""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.markup import escape
+from rich.table import Table
+
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
+from common.errors import UsageError, UserError, counted, printable
+from common.output import print_message, print_result, print_table
+from common.progress import track
+from common.tasks import RayAddress, tasks_of
+
+if TYPE_CHECKING:
+    from drive.evaluation.sweep import Swept
+    from model.runs.run_summary import RunSummary
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Train with many settings, each with several seeds, and let each drive; one table at the end.
+
+    FILE.toml names the settings (docs/scale.md). The runs are runs/FILE-SETTINGS-seedN; `bc-runs` lists them, too.
+    What is done is not done again: after Ctrl-C, a kill or a failure the same command goes on.
+
+    bc-sweep rates.toml
+    bc-sweep rates.toml --ray --cpus 4
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
+    """What is varied, seeds, and what is driven."""
+    index: Path = Path("index")
+    """The index to train on."""
+    runs: Path = Path("runs")
+    """Where runs are kept."""
+    logs: Path = Path("drives")
+    """Folder for the drives' logs."""
+    ray: RayAddress = None
+    """Train and drive on a Ray cluster, each training with its drives as a task; all of its nodes see these
+    folders by the same paths."""
+    cpus: float = 1.0
+    """Processors of a node that each task takes, with --ray."""
+    gpus: float = 0.0
+    """GPUs that each task takes, with --ray."""
+    json: bool = False
+    """One JSON object a training, as they come, and no table."""
+
+
+def sweep(config: Sweep) -> int:
+    if config.ray is None and (config.cpus, config.gpus) != (Sweep.cpus, Sweep.gpus):
+        raise UsageError("--cpus, --gpus: only with --ray: without it, each training has this machine")
+    if not (0 < config.cpus < math.inf and 0 <= config.gpus < math.inf):
+        raise UsageError("--cpus: a number above 0 was expected; --gpus: 0 or more")
+
+    from dataset.samples.samples_format import SAMPLES_NAME
+    from drive.evaluation.sweep import run_sweep
+    from drive.evaluation.sweep_plan import read_sweep
+
+    plan = read_sweep(config.file)
+    if not (config.index / SAMPLES_NAME).exists():
+        raise UserError(f"{config.index}: no index yet; build it with `bc-index`")
+    print_message(
+        f"bc-sweep: {counted(len(plan.trainings), 'training')}, each with {counted(len(plan.drives), 'drive')}"
+    )
+    done: list[Swept] = []
+    try:
+        with tasks_of(config.ray, num_cpus=config.cpus, num_gpus=config.gpus) as tasks:
+            found = run_sweep(plan, config.index, config.runs, config.logs, tasks)
+            # one by one, each training has a bar of its own
+            shown = found if config.ray is None else track(found, "training", len(plan.trainings))
+            for swept in shown:
+                done.append(swept)
+                _print_one(swept, as_json=config.json)
+    except KeyboardInterrupt:
+        print_message("bc-sweep: what is learnt and driven is kept; the same command goes on")
+        raise
+    finally:
+        if done and not config.json:
+            print_table(_table(plan.name, done))
+    failed = [swept for swept in done if swept.failure]
+    if failed:
+        warn(f"{counted(len(failed), 'training')} of {len(done):,} failed; the same command tries them again")
+    return DONE if not failed else FAILED if len(failed) == len(done) else DONE_BUT_SKIPPED
+
+
+def _print_one(swept: Swept, *, as_json: bool) -> None:
+    run = swept.training.run
+    if swept.failure:
+        warn(f"{run}: {swept.failure}")
+    if as_json:
+        summary = None if swept.summary is None else {**asdict(swept.summary), "results": swept.summary.drives}
+        settings = asdict(swept.training.config)
+        print_result(
+            json.dumps({"run": run, "settings": settings, "failure": swept.failure, "summary": _finite(summary)})
+        )
+    elif not swept.failure and swept.summary is not None:
+        drives = swept.summary.drives
+        driven = f", autonomy {_mean(swept.summary):.1f} % in {counted(len(drives), 'drive')}" if drives else ""
+        print_message(f"bc-sweep: {run}: RMSE {swept.summary.rmse_deg:.2f} degrees{driven}")
+
+
+def _finite(value: object) -> object:
+    """JSON has no NaN."""
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _table(name: str, done: Sequence[Swept]) -> Table:
+    """A row for each setting: the mean over its seeds, and the least and the largest."""
+    title = f"{printable(name)}: means over the seeds (least to largest); RMSE of frames held out, in degrees"
+    table = Table(title=title, box=None, pad_edge=False)
+    for heading in ("settings", "seeds", "failed", "RMSE", "interventions/km", "autonomy, %"):
+        table.add_column(heading, justify="left" if heading == "settings" else "right")
+    ordered = sorted(done, key=lambda swept: swept.training.varied)
+    for varied, members in groupby(ordered, key=lambda swept: swept.training.varied):
+        of_setting = list(members)
+        whole = [swept.summary for swept in of_setting if not swept.failure and swept.summary is not None]
+        table.add_row(
+            escape(printable(varied or "all the same")),
+            f"{len(of_setting):,}",
+            f"{sum(bool(swept.failure) for swept in of_setting):,}" if len(whole) < len(of_setting) else "",
+            _spread([summary.rmse_deg for summary in whole], 2),
+            _spread([summary.interventions_per_km for summary in whole], 2),
+            _spread([_mean(summary) for summary in whole], 1),
+        )
+    return table
+
+
+def _mean(summary: RunSummary) -> float:
+    """Autonomy in percent, over all drives of a run."""
+    drives = [float(drive["autonomy_percent"]) for drive in summary.drives if "autonomy_percent" in drive]
+    return statistics.fmean(drives) if drives else math.nan
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    known = [value for value in values if math.isfinite(value)]
+    if not known:
+        return "-"
+    mean = f"{statistics.fmean(known):.{digits}f}"
+    return mean if len(known) == 1 else f"{mean} ({min(known):.{digits}f} to {max(known):.{digits}f})"
+
+
+def main() -> None:
+    run_command("bc-sweep", Sweep, sweep)
