@@ -137,7 +137,7 @@ def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
 
 def main() -> None:
     if sys.argv[1:2] == ["export"]:
-        from dataset.export_cli import main as export
+        from dataset.index_export_cli import main as export
 
         export()
     run_command("bc-index", Index, index, default=lambda: Index(config=IndexConfig.of(recipe_given())))

@@ -12,7 +12,7 @@ import pytest
 from common import UserError
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main as bc_index
-from dataset.lerobot_export import export_index
+from dataset.index_export import export_index
 from driving import one_line_in
 from lerobot_logs import jpeg, steering, write_drives
 from recorder import Log

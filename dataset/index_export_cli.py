@@ -35,7 +35,7 @@ class ExportIndex:
 
 def export(config: ExportIndex) -> int:
     from dataset.frames.frames_file import FRAMES_SCHEMA
-    from dataset.lerobot_export import export_index
+    from dataset.index_export import export_index
     from dataset.samples.filter import Condition
 
     refuse_no_text(("--task", config.task), ("--license", config.license))
