@@ -13,6 +13,7 @@ import tyro
 
 from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result, print_table
 from common.recipe import recipe_given
 from common.tasks import RayAddress, tasks_of
@@ -43,8 +44,8 @@ class Index:
 
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
     """Sessions by name, or logs by path; all of the folder by default. The index then holds just these."""
-    folder: Annotated[Path, tyro.conf.arg(name="sessions")] = Path("sessions")
-    """Where logs are kept."""
+    folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
+    """Where logs are kept: a folder, or the URL of one (s3://BUCKET/sessions)."""
     index: Path = Path("index")
     """Where the index is written."""
     look: bool = False
