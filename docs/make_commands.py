@@ -51,7 +51,7 @@ def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
         shown = dict(zip(scripts, pool.map(help_of, scripts), strict=True))
         subcommands = [f"{name} {sub}" for name, text in shown.items() for sub in re.findall(r"• (\w+) ", text)]
         with_subcommands = {name.split()[0] for name in subcommands}
-        subcommands.append("bc-train export")  # not shown by tyro: it begins with a word of bc-train's own
+        subcommands += ["bc-train export", "bc-index export"]  # not shown by tyro: each has a main of its own
         texts = zip(subcommands, pool.map(help_of, subcommands), strict=True)
         return {name: text for name, text in shown.items() if name not in with_subcommands} | dict(texts)
 

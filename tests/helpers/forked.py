@@ -13,6 +13,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, Final
@@ -33,6 +34,7 @@ class ForkServer:
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._inherited = _inherited(environment)
         self._connection: socket.socket | None = None
+        self._begins = threading.Lock()
 
     def can_start(self, environment: Mapping[str, str]) -> bool:
         """Whether a fork has all that a process inherits: else it must be started."""
@@ -49,8 +51,9 @@ class ForkServer:
             "cwd": str(cwd or Path.cwd()),
             "environment": dict(environment),
         }
-        if self._connection is None:
-            self._connection = self._begin()
+        with self._begins:
+            if self._connection is None:
+                self._connection = self._begin()
         read_out, out = os.pipe()
         read_error, error = os.pipe()
         status, told = socket.socketpair()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from web.data.cache_folder import CacheFolder
+from web.data.drive_view import DriveViews
 from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
@@ -25,6 +26,7 @@ class Workbench:
     cache: CacheFolder
     logs: OpenLogs
     cards: SessionCards
+    drives: DriveViews
     searches: WhereSearches
     checks: PictureChecks
     runs: RunCards
