@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from web.data.attention import Attention
 from web.data.cache_folder import CacheFolder
+from web.data.drive_view import DriveViews
 from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
@@ -26,6 +27,7 @@ class Workbench:
     cache: CacheFolder
     logs: OpenLogs
     cards: SessionCards
+    drives: DriveViews
     searches: WhereSearches
     checks: PictureChecks
     runs: RunCards
