@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -38,6 +39,7 @@ class Index:
 
     bc-index
     bc-index lake mountain --where "speed_mph > 5" --figures figures
+    bc-index export --lerobot datasets/driving
     """
 
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
@@ -135,4 +137,8 @@ def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
 
 
 def main() -> None:
+    if sys.argv[1:2] == ["export"]:
+        from dataset.index_export_cli import main as export
+
+        export()
     run_command("bc-index", Index, index, default=lambda: Index(config=IndexConfig.of(recipe_given())))

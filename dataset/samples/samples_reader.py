@@ -24,6 +24,8 @@ from common.closeable import Closeable
 from common.files import short_path
 from common.location import Location, Url
 from common.open_file_limit import allow_open_files
+from common.stored_settings import settings_from
+from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from dataset.parquet_file import METADATA_KEY
@@ -134,6 +136,14 @@ class Samples(Closeable):
         try:
             return seen.set_column(seen.schema.get_field_index("label"), "label", seen["recorded"])
         except _UNREADABLE as error:
+            raise self._damaged(error) from None
+
+    @cached_property
+    def settings(self) -> IndexConfig:
+        """Those that the index was built with. Raises DatasetError for what are none."""
+        try:
+            return settings_from(IndexConfig, self.metadata["settings"])
+        except (KeyError, ValueError) as error:
             raise self._damaged(error) from None
 
     @cached_property
