@@ -247,10 +247,12 @@ def _trained(index: Path, run: Path, network: str) -> list[float]:
     settings = replace(TrainConfig(), epochs=EPOCHS, network=network)
 
     class Clock:
-        def on_step(self, step: Step) -> None: ...
+        def step(self, step: Step) -> None: ...
 
-        def on_epoch(self, epoch: Epoch) -> None:
+        def epoch(self, epoch: Epoch) -> None:
             found.append(epoch.seconds)
+
+        def close(self) -> None: ...
 
     train(index, run, settings, [Clock()])
     return found

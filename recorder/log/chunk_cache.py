@@ -1,7 +1,7 @@
 """Chunks of logs in stores, kept on this machine's disk: what was fetched once is read as from a disk.
 
-A file a log, named after its fingerprint, with each chunk where it lies in the log; what was not fetched is a hole,
-which takes no room. Any number of processes share it without a word between them: nothing in it is believed
+A file a log, named after its fingerprint, with each chunk where it lies in the log; what was not fetched is a
+hole, which takes no room. Any number of processes share it without a word between them: nothing in it is believed
 before its CRC holds, so whatever is not there, half-written, or damaged is fetched.
 
 BC_CACHE names another folder than that of the system, BC_CACHE_GB how much it may hold (100). Where that is full,
