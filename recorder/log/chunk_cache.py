@@ -20,6 +20,7 @@ import threading
 from pathlib import Path
 from typing import Final
 
+from common.cache_folder import cache_folder
 from common.closeable import Closeable
 from common.errors import UsageError
 
@@ -150,16 +151,4 @@ def default_cache() -> ChunkCache:
         most_gb = -1.0
     if not 0 <= most_gb < 1e9:
         raise UsageError(f"BC_CACHE_GB={given}: a number of gigabytes was expected")
-    return ChunkCache(_folder() / "chunks", int(most_gb * 1e9))
-
-
-def _folder() -> Path:
-    if given := os.environ.get("BC_CACHE"):
-        return Path(given)
-    if sys.platform == "win32":
-        above = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        above = Path.home() / "Library" / "Caches"
-    else:
-        above = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return above / "behavioural-cloning-toolkit"
+    return ChunkCache(cache_folder() / "chunks", int(most_gb * 1e9))
