@@ -12,6 +12,7 @@ import time
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Final
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, run_command
@@ -29,13 +30,17 @@ class Demo:
     """
 
     folder: Path | None = None
-    """A new folder to work in; by default demo/DATE."""
+    """A folder to work in, new or without a project's folders; by default demo/DATE."""
     epochs: int = 4
     """Epochs of training; more drive better."""
     laps: float = 1.0
     """How far the trained network drives on each track."""
     share: float = 0.5
     """How much of each track's lap is recorded."""
+
+
+_MADE: Final = ("sessions", "index", "runs", "drives")
+"""The folders that its commands make."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ def steps_of(config: Demo) -> list[DemoStep]:
 def demo(config: Demo) -> int:
     folder = config.folder or Path("demo") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}"
     _refuse_what_fails_later(config, folder)
-    folder.mkdir(parents=True)
+    is_new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
     steps = steps_of(config)
     seconds = sum(step.seconds for step in steps)
     print_result(f"working in {folder}; all takes about {duration_text(seconds)} on two idle cores")
@@ -76,10 +82,10 @@ def demo(config: Demo) -> int:
         try:
             code = max(code, _run(step.command, folder))
         except KeyboardInterrupt:
-            if any(folder.iterdir()):
+            if any((folder / name).exists() for name in _MADE):
                 there = f"`cd {shlex.quote(str(folder))}`"
                 print_message(f"bc-demo: what was made is in {folder}; type its commands there: {there}")
-            else:
+            elif is_new:
                 folder.rmdir()
             raise
     log = folder / "drives" / "demo-mountain-10mph.mcap"
@@ -93,8 +99,10 @@ def demo(config: Demo) -> int:
 
 def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
     """Raise UserError, or UsageError, for settings that a later step would refuse, after minutes."""
-    if folder.exists():
-        raise UserError(f"{folder}: exists already; give another --folder")
+    if there := [name for name in _MADE if (folder / name).exists()]:
+        raise UserError(f"{folder}: has {' and '.join(there)} already; give another --folder")
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{folder}: no folder; give another --folder")
     if not 1 <= config.epochs <= 10**6:
         raise UsageError(f"--epochs {config.epochs}: a number from 1 to 1,000,000 was expected")
     if not 0 < config.laps <= 1000:

@@ -6,13 +6,16 @@ import contextlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Final
 
 from starlette.applications import Starlette
 from starlette.routing import Mount
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from web.data.attention import Attention
 from web.data.cache_folder import CacheFolder
+from web.data.drive_view import DriveViews
 from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
@@ -23,11 +26,15 @@ from web.data.rerun_viewers import RerunViewers
 from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
+from web.pages.altered_page import altered_routes
+from web.pages.attention_page import attention_routes
 from web.pages.changes import change_routes
 from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
+from web.pages.log_jobs_page import log_job_routes
+from web.pages.log_links import log_link_routes
 from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
@@ -37,6 +44,16 @@ from web.pages.sessions_page import session_list_routes
 from web.pages.workbench import Workbench
 from web.server.error_pages import HANDLERS
 from web.server.request_guard import RequestGuard
+
+_OF_A_LOG: Final = (
+    session_routes,
+    log_file_routes,
+    log_link_routes,
+    rerun_log_routes,
+    prediction_routes,
+    attention_routes,
+    log_job_routes,
+)
 
 
 @contextlib.contextmanager
@@ -57,6 +74,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         kept,
         logs,
         cards,
+        DriveViews(kept, pool),
         WhereSearches(folders.index, pool),
         checks,
         runs,
@@ -64,19 +82,16 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         IndexTrials(cache),
         viewers,
         predictions,
+        Attention(),
     )
     routes = [
         *session_list_routes(bench),
         *change_routes(bench),
-        *(
-            route
-            for place in PLACES
-            for routes in (session_routes, log_file_routes, rerun_log_routes, prediction_routes)
-            for route in routes(bench, place)
-        ),
+        *(route for place in PLACES for routes in _OF_A_LOG for route in routes(bench, place)),
         *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),
+        *altered_routes(bench),
         *job_routes(bench),
         *run_list_routes(bench),
         *run_routes(bench),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from common import UserError
 from common.command import DONE, check_port, run_command
+from common.errors import counted, printable
 from common.interrupts import stop_signals
 from common.output import print_message, print_result
 
@@ -49,6 +50,7 @@ def serve(config: Web) -> int:
             f'{error.name} is not installed: `pip install "behavioural-cloning-toolkit[web]"` brings it'
         ) from None
     from web.data.cache_folder import default_cache_folder
+    from web.data.jobs import Jobs
     from web.data.project_folders import ProjectFolders
 
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
@@ -69,6 +71,10 @@ def serve(config: Web) -> int:
             server.serve_until(stopped.wait)
         finally:
             server.stop()
+    if running := [job.command for job in Jobs(default_cache_folder()).all() if job.is_running]:
+        print_message(f"{counted(len(running), 'job goes', 'jobs go')} on: {'; '.join(running)}")
+        here = printable(str(Path.cwd()))
+        print_message(f"`bc-web`, begun again in {here}, shows them under Jobs, with a stop for each")
     return DONE
 
 

@@ -8,10 +8,13 @@ from pathlib import Path
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from logs import START_NS, STEP_NS
-from recorder.bc_pb2 import VehicleState
+from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.writer import LogWriter
 from waiting import wait_until
 from workbench import served
+
+EXPERT = {row: {"expert_steering": 0.1 - 0.2 * (row - 5)} for row in range(5, 10)}
+"""From the sixth row on, an expert is there, who would steer 0, 5, 10, 15 and 20 degrees more to the left."""
 
 
 def a_drive(path: Path, run: str) -> None:
@@ -25,6 +28,9 @@ def a_drive(path: Path, run: str) -> None:
             if row == 5:
                 writer.event(now_ns, "off the road, or stuck: the simulator put the car back", name="drive")
             writer.vehicle(now_ns, row, VehicleState(steering=0.1, throttle=0.5, brake=0.0, speed_mph=9.0))
+            writer.command(
+                now_ns, row, PilotCommand(driver=PilotCommand.PILOT, steering=0.1, **EXPERT.get(row, {}))
+            )
         writer.add_metadata("bc.drive", {"laps": "0.25", "autonomy_percent": "87.5", "interventions": "1"})
 
 
@@ -39,14 +45,30 @@ def test_drives_stand_beside_one_another_and_on_one_map(tmp_path: Path) -> None:
         assert "0.25" in text
         assert "damaged" in text
         assert "<b>r" not in text
+        assert bench.get("/drives/one/links").text.strip() == "driven by &lt;b&gt;r"
         assert "<svg" not in text
         for by in ("drive", "speed", "who+drove", "none"):
             shown = bench.get(f"/drives.rows?log=one&log=two&log=bad&log=none&by={by}").text
             assert shown.count("<polyline") == 2
+            assert "being read" not in shown
             assert re.findall(r'<a href="(/drives/\w+#row=\d+)"><circle cx="([\d.]+)"', shown) == [
                 ("/drives/one#row=5", "50.0"),
                 ("/drives/two#row=5", "50.0"),
             ]
+
+
+def test_the_map_shows_where_the_steering_was_not_the_experts(tmp_path: Path) -> None:
+    a_drive(tmp_path / "drives" / "one.mcap", "r")
+    with served(tmp_path) as bench:
+        wait_until(lambda: "being read" not in bench.get("/drives").text)
+        shown = bench.get("/drives.rows?log=one&by=error").text
+        # a path's part has the colour of the row that it begins at; the last row begins none
+        assert re.findall(r'<polyline class="([\w-]+)" points="([-\d.]+),', shown) == [
+            ("step-none", "0.00"),
+            ("step-0", "50.00"),
+            ("step-2", "60.00"),
+            ("step-5", "70.00"),
+        ]
 
 
 def test_without_drives_it_says_how_to_begin(tmp_path: Path) -> None:

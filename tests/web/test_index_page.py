@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlencode
 
+import numpy as np
 import pytest
 
 import dataset.cli
+from dataset import Samples, decode, load
 from driving import road_jpeg
 from logs import write_log
 from udacity import call
@@ -51,6 +53,37 @@ def test_the_page_shows_what_the_index_holds(bench: Served) -> None:
     assert "no leak between training and validation" in bench.get("/index.leaks").text
 
 
+def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:
+    """Beside the crops that they were made of; the same pictures as the loader gives."""
+    page = bench.get("/index.altered").text
+    found = re.findall(r'<img src="(/index.altered/(\d+)/([01]).jpg[^"]*)"', page)
+    told = re.findall(r"<span>([^<]*)</span>\s*<span class=\"dim\">[^;]*; (.*) row (\d+), (\w+)</span>", page)
+    assert len(found) == 2 * len(told) > 4
+    assert bench.get("/index.altered?others=1").text != page
+    with load(bench.folder / "index", batch=1) as loader, Samples(bench.folder / "index") as samples:
+        table = samples.of_split("train")
+        for number, (done, session, row, camera) in enumerate(told):
+            as_driven, as_learnt = (
+                decode(bench.get(html.unescape(found[2 * number + at][0])).body) for at in (0, 1)
+            )
+            assert as_driven.shape == as_learnt.shape == (128, 128, 3)
+            names = html.unescape(done).split(", ")
+            wanted = {
+                "session": html.unescape(session),
+                "row": int(row),
+                "camera": camera,
+                "flip": "mirrored" in names,
+                "alteration": "+".join(name for name in names if name != "mirrored"),
+            }
+            same = [at for at, sample in enumerate(table.to_pylist()) if wanted.items() <= sample.items()]
+            given = [loader.pictures_of(np.array([at]))[0].astype(int) for at in same]
+            assert min(np.abs(picture - as_learnt).mean() for picture in given) < 3  # a JPEG of it
+            if names == ["mirrored"]:
+                assert np.abs(as_driven[:, ::-1].astype(int) - as_learnt).mean() < 3
+    assert bench.get("/index.altered/99/0.jpg").status == 404
+    assert bench.get("/index.altered/0/2.jpg").status == 404
+
+
 @pytest.mark.parametrize(
     "path", ["/index/none/split", "/index/..%2fstate.json/split", "/index.bins?trial=..", "/index?trial=x"]
 )
@@ -87,3 +120,4 @@ def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> No
         assert "damaged" in bench.get("/index").text
         assert bench.get("/index.leaks").status == 422
         assert bench.get("/index.bins").status == 422
+        assert bench.get("/index.altered").status == 422

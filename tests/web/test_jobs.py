@@ -11,8 +11,12 @@ from urllib.parse import urlencode
 
 import pytest
 
+from driving import Process, command
 from recorder import Log
+from rrd import free_ports
 from waiting import wait_until
+from web.data.cache_folder import default_cache_folder
+from web.data.jobs import Jobs
 from workbench import Answer, Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
@@ -41,18 +45,18 @@ def text(bench: Served, path: str) -> str:
 
 def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
     asked = {"form": "record", "name": "a b's", "track": "lake", "laps": "0.01", "driver": "expert"}
-    command = bench.get(f"/jobs.command?{urlencode(asked)}").text
+    words = bench.get(f"/jobs.command?{urlencode(asked)}").text
     sessions = bench.folder / "sessions"
     flags = f"--track=lake --driver=expert --laps=0.01 --sessions={sessions}"
-    assert command == f"""bc-record 'a b'"'"'s' {flags}"""
+    assert words == f"""bc-record 'a b'"'"'s' {flags}"""
     job = start(bench, **asked)
-    assert command in text(bench, job)
+    assert words in text(bench, job)
     wait_until(lambda: "running" not in text(bench, f"{job}/body"))
     assert "done" in text(bench, job)
     assert "a b's.mcap: " in text(bench, job)  # what the command prints
     with Log(sessions / "a b's.mcap") as log:
         assert len(log.vehicle()) > 0
-    assert command in text(bench, "/jobs")
+    assert words in text(bench, "/jobs")
     assert bench.get(re.findall(r'href="(/sessions/[^"]*)"', bench.get(job).text)[0]).status == 200
 
 
@@ -75,6 +79,38 @@ def test_a_job_outlives_the_server_and_is_stopped_by_another(tmp_path: Path) -> 
         assert "stopped" in text(again, job)
         assert again.get("/changes").json["jobs"] != before
         assert post(again, f"{job}/stop").status == 303  # nothing more to stop
+
+
+def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
+    page = bench.get("/sessions").text
+    assert '<form method="post" action="/jobs">' in page
+    line = f"bc-demo --folder={bench.folder}"
+    assert line in html.unescape(page)
+    job = start(bench, form="demo")
+    wait_until(lambda: re.search(r'class="state">recording', bench.get("/sessions.rows").text))
+    assert post(bench, f"{job}/stop").status == 303
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    assert line in text(bench, job)
+    assert "1 of 6" in text(bench, job)
+    (bench.folder / "sessions").mkdir(exist_ok=True)
+    assert bench.get("/jobs.command?form=demo").text == "bc-demo"  # it fills no project that has something
+
+
+def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    (port,) = free_ports(1)
+    with Process(command("bc-web", "--port", port), cwd=tmp_path) as process:
+        process.wait_for("Ctrl-C ends it")
+        bench = Served(tmp_path, port)
+        job = start(bench, form="record", name="long", laps="200").rpartition("/")[2]
+        assert process.end() == 0
+        said = "\n".join(process.stderr)
+        assert "1 job goes on: bc-record long --laps=200\n" in said
+        assert f"`bc-web`, begun again in {tmp_path}, shows them" in said
+    jobs = Jobs(default_cache_folder())
+    jobs.stop(job)
+    wait_until(lambda: not jobs.get(job).is_running)
 
 
 @pytest.mark.parametrize(

@@ -108,6 +108,9 @@ def test_from_a_damaged_session_to_its_drive(tmp_path: Path, capsys: pytest.Capt
         assert call(model.runs_cli.main, "--runs", tmp_path / "runs", "--json") == 0
         assert '"walked"' in capsys.readouterr().out
 
+        page.click("text=the one that is here")  # from the run to its index, and back
+        page.click("a:text('walked')")
+
         start(page, "Drive", run="walked", track="lake", laps="0.005")
         (drive,) = (tmp_path / "drives").glob("*.mcap")
         with Log(drive) as found:
@@ -118,6 +121,7 @@ def test_from_a_damaged_session_to_its_drive(tmp_path: Path, capsys: pytest.Capt
         assert f"{driven} rows" in page.inner_text(".title")
         assert page.locator("figure:not([hidden]) img").first.evaluate("image => image.decode().then(() => true)")
         assert call(recorder.log_cli.main, "check", drive) == 0
+        page.wait_for_selector(".title a:text('walked')")  # the way back to the run
         page.keyboard.press("o")
         page.wait_for_selector("#rerun[data-shown]")
         assert page.locator("#rerun iframe").count() == 1

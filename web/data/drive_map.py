@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from itertools import groupby, pairwise
 from typing import Final, Literal
 
-from web.data.drive_view import DriveEvent, DriveView
+from web.data.drive_view import CarPlace, DriveEvent, DriveView
 
-By = Literal["drive", "speed", "driver"]
-WAYS: Final[dict[str, By]] = {"drive": "drive", "speed": "speed", "who drove": "driver"}
+By = Literal["drive", "speed", "error", "driver"]
+WAYS: Final[dict[str, By]] = {"drive": "drive", "speed": "speed", "error": "error", "who drove": "driver"}
 DRIVERS: Final = {0: "unknown", 1: "pilot", 2: "human", 3: "expert", 4: "brake"}
-SPEEDS: Final = 6  # classes between standing and the fastest
+STEPS: Final = 6  # classes between none and the most, of speeds and errors
+MOST_ERROR_DEG: Final = 12.0  # of steering; the last class has what is beyond, too
 _MARGIN: Final = 0.04
 
 
@@ -42,7 +43,7 @@ class DriveMap:
 
 def drive_map(drives: Sequence[DriveView], by: By) -> DriveMap | None:
     """None where none of them has poses."""
-    points = [(x, -y) for drive in drives for _, x, y, _, _ in drive.path]
+    points = [(x, -y) for drive in drives for _, x, y, *_ in drive.path]
     if not points:
         return None
     xs, ys = zip(*points, strict=True)
@@ -50,7 +51,7 @@ def drive_map(drives: Sequence[DriveView], by: By) -> DriveMap | None:
     edge = size * _MARGIN
     width, height = max(xs) - min(xs) + 2 * edge, max(ys) - min(ys) + 2 * edge
     box = f"{min(xs) - edge:.2f} {min(ys) - edge:.2f} {width:.2f} {height:.2f}"
-    fastest = max([1.0, *(mph for drive in drives for *_, mph, _ in drive.path)])
+    fastest = max([1.0, *(place.mph for drive in drives for place in drive.path)])
     strokes = [_strokes(drive, number, by, fastest) for number, drive in enumerate(drives)]
     return DriveMap(box, size, strokes, [_places(drive) for drive in drives], fastest)
 
@@ -58,25 +59,31 @@ def drive_map(drives: Sequence[DriveView], by: By) -> DriveMap | None:
 def _strokes(drive: DriveView, number: int, by: By, fastest: float) -> list[Stroke]:
     """Parts of one colour, each beginning where the one before ends."""
 
-    def style(point: tuple[int, float, float, float, int]) -> str:
+    def style(place: CarPlace) -> str:
         if by == "speed":
-            return f"speed-{min(SPEEDS - 1, int(SPEEDS * max(0.0, point[3]) / fastest))}"
-        return f"by-{DRIVERS.get(point[4], 'unknown')}" if by == "driver" else f"drive-{number}"
+            return f"step-{_step(place.mph, fastest)}"
+        if by == "error":
+            return "step-none" if place.error_deg is None else f"step-{_step(place.error_deg, MOST_ERROR_DEG)}"
+        return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "driver" else f"drive-{number}"
 
     found = []
     for name, part in groupby(pairwise(drive.path), key=lambda pair: style(pair[0])):
         pairs = list(part)
         first, *rest = [pairs[0][0], *(pair[1] for pair in pairs)]
-        words = [f"{first[1]:.2f},{-first[2]:.2f}", *(f"{point[1]:.2f},{-point[2]:.2f}" for point in rest)]
-        found.append(Stroke(name, " ".join(words)))
+        points = " ".join(f"{place.x_m:.2f},{-place.y_m:.2f}" for place in (first, *rest))
+        found.append(Stroke(name, points))
     return found
+
+
+def _step(value: float, most: float) -> int:
+    return min(STEPS - 1, int(STEPS * max(0.0, value) / most))
 
 
 def _places(drive: DriveView) -> list[EventPlace]:
     """Where the car was when somebody intervened: at the last point that is not after it."""
     found = []
     for event in drive.events:
-        before = [point for point in drive.path if point[0] <= event.row] or drive.path[:1]
+        before = [place for place in drive.path if place.row <= event.row] or drive.path[:1]
         if event.is_intervention and before:
-            found.append(EventPlace(before[-1][1], -before[-1][2], event))
+            found.append(EventPlace(before[-1].x_m, -before[-1].y_m, event))
     return found

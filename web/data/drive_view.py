@@ -1,18 +1,25 @@
-"""A drive in short: what `bc-drive` has counted, its events, and where the car was; kept in the cache."""
+"""Drives in short: what `bc-drive` has counted, their events, and where the car was; read on a thread, kept in the
+cache."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from concurrent.futures import Executor
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 
+from common import UserError
 from common.errors import printable
 from recorder import Log
+from recorder.bc_pb2 import PilotCommand
 from recorder.log import topics
+from recorder.log.session_car import max_steering_deg_of
+from web.data.background import Background
 from web.data.cache_folder import CacheFolder
-from web.data.file_versions import version_of
+from web.data.session_cards import glance_version
 
 _MOST_POINTS: Final = 1500
 _MOST_EVENTS: Final = 200
@@ -28,23 +35,50 @@ class DriveEvent(msgspec.Struct, frozen=True):
     is_intervention: bool
 
 
+class CarPlace(NamedTuple):
+    """Where the car was at a row, in metres."""
+
+    row: int
+    x_m: float
+    y_m: float
+    mph: float
+    driver: int  # bc.PilotCommand.Driver
+    error_deg: float | None
+    """How far the steering that was sent lay from what the simulator's expert would have sent; None where there
+    was no expert."""
+
+
 class DriveView(msgspec.Struct, frozen=True):
-    """`path`: x and y in metres, mph, and who drove, of at most so many rows; none where the log has no poses."""
+    """`path` has at most so many rows; none where the log has no poses."""
 
     counted: dict[str, str]
     events: list[DriveEvent]
-    path: list[tuple[int, float, float, float, int]]  # row, x, y, mph, bc.PilotCommand.Driver
+    path: list[CarPlace]
 
 
-def view_drive(log: Path, cache: CacheFolder) -> DriveView:
-    """Raises LogError where the log cannot be read."""
-    key = f"drive 1 {log.resolve()} {version_of(log)}"
-    data = cache.get(key, lambda: msgspec.json.encode(_read(log)))
-    try:
-        return msgspec.json.decode(data, type=DriveView)
-    except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
-        cache.forget(key)
-        return _read(log)
+class DriveViews:
+    """Those of all drives that are shown."""
+
+    def __init__(self, cache: CacheFolder, pool: Executor) -> None:
+        self._cache = cache
+        self._views = Background(pool, self._view)
+
+    @property
+    def done(self) -> int:
+        return self._views.done
+
+    def views(self, logs: Iterable[Path], patience_s: float) -> dict[Path, DriveView | UserError]:
+        """Of those that could be read by then; a UserError says why one cannot be."""
+        return self._views.results([(path, glance_version(path)) for path in logs], patience_s)
+
+    def _view(self, log: Path, version: str) -> DriveView:
+        key = f"drive 2 {log.resolve()} {version}"
+        data = self._cache.get(key, lambda: msgspec.json.encode(_read(log)))
+        try:
+            return msgspec.json.decode(data, type=DriveView)
+        except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
+            self._cache.forget(key)
+            return _read(log)
 
 
 def _read(path: Path) -> DriveView:
@@ -58,11 +92,15 @@ def _read(path: Path) -> DriveView:
                 text = printable(told.message)[:300]
                 seconds = float(time_ns[at] - time_ns[0]) / 1e9
                 events.append(DriveEvent(int(rows[at]), seconds, text, text.startswith(_INTERVENTIONS)))
-        drivers: dict[int, int] = {}
+        sent: dict[int, tuple[int, float | None]] = {}
         if topics.PILOT_COMMAND in log.counts:
-            drivers = {message.sequence: command.driver for message, command in log.commands()}
+            full_deg = max_steering_deg_of(log)
+            sent = {
+                message.sequence: (command.driver, _error_deg(command, full_deg))
+                for message, command in log.commands()
+            }
         speeds = dict(zip(rows.tolist(), mph.tolist(), strict=True))
-        path_of_car = []
+        path_of_car: list[CarPlace] = []
         if count := log.counts.get(topics.POSE, 0):
             step = count // _MOST_POINTS + 1
             for number, (message, found) in enumerate(log.decoded(topics.POSE)):
@@ -71,8 +109,18 @@ def _read(path: Path) -> DriveView:
                     row = message.sequence
                     speed = speeds.get(row, 0.0)
                     speed = speed if abs(speed) < 1000 else 0.0
-                    path_of_car.append((row, round(place.x, 2), round(place.y, 2), speed, drivers.get(row, 0)))
+                    driver, error_deg = sent.get(row, (0, None))
+                    path_of_car.append(
+                        CarPlace(row, round(place.x, 2), round(place.y, 2), speed, driver, error_deg)
+                    )
         counted = {
             printable(name): printable(value) for name, value in log.read_metadata(topics.DRIVE_METADATA).items()
         }
         return DriveView(counted, events, path_of_car)
+
+
+def _error_deg(command: PilotCommand, full_deg: float) -> float | None:
+    if not command.HasField("expert_steering"):
+        return None
+    error_deg = abs(command.steering - command.expert_steering) * full_deg
+    return round(error_deg, 2) if error_deg <= 2 * full_deg else None  # False for NaN

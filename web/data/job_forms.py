@@ -57,6 +57,7 @@ class JobForm:
     fields: tuple[Field, ...]
     folders: tuple[tuple[str, str], ...]  # flags, and the folder of the project that each names
     made: Callable[[Mapping[str, str]], str]
+    fills_project: bool = False  # where none of the project's folders is there yet: `--folder` is theirs
 
     def words(self, values: Mapping[str, str], folders: ProjectFolders) -> list[str]:
         """The command line. Raises WebError for a value that cannot be one."""
@@ -70,11 +71,21 @@ class JobForm:
             if len(value) > MOST_CHARACTERS or not value.isprintable():
                 raise WebError(f"{field.label}: at most {MOST_CHARACTERS:,} characters, on one line", 422)
             words += field.words(value)
+        if self.fills(folders):
+            words.append(f"--folder={folders.parent}")
         for flag, name in self.folders:
             folder: Path = getattr(folders, name)
             if folder != getattr(ProjectFolders(), name):
                 words.append(f"{flag}={folder}")
         return words
+
+    def fills(self, folders: ProjectFolders) -> bool:
+        """Whether what it makes will be seen here."""
+        return self.fills_project and folders.are_new and folders.parent is not None
+
+    def page_of(self, values: Mapping[str, str], folders: ProjectFolders) -> str:
+        """The page of what it makes; "" where that is not of this project."""
+        return "" if self.fills_project and not self.fills(folders) else self.made(values)
 
 
 def _session(values: Mapping[str, str]) -> str:
@@ -210,11 +221,13 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "demo",
         "Demo",
-        "The whole chain in a new folder, demo/DATE: record, index, train, drive. Takes some minutes.",
+        "The whole chain: record, index, train, drive; in this project, if it has nothing yet, and else in a new"
+        " folder, demo/DATE. Takes some minutes.",
         ("bc-demo",),
         (Field("epochs", "epochs", "--epochs", hint="4"),),
         (),
-        lambda values: "",
+        lambda values: "/drives",
+        fills_project=True,
     ),
 )
 

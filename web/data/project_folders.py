@@ -31,6 +31,18 @@ class ProjectFolders:
     drives: Path = Path("drives")
     _found: dict[tuple[Place, str], Path] = field(default_factory=dict, init=False, repr=False)  # by a listing
 
+    @property
+    def are_new(self) -> bool:
+        """True while none of them is there."""
+        return not any(folder.exists() for folder in (self.sessions, self.index, self.runs, self.drives))
+
+    @property
+    def parent(self) -> Path | None:
+        """The folder that all of them are in by their usual names; None if they are elsewhere."""
+        parent = self.sessions.parent
+        usual = (parent / name for name in ("sessions", "index", "runs", "drives"))
+        return parent if (self.sessions, self.index, self.runs, self.drives) == tuple(usual) else None
+
     def logs(self, place: Place) -> dict[str, Path]:
         """The logs of a folder by the key that they have in addresses; {} where there is no such folder."""
         return {key_of(path): path for path in logs_in(getattr(self, place))}

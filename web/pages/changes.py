@@ -39,4 +39,4 @@ def runs_version(bench: Workbench) -> str:
 
 
 def drives_version(bench: Workbench) -> str:
-    return f"{version_of_folder(bench.folders.drives)} {bench.cards.done}"
+    return f"{version_of_folder(bench.folders.drives)} {bench.cards.done + bench.drives.done}"

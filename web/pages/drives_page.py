@@ -10,8 +10,8 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from web.data.drive_map import WAYS, drive_map
-from web.data.drive_view import DriveView, view_drive
+from web.data.drive_map import MOST_ERROR_DEG, WAYS, drive_map
+from web.data.drive_view import DriveView
 from web.data.project_folders import key_of
 from web.pages.changes import drives_version
 from web.pages.workbench import Workbench
@@ -34,18 +34,15 @@ def drive_routes(bench: Workbench) -> list[Route]:
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
         there = bench.folders.logs("drives")
         chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in there][:MOST_CHOSEN]
+        views = bench.drives.views(there.values(), _PATIENCE_S)
         cards = bench.cards.cards("drives", _PATIENCE_S)
         runs = bench.folders.run_folders()
         shown: list[dict[str, Any]] = []
         problems = []
         for card in sorted(cards, key=lambda card: card.info.start if card.info else "", reverse=True):
-            view: DriveView | None = None
-            problem = card.problem
-            if card.info:
-                try:
-                    view = view_drive(card.path, bench.cache)
-                except UserError as error:
-                    problem = printable(str(error))
+            found = views.get(card.path)
+            view = found if isinstance(found, DriveView) and card.info else None
+            problem = card.problem or (printable(str(found)) if isinstance(found, UserError) else "")
             run = card.info.session.get("run", "") if card.info else ""
             key = key_of(bench.folders.runs / run) if run else ""
             shown.append(
@@ -53,14 +50,16 @@ def drive_routes(bench: Workbench) -> list[Route]:
             )
         by_key = {drive["card"].key: drive for drive in shown}
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
-        found = drive_map([drive["view"] for drive in on_map], WAYS[by])
-        if on_map and found is None:
+        on_one_map = drive_map([drive["view"] for drive in on_map], WAYS[by])
+        if on_map and on_one_map is None:
             problems.append("none of these drives has poses: their simulator does not tell where the car is")
         return {
             "drives": shown,
             "chosen": chosen,
             "on_map": on_map,
-            "map": found,
+            "map": on_one_map,
+            "most_error_deg": MOST_ERROR_DEG,
+            "reading": sum(not (drive["view"] or drive["problem"]) for drive in shown),
             "by": by,
             "ways": list(WAYS),
             "problems": problems,

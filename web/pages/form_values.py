@@ -9,14 +9,19 @@ from starlette.requests import Request
 from web.errors import WebError
 
 _FORM = "application/x-www-form-urlencoded"
+_MOST = 2000  # a thousand logs may be merged
 
 
 async def form_values(request: Request) -> dict[str, str]:
     """Raises WebError for what is no form."""
+    return dict(await form_pairs(request))
+
+
+async def form_pairs(request: Request) -> list[tuple[str, str]]:
+    """The same, where a name may have several values."""
     if request.headers.get("content-type", "").partition(";")[0] != _FORM:
         raise WebError(f"this is asked for by a form ({_FORM})", 415)
     try:
-        pairs = parse_qsl((await request.body()).decode("ascii"), keep_blank_values=True, max_num_fields=100)
+        return parse_qsl((await request.body()).decode("ascii"), keep_blank_values=True, max_num_fields=_MOST)
     except ValueError as error:
         raise WebError(f"not a form: {error}", 422) from None
-    return dict(pairs)

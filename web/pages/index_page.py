@@ -22,6 +22,7 @@ from web.data.file_versions import version_of
 from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
 from web.data.job_forms import INDEX_FIELDS, form_of
 from web.data.project_folders import key_of
+from web.data.run_origins import TrainedOn
 from web.data.run_settings import differing
 from web.errors import WebError
 from web.pages.form_values import form_values
@@ -52,6 +53,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         told["then"], told["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")
         told["settings"] = _changed(told["now"], told["then"])
         told["sessions"] = _sessions(told["now"], told["then"])
+        told["runs"] = _runs() if told["now"] else []
         return HTMLResponse(render("index.html", **told))
 
     def _stale() -> list[str]:
@@ -62,6 +64,12 @@ def index_routes(bench: Workbench) -> list[Route]:
             found = sessions_not_indexed(bench.folders.index, bench.folders.sessions)
             names |= set(map(printable, found))
         return sorted(names)
+
+    def _runs() -> list[tuple[str, str]]:
+        """The runs that were trained on the index as it is now, and their pages."""
+        trained = TrainedOn(bench.folders.index)
+        found = bench.folders.run_folders().items()
+        return [(printable(path.name), f"/runs/{key}") for key, path in found if trained.is_index(path)]
 
     def bins(request: Request) -> Response:
         return _picture(bins_sketch(view_index(folder_of(request))))

@@ -57,7 +57,7 @@ def job_routes(bench: Workbench) -> list[Route]:
         values = await form_values(request)
         form = form_of(values.get("form", ""))
         words = form.words(values, bench.folders)
-        job = await run_in_threadpool(bench.jobs.start, words, form.made(values))
+        job = await run_in_threadpool(bench.jobs.start, words, form.page_of(values, bench.folders))
         return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
     def one(request: Request) -> Response:

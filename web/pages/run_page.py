@@ -15,6 +15,7 @@ from common import UserError
 from common.errors import printable
 from web.data.project_folders import PLACES, ProjectFolders, key_of
 from web.data.run_cards import RunCard
+from web.data.run_origins import TrainedOn
 from web.data.run_settings import run_settings
 from web.errors import WebError
 from web.pages.changes import runs_version
@@ -54,6 +55,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             "summary": card.summary,
             "settings": _settings(path) if not card.problem else {},
             "sessions": _sessions(bench.folders, card),
+            "is_of_index": TrainedOn(bench.folders.index).is_index(path),
             "results": _results(bench.folders, card),
             "drives": _drives(bench, path.name),
             **_worst(bench, path, card, request.query_params.get("epoch", "")),

@@ -22,6 +22,7 @@ from web.data.odd_stretches import odd_stretches
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
 from web.data.rerun_viewers import command_of
+from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import change_tags
 from web.pages.workbench import Workbench
 from web.server.templates import render
@@ -44,6 +45,8 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 info=info,
                 cameras=CAMERAS,
                 path=printable(str(path)),
+                log_jobs=shown_log_jobs(path),
+                others=_others(bench, place, path),
                 play_command=command_of(path),
                 runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
             )
@@ -108,6 +111,16 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/names", known_names),
         Route(f"{at}/tags", change, methods=["POST"]),
         Route(f"{at}/look", look, methods=["GET", "POST"]),
+    ]
+
+
+def _others(bench: Workbench, place: Place, path: Path) -> list[tuple[str, str]]:
+    """Keys and names of the finished logs beside it."""
+    logs = bench.folders.logs(place).items()
+    return [
+        (key, printable(log.name.removesuffix(".mcap")))
+        for key, log in logs
+        if log != path and log.name.endswith(".mcap")
     ]
 
 

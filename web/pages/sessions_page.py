@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from recorder.log_list_cli import SORTED_BY
+from web.data.job_forms import form_of
 from web.data.session_cards import SessionCard
 from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
@@ -86,7 +88,8 @@ def session_list_routes(bench: Workbench) -> list[Route]:
     def _list(asked: Asked) -> dict[str, Any]:
         found = list_sessions(bench, asked)
         folder = bench.folders.sessions
-        return {"found": found, "has_folder": folder.is_dir(), "folder": printable(str(folder))}
+        demo = printable(shlex.join(form_of("demo").words({}, bench.folders)))
+        return {"found": found, "has_folder": folder.is_dir(), "folder": printable(str(folder)), "demo": demo}
 
     return [
         Route("/", front),

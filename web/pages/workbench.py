@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from web.data.attention import Attention
 from web.data.cache_folder import CacheFolder
+from web.data.drive_view import DriveViews
 from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
@@ -25,6 +27,7 @@ class Workbench:
     cache: CacheFolder
     logs: OpenLogs
     cards: SessionCards
+    drives: DriveViews
     searches: WhereSearches
     checks: PictureChecks
     runs: RunCards
@@ -32,3 +35,4 @@ class Workbench:
     trials: IndexTrials
     viewers: RerunViewers
     predictions: Predictions
+    attention: Attention

@@ -1,0 +1,67 @@
+"""New logs of a log: trimmed, split, merged, recovered; and its check. Each is a job, and its command is shown."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from common import UserError
+from common.errors import printable
+from web.data.log_jobs import LOG_JOBS, NewLogAsked, command_line, log_job
+from web.data.project_folders import Place, key_of
+from web.pages.form_values import form_pairs
+from web.pages.workbench import Workbench
+
+
+def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
+    def command(request: Request) -> Response:
+        """The command that a form would run, or why it cannot."""
+        log = bench.folders.log(place, request.path_params["log"])
+        job = log_job(request.path_params["job"])
+        try:
+            words, _ = command_line(
+                job, log, _asked(request.query_params.multi_items()), bench.folders.logs(place)
+            )
+        except UserError as error:
+            return PlainTextResponse(printable(str(error)))
+        return PlainTextResponse(printable(shlex.join(words)))
+
+    async def start(request: Request) -> Response:
+        log = bench.folders.log(place, request.path_params["log"])
+        job = log_job(request.path_params["job"])
+        words, made = command_line(job, log, _asked(await form_pairs(request)), bench.folders.logs(place))
+        address = f"/{place}/{key_of(made)}" if made is not None else ""
+        started = await run_in_threadpool(bench.jobs.start, words, address)
+        return RedirectResponse(f"/jobs/{started.key}", status_code=303)
+
+    at = f"/{place}/{{log}}/make/{{job}}"
+    return [Route(f"{at}/command", command), Route(at, start, methods=["POST"])]
+
+
+def shown_log_jobs(log: Path) -> list[dict[str, Any]]:
+    """What the page of a log offers, with the names that new logs get unless another one is given."""
+    return [
+        {
+            "job": job,
+            "new": printable(job.new(log).name.removesuffix(".mcap")) if job.new else "",
+        }
+        for job in LOG_JOBS
+    ]
+
+
+def _asked(pairs: Iterable[tuple[str, str]]) -> NewLogAsked:
+    given = list(pairs)
+    values = dict(given)
+    return NewLogAsked(
+        values.get("new", "").strip(),
+        values.get("first", "").strip(),
+        values.get("last", "").strip(),
+        tuple(value for name, value in given if name == "other"),
+    )
