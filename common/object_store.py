@@ -49,6 +49,8 @@ _KEPT: Final = 16  # stretches of a file that were read
 _END: Final = 1 << 17  # of a file, read at once: a log of ours says there what is in it
 _TRUNCATED: Final = 4  # times that an answer is asked for again that has ended early
 
+_asked_by = 0  # the process that has asked a store first
+
 # The first request of a process to a bucket shall fail within seconds; those of a training that has run for hours
 # wait a minute for the network.
 _IMPATIENT: Final[RetryConfig] = {
@@ -133,8 +135,7 @@ class ObjectFile(Closeable):
         while waiting:
             yield waiting.popleft().result()
 
-    def read_now(self, offset: int, length: int) -> bytes:
-        """As `read`, but nothing is kept, and nothing else is read."""
+    def read_alone(self, offset: int, length: int) -> bytes:
         return self._fetched(offset, length)
 
     def _fetched(self, offset: int, length: int) -> bytes:
@@ -278,7 +279,18 @@ def forget_stores() -> None:
 
 
 def _store(url: Url, is_patient: bool) -> ObjectStore:
+    if _asked_by not in (0, os.getpid()):  # obstore's threads are not in it: it would wait forever
+        raise StoreError(
+            f"{url}: cannot be read in a process that was forked from one which has read from a store; start it"
+            ' anew (a DataLoader: multiprocessing_context="spawn")'
+        )
+    _note_process()
     return _bucket(url.scheme, url.bucket, is_patient)
+
+
+def _note_process() -> None:
+    global _asked_by
+    _asked_by = os.getpid()
 
 
 @cache

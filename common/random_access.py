@@ -33,6 +33,9 @@ class RandomAccess(Protocol):
     def read(self, offset: int, length: int) -> bytes:
         """`length` bytes from `offset`; fewer where the file ends before. Raises OSError or StoreError."""
 
+    def read_alone(self, offset: int, length: int) -> bytes:
+        """As `read`, but nothing beside is read, and nothing is kept for the next one."""
+
     def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
         """The bytes of each range, in their order; those that follow are asked for meanwhile. Raises what `read`
         does."""
@@ -68,8 +71,19 @@ class LocalFile(Closeable):
                 return self._stream.read(length)
         return os.pread(self._stream.fileno(), length, offset)
 
+    read_alone = read
+
     def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
         return (self.read(offset, length) for offset, length in ranges)
+
+
+def is_there(place: Location) -> bool:
+    """True if there is a file, or an object, of this name. Raises StoreError."""
+    if isinstance(place, Url):
+        from common.object_store import find_object
+
+        return find_object(place) is not None
+    return place.is_file()
 
 
 def read_bytes(place: Location, most: int) -> bytes | None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Any, Protocol, TypeVar
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Annotated, Any, Final, Protocol, TypeVar
 
 import tyro
 
 Result = TypeVar("Result")
+
+_THREADS: Final = 8
 
 
 RayAddress = Annotated[
@@ -42,6 +45,21 @@ def one_by_one(
     """Make the calls in this process, in their order."""
     for number, arguments in enumerate(calls):
         yield number, function(*arguments)
+
+
+def in_threads(
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    lost: Callable[[int, str], Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """Make several calls at a time in this process, which wait for a store more than they compute."""
+    with ThreadPoolExecutor(_THREADS) as pool:
+        numbers = {pool.submit(function, *arguments): number for number, arguments in enumerate(calls)}
+        try:
+            for done in as_completed(numbers):
+                yield numbers[done], done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def tasks_of(ray: RayAddress, **options: object) -> contextlib.AbstractContextManager[Tasks]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,7 @@ import tyro
 
 from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result, print_table
 from common.recipe import recipe_given
 from common.tasks import RayAddress, tasks_of
@@ -37,12 +39,13 @@ class Index:
 
     bc-index
     bc-index lake mountain --where "speed_mph > 5" --figures figures
+    bc-index export --lerobot datasets/driving
     """
 
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
     """Sessions by name, or logs by path; all of the folder by default. The index then holds just these."""
-    folder: Annotated[Path, tyro.conf.arg(name="sessions")] = Path("sessions")
-    """Where logs are kept."""
+    folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
+    """Where logs are kept: a folder, or the URL of one (s3://BUCKET/sessions)."""
     index: Path = Path("index")
     """Where the index is written."""
     look: bool = False
@@ -134,4 +137,8 @@ def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
 
 
 def main() -> None:
+    if sys.argv[1:2] == ["export"]:
+        from dataset.index_export_cli import main as export
+
+        export()
     run_command("bc-index", Index, index, default=lambda: Index(config=IndexConfig.of(recipe_given())))

@@ -12,7 +12,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from common.stored_settings import settings_from
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -44,14 +43,6 @@ class Distribution:
     copies: NDArray[np.int64]  # the copies that fill up
     short: NDArray[np.int64]  # what the cap on copies left missing
     per_bin: int  # what the bins were brought to; 0 where nothing was balanced
-
-
-def settings_of(samples: Samples) -> IndexConfig:
-    """The settings that the index was built with."""
-    try:
-        return settings_from(IndexConfig, samples.metadata["settings"])
-    except (KeyError, ValueError) as error:
-        raise _damaged(samples.path, error) from None
 
 
 def find_moments(samples: Samples, seed: int) -> list[Moment]:

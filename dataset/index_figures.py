@@ -22,7 +22,6 @@ from dataset.figure_data import (
     Moment,
     crop_rows,
     find_moments,
-    settings_of,
     steering_distribution,
     two_draws,
 )
@@ -70,7 +69,7 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
     check_figures(folder, overwrite)
     paths = _paths(folder)
     with Samples(index) as samples:
-        config = settings_of(samples)
+        config = samples.settings
         moments = find_moments(samples, seed)
         distribution = steering_distribution(samples, config)
         steered = steered_sessions(samples)

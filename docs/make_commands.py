@@ -7,14 +7,16 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
 from typing import Final
 
 from generated_blocks import ROOT, update, with_blocks
 
 PAGE: Final = ROOT / "docs" / "commands.md"
+COLUMNS: Final = 129
+"""From 130 on, boxes stand beside each other."""
 _REPEATED: Final = re.compile(r"\[?(\S+) \[\1 \.\.\.\]\]?")  # `[{a,b} [{a,b} ...]]`
 _DEFAULT: Final = re.compile(r" ?\((required|default: ([^()]*))\)$")
 
@@ -34,21 +36,23 @@ def main() -> None:
     update(PAGE, generated_page())
 
 
-def generated_page() -> str:
-    """docs/commands.md as it should be."""
-    return with_blocks(PAGE.read_text(encoding="utf-8"), {name: _table(name) for name in commands()})
+def generated_page(shown: dict[str, str] | None = None) -> str:
+    """docs/commands.md as it should be, of what `commands` has found."""
+    tables = {name: _table(text) for name, text in (shown or commands()).items()}
+    return with_blocks(PAGE.read_text(encoding="utf-8"), tables)
 
 
-@cache
-def commands() -> dict[str, str]:
-    """The `--help` of each command with arguments of its own: "bc-index", "bc-log check", "bc-train export"."""
+def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
+    """The `--help` of each command with arguments of its own: "bc-index", "bc-log check", "bc-train export"; by
+    `help_of` of such a name, if one is given, at `COLUMNS`."""
+    help_of = help_of or _help
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        shown = dict(zip(scripts, pool.map(_help, scripts), strict=True))
+        shown = dict(zip(scripts, pool.map(help_of, scripts), strict=True))
         subcommands = [f"{name} {sub}" for name, text in shown.items() for sub in re.findall(r"• (\w+) ", text)]
         with_subcommands = {name.split()[0] for name in subcommands}
-        subcommands.append("bc-train export")  # not shown by tyro: it begins with a word of bc-train's own
-        texts = zip(subcommands, pool.map(_help, subcommands), strict=True)
+        subcommands += ["bc-train export", "bc-index export"]  # not shown by tyro: each has a main of its own
+        texts = zip(subcommands, pool.map(help_of, subcommands), strict=True)
         return {name: text for name, text in shown.items() if name not in with_subcommands} | dict(texts)
 
 
@@ -75,9 +79,9 @@ def _argument(invocation: str, meaning: str) -> Argument:
     return Argument(_REPEATED.sub(r"\1 ...", invocation), meaning, default)
 
 
-def _table(command: str) -> str:
+def _table(help_text: str) -> str:
     lines = ["| argument | meaning | default |", "|---|---|---|"]
-    for argument in arguments(commands()[command]):
+    for argument in arguments(help_text):
         cells = [f"`{argument.invocation}`", argument.meaning, f"`{argument.default}`" if argument.default else ""]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
@@ -89,7 +93,7 @@ def _help(command: str) -> str:
     environment = {
         **os.environ,
         "PYTHONPATH": str(ROOT),
-        "COLUMNS": "129",  # from 130 on, boxes stand beside each other
+        "COLUMNS": str(COLUMNS),
         "NO_COLOR": "1",
         "OMP_NUM_THREADS": "1",
     }

@@ -18,6 +18,7 @@ import tyro
 from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted, printable
+from common.location_flag import LocationFlag
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.recipe import recipe_given
@@ -56,7 +57,7 @@ class Train:
     """Show the curves in the Rerun viewer while they grow."""
     index: Path = Path("index")
     """The index to train on."""
-    sessions: Path = Path("sessions")
+    sessions: LocationFlag = Path("sessions")
     """Where logs are kept, for an index that has to be built."""
     runs: Path = Path("runs")
     """Where runs are kept."""

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from common.command import warn_skipped
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
+
+if TYPE_CHECKING:
+    from recorder.lerobot.export import Exported
 
 
 @dataclass(frozen=True)
@@ -34,25 +37,34 @@ class ExportLogs:
 
         if not self.logs:
             raise UsageError("give at least 1 log, such as sessions/lake.mcap")
-        for name, text in (("--task", self.task), ("--license", self.license)):
-            if text is not None and (not text.strip() or not text.isprintable()):
-                raise UsageError(f"{name} {text!r}: a line of text was expected")
+        refuse_no_text(("--task", self.task), ("--license", self.license))
         done = export_lerobot(self.logs, self.lerobot, task=self.task, licence=self.license, is_video=self.video)
-        code = warn_skipped(done.skipped)
-        for notice in done.notices:
-            print_message(notice)
-        if done.excluded:
-            print_message(f"{counted(done.excluded, 'row')} tagged exclude left out")
-        if self.video:
-            print_message("the videos are encoded anew: the original pictures are not in the dataset")
-        if self.license is None:
-            print_message(
-                "no licence is stated: before you publish it, give --license, or write it into"
-                f" {done.folder / 'README.md'}"
-            )
-        size_mb = done.size_bytes / 1e6
-        print_result(
-            f"{done.folder}: {counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')},"
-            f" {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
+        return print_exported(done, has_licence=self.license is not None, is_video=self.video)
+
+
+def refuse_no_text(*flags: tuple[str, str | None]) -> None:
+    """Raise UsageError for the value of a flag that is given and is no line of text."""
+    for name, text in flags:
+        if text is not None and (not text.strip() or not text.isprintable()):
+            raise UsageError(f"{name} {text!r}: a line of text was expected")
+
+
+def print_exported(done: Exported, *, has_licence: bool, is_video: bool) -> int:
+    """Say what was written and what was not; the exit code."""
+    code = warn_skipped(done.skipped)
+    for notice in done.notices:
+        print_message(notice)
+    if done.excluded:
+        print_message(f"{counted(done.excluded, 'row')} tagged exclude left out")
+    if is_video:
+        print_message("the videos are encoded anew: the original pictures are not in the dataset")
+    if not has_licence:
+        print_message(
+            "no licence is stated: before you publish it, give --license, or write it into"
+            f" {done.folder / 'README.md'}"
         )
-        return code
+    print_result(
+        f"{done.folder}: {counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')},"
+        f" {counted(done.pictures, 'picture')}, {done.size_bytes / 1e6:,.1f} MB"
+    )
+    return code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -33,6 +34,14 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop(name, None)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts what is in the background like that
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()  # what is loaded by now stays: else each collection of garbage looks through PyTorch again
+
+
+def pytest_sessionfinish() -> None:
+    gc.unfreeze()  # else nothing of what is loaded is collected at the end, and DuckDB lists it as leaked
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -15,7 +15,7 @@ import pytest
 
 import make_architecture
 import make_commands
-from driving import COMMANDS
+from driving import COMMANDS, Process, command
 from repository import ROOT
 
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md"]
@@ -25,10 +25,25 @@ FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 
 @pytest.fixture(scope="module")
-def flags() -> dict[str, set[str]]:
+def helps() -> dict[str, str]:
+    """The --help of each command."""
+
+    def help_of(name: str) -> str:
+        command_name, *subcommand = name.split()
+        python, flag, code, *arguments = command(command_name, *subcommand, "--help")
+        code = f"import os; os.environ['COLUMNS'] = '{make_commands.COLUMNS}'; {code}"
+        with Process([python, flag, code, *arguments], loads_pytorch=True) as process:
+            assert process.join() == 0, process.stderr
+        return process.stdout
+
+    return make_commands.commands(help_of)
+
+
+@pytest.fixture(scope="module")
+def flags(helps: dict[str, str]) -> dict[str, set[str]]:
     """The flags that the --help of each command shows, and of each of its subcommands (`bc-log info`)."""
     result: dict[str, set[str]] = {name: set() for name in COMMANDS}
-    for name, shown in make_commands.commands().items():
+    for name, shown in helps.items():
         invocations = [argument.invocation.split()[0] for argument in make_commands.arguments(shown)]
         assert invocations, shown
         result[name] = {word for word in invocations if word.startswith("--")}
@@ -55,10 +70,13 @@ def test_the_commands_are_those_of_the_project_file() -> None:
     assert scripts == begun_by
 
 
-def test_what_is_generated_is_current() -> None:
+def test_what_is_generated_is_current(helps: dict[str, str]) -> None:
     """If this fails: `make docs`."""
-    for module in (make_commands, make_architecture):
-        assert module.PAGE.read_text(encoding="utf-8") == module.generated_page(), f"{module.PAGE.name}: make docs"
+    for page, generated in (
+        (make_commands.PAGE, make_commands.generated_page(helps)),
+        (make_architecture.PAGE, make_architecture.generated_page()),
+    ):
+        assert page.read_text(encoding="utf-8") == generated, f"{page.name}: make docs"
     picture = make_architecture.PICTURE.read_text(encoding="utf-8")
     assert picture == make_architecture.picture(), "architecture.svg: make docs"
 

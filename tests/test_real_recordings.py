@@ -57,12 +57,13 @@ def test_every_picture_and_value_of_a_real_recording(
         assert frame["steering"] == float(recorded[frame["row"]][3])
 
 
-def test_the_whole_chain_on_a_real_recording(recordings: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("network", ["small", pytest.param("original", marks=pytest.mark.long)])
+def test_the_whole_chain_on_a_real_recording(network: str, recordings: Path, tmp_path: Path) -> None:
     """Index, train, drive 300 of its pictures over the real wire, and play: nothing is lost on the way."""
     log = import_udacity(recordings / "jungle_linux", tmp_path / "jungle.mcap").path
     build_index([log], tmp_path / "index", IndexConfig(cameras=("center",), flip=False))
     run = tmp_path / "runs" / "real"
-    [epoch] = train(tmp_path / "index", run, TrainConfig(epochs=1)).epochs
+    [epoch] = train(tmp_path / "index", run, TrainConfig(epochs=1, network=network)).epochs
     assert epoch.training_loss > 0
 
     pictures = [path.read_bytes() for path in sorted((recordings / "jungle_linux" / "IMG").glob("center_*"))[:300]]

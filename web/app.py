@@ -13,6 +13,7 @@ from starlette.routing import Mount
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from web.data.attention import Attention
 from web.data.cache_folder import CacheFolder
 from web.data.drive_view import DriveViews
 from web.data.index_trials import IndexTrials
@@ -26,6 +27,7 @@ from web.data.run_cards import RunCards
 from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 from web.pages.altered_page import altered_routes
+from web.pages.attention_page import attention_routes
 from web.pages.changes import change_routes
 from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
@@ -49,6 +51,7 @@ _OF_A_LOG: Final = (
     log_link_routes,
     rerun_log_routes,
     prediction_routes,
+    attention_routes,
     log_job_routes,
 )
 
@@ -79,6 +82,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         IndexTrials(cache),
         viewers,
         predictions,
+        Attention(),
     )
     routes = [
         *session_list_routes(bench),

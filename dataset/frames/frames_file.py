@@ -12,8 +12,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from common.errors import UserError
 from common.files import final_name
-from common.location import Location, relative_to
+from common.location import Location, Url, location, relative_to
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.image_check_cache import read_image_check
@@ -85,6 +86,16 @@ def relative_log_path(log: Location, index: Location) -> str:
     """How an index names a log: by its path from the index, so that both can be moved together, also into a
     bucket; where only one of them is in a bucket, by the log's URL."""
     return relative_to(log, index)
+
+
+def log_place(named: str, index: Location) -> Location:
+    """Where a log is that an index names so. Raises DatasetError for what names no place."""
+    try:
+        if "://" in named:
+            return location(named)
+        return index.joined(named) if isinstance(index, Url) else index / named
+    except (UserError, ValueError) as error:
+        raise DatasetError(f"{index}: names a log that is nowhere ({error}); run `bc-index` again") from None
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
+from common.location import Location
 from common.progress import progress_bar
 from common.stretches import consecutive
 from dataset.findings_file import read_findings, write_findings
@@ -63,7 +64,9 @@ def check_images(log: Log, on_decoded: Callable[[int], object] = lambda count: N
     )
 
 
-def check_all_images(logs: Mapping[str, Path], index: Path, *, leave_out_unreadable: bool = False) -> list[str]:
+def check_all_images(
+    logs: Mapping[str, Location], index: Path, *, leave_out_unreadable: bool = False
+) -> list[str]:
     """Check the pictures of the logs (by session) whose findings `index` does not have; the sessions checked now.
 
     Each one that is done stays done, also if the work is then stopped. Raises LogError for a damaged log

@@ -21,8 +21,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from common.car import CAMERAS, MAX_STEERING_DEG
+from common.location import Location, Url, location
 from common.progress import track
-from common.tasks import Tasks, one_by_one
+from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, index_write_errors
 from dataset.frames.frames_file import (
@@ -43,6 +44,7 @@ from dataset.index.build_state import (
     STATE_NAME,
     BuildState,
     BuiltLog,
+    Stats,
     read_state,
     sources_of,
     stat_of,
@@ -96,7 +98,7 @@ class Indexed:
 
 
 def build_index(
-    logs: Sequence[Path | str],
+    logs: Sequence[Location | str],
     index: Path | str,
     config: IndexConfig | None = None,
     *,
@@ -114,7 +116,7 @@ def build_index(
     (`common.ray_cluster`), which comes to the same bytes.
     """
     index, config = Path(index), config or IndexConfig()
-    by_name = dict(sorted((session_name(Path(path)), Path(path)) for path in logs))
+    by_name = dict(sorted((session_name(log), log) for log in map(location, logs)))
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
         cars = _cars_to_warp(by_name) if config.viewpoints else {}
@@ -133,7 +135,7 @@ def build_index(
                 damaged[error.session] = str(error)
 
 
-def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> None:
+def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -> None:
     """Raise what `build_index` could raise without having read anything.
 
     That is DatasetError for a session to hold out that is not among `logs`, for a condition that is none, and for
@@ -150,7 +152,7 @@ def check_settings(logs: Sequence[Path], index: Path, config: IndexConfig) -> No
         Condition(config.where).check(FRAMES_SCHEMA.empty_table())
 
 
-def _cars_to_warp(by_name: Mapping[str, Path]) -> dict[str, Car]:
+def _cars_to_warp(by_name: Mapping[str, Location]) -> dict[str, Car]:
     """The car of each session. Raises DatasetError for one whose pictures cannot be warped: nothing tells where
     its cameras stand, or how much their crops show to either side."""
     cars: dict[str, Car] = {}
@@ -181,7 +183,7 @@ def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
 
 
 def _build(
-    by_name: dict[str, Path],
+    by_name: dict[str, Location],
     index: Path,
     config: IndexConfig,
     state: BuildState,
@@ -219,6 +221,9 @@ def _build(
             }
             for name, entry in held.items()
         }
+        remarks += [
+            _mixed(by_name[name], entry) for name, entry in held.items() if name in read and entry.is_mixed
+        ]
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
         made = _up_to_date(index, held, places, config, state)
         samples = (index if made else stage) / SAMPLES_NAME
@@ -245,7 +250,7 @@ def _build(
 
 
 def _entries(
-    by_name: Mapping[str, Path],
+    by_name: Mapping[str, Location],
     index: Path,
     config: IndexConfig,
     state: BuildState,
@@ -255,11 +260,12 @@ def _entries(
 ) -> Iterator[tuple[str, BuiltLog | LogError]]:
     """The entry of each session, or why its log cannot be read, as they come."""
     to_read: list[str] = []
+    stats = Stats()
     for name, path in by_name.items():
         try:
             if name in damaged:
                 raise LogError(damaged[name])
-            entry = _unchanged(name, path, index, config, state)
+            entry = _unchanged(name, path, index, config, state, stats)
         except LogError as error:
             yield name, error
         else:
@@ -268,11 +274,15 @@ def _entries(
             else:
                 yield name, entry
     calls = [(name, by_name[name], index, config, stage) for name in to_read]
+    if tasks is one_by_one and any(isinstance(by_name[name], Url) for name in to_read):
+        tasks = in_threads  # they wait for answers
     for number, read in tasks(_read_or_error, calls):
         yield to_read[number], read
 
 
-def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: BuildState) -> BuiltLog | None:
+def _unchanged(
+    name: str, log: Location, index: Path, config: IndexConfig, state: BuildState, stats: Stats
+) -> BuiltLog | None:
     """The entry of a session whose frames are up to date, if its log need not be opened to know that.
 
     One that was left out is always tried again: whether a file may be read, its size and time do not tell.
@@ -281,7 +291,11 @@ def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: Bu
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     if entry is None or not entry.fingerprint:
         return None
-    if entry.sources != sources_of(name, log, index) or entry.frames is None or entry.frames != stat_of(file):
+    if (
+        entry.sources != sources_of(name, log, index, stats)
+        or entry.frames is None
+        or entry.frames != stat_of(file)
+    ):
         return None
     if not entry.file:  # as an earlier version left it, to which a rewritten log was another one, without its tags
         with Log(log) as opened:
@@ -299,14 +313,16 @@ def _unchanged(name: str, log: Path, index: Path, config: IndexConfig, state: Bu
     return entry if all(stored.get(key) == value for key, value in expected.items()) else None
 
 
-def _read_or_error(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> BuiltLog | LogError:
+def _read_or_error(
+    name: str, path: Location, index: Path, config: IndexConfig, stage: Path
+) -> BuiltLog | LogError:
     try:
         return _read(name, path, index, config, stage)
     except LogError as error:
         return error
 
 
-def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
+def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
     """Read a log, all of it: its fingerprint does not tell of damage within a chunk. Its frames file is put into
     `stage`, unless the index has the very same.
 
@@ -330,6 +346,7 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
             sizes_px=_sizes_px(log),
             max_steering_deg=max_steering_deg_of(log),
             car=metadata_of(told_car(log)).get(CAR_KEY, ""),
+            is_mixed=isinstance(path, Url) and log.is_mixed,
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
     new = stage / FRAMES_FOLDER / file.name
@@ -339,6 +356,14 @@ def _read(name: str, path: Path, index: Path, config: IndexConfig, stage: Path) 
         new.unlink()
         return msgspec.structs.replace(entry, frames=stat_of(file))
     return msgspec.structs.replace(entry, frames=stat_of(new))
+
+
+def _mixed(log: Location, entry: BuiltLog) -> str:
+    size = entry.sources[1][0] if entry.sources[1] else 0
+    return (
+        f"{log}: its rows lie among its pictures, as an earlier version or another program wrote them: all of"
+        f" its {size / 1e6:,.0f} MB came here; `bc-log rewrite` makes a log of it whose rows are read alone"
+    )
 
 
 def _about_car(entry: BuiltLog, seen_from: Car | None) -> dict[str, Any]:

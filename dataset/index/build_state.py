@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -14,14 +15,15 @@ import msgspec
 
 from common import atomic_file
 from common.car import MAX_STEERING_DEG
+from common.location import Location, Url
 from dataset.frames.image_check_cache import image_check_path
 from recorder.log.tags import tags_path
 
 FRAMES_FOLDER: Final = "frames"
 STATE_NAME: Final = "state.json"
 
-Stat = tuple[int, int] | None
-"""Size and time of modification (ns) of a file; None where there is none."""
+Stat = tuple[int, int | str] | None
+"""Size and time of modification (ns) of a file, or size and ETag of an object; None where there is none."""
 Sources = tuple[str, Stat, Stat, Stat]
 
 
@@ -39,6 +41,7 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
     max_steering_deg: float = MAX_STEERING_DEG  # of its wheels, at steering 1
     car: str = ""  # as the log tells it, in JSON
+    is_mixed: bool = False  # in a store, with its rows among its pictures: all of it was moved
 
 
 class BuildState(msgspec.Struct, frozen=True):
@@ -52,13 +55,38 @@ class BuildState(msgspec.Struct, frozen=True):
         return cls(None, {}, [])
 
 
-def sources_of(session: str, log: Path, index: Path) -> Sources:
+class Stats:
+    """Sizes and times of files; of objects in a store, by listing a folder once."""
+
+    def __init__(self) -> None:
+        self._listed: dict[Url, dict[Url, Stat]] = {}
+
+    def __call__(self, place: Location) -> Stat:
+        if isinstance(place, Path):
+            return stat_of(place)
+        if place.parent not in self._listed:
+            from common.object_store import list_objects  # an extra
+
+            found = list_objects(place.parent)
+            self._listed[place.parent] = {each.url: (each.size, each.version) for each in found}
+        return self._listed[place.parent].get(place)
+
+
+def sources_of(
+    session: str, log: Location, index: Path, stat: Callable[[Location], Stat] | None = None
+) -> Sources:
     """The files that a session's frames are made of: the log, its tags, and the check of its pictures."""
-    findings = stat_of(image_check_path(index, session))
-    return os.path.realpath(log), stat_of(log), stat_of(tags_path(log)), findings
+    stat = stat or stat_of
+    path = os.path.realpath(log) if isinstance(log, Path) else str(log)
+    return path, stat(log), stat(tags_path(log)), stat_of(image_check_path(index, session))
 
 
-def stat_of(path: Path) -> Stat:
+def stat_of(path: Location) -> Stat:
+    if isinstance(path, Url):
+        from common.object_store import find_object  # an extra
+
+        found = find_object(path)
+        return None if found is None else (found.size, found.version)
     try:
         status = path.stat()
     except OSError:

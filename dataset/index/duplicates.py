@@ -18,16 +18,18 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from common.car import CAMERAS
+from common.location import Location
 from common.open_file_limit import allow_open_files
 from dataset.errors import DatasetError
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.frames_file import read_frames
 from recorder import Log, LogError
+from recorder.log.chunk_cache import default_cache
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
-def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path]) -> None:
+def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Location]) -> None:
     """Raise DatasetError if two sessions hold the same picture; frames tagged `exclude` do not count. Raises
     UnreadablePictureError for a damaged log.
 
@@ -57,7 +59,7 @@ def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Path])
             for at in order[start:end].tolist():
                 number = int(owner[at])
                 if number not in opened:
-                    log = stack.enter_context(Log(logs[names[number]]))
+                    log = stack.enter_context(Log(logs[names[number]], cache=default_cache()))
                     opened[number] = _Session(log, frames[names[number]])
                 try:
                     row, data = opened[number].picture(int(position[at]))

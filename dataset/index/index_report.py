@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from rich.markup import escape
 from rich.table import Table
 
 from common.command import DONE, warn
 from common.errors import printable
+from common.location import Location
 from common.output import print_message
 from dataset.index.build import Indexed
 from dataset.index.sessions import unfinished_recordings
@@ -74,7 +74,7 @@ def balance_table(balance: Balance) -> Table:
     return table
 
 
-def print_log_notices(indexed: Indexed, folder: Path, sessions: Sequence[str] = ()) -> int:
+def print_log_notices(indexed: Indexed, folder: Location, sessions: Sequence[str] = ()) -> int:
     """Print what a person should know of the logs of an index, and of recordings in `folder` that are not finished
     (with `sessions`, of these only); the exit code that says so."""
     code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])

@@ -15,8 +15,9 @@ import numpy as np
 import pyarrow as pa
 
 from common.car import MAX_STEERING_DEG
+from common.location import Location, Url
 from common.progress import track
-from common.tasks import Tasks, one_by_one
+from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.distinct_rows import number_distinct
@@ -36,7 +37,7 @@ _MOST_BYTES: Final = 1 << 16
 
 def labels_of_sessions(
     frames: Mapping[str, Path],
-    logs: Mapping[str, Path],
+    logs: Mapping[str, Location],
     built: Mapping[str, BuiltLog],
     index: Path,
     config: IndexConfig,
@@ -50,6 +51,8 @@ def labels_of_sessions(
     lags = {name: _read_lag(index, name, built[name].fingerprint) for name in asked}
     missing = [name for name in asked if lags[name] is None]
     calls = [(logs[name], index, name, built[name].fingerprint) for name in missing]
+    if tasks is one_by_one and any(isinstance(logs[name], Url) for name in missing):
+        tasks = in_threads  # they wait for answers
     measured = tasks(_measure, calls)
     for number, lag in track(measured, "measuring the steering's lag", len(missing)):
         lags[missing[number]] = lag
@@ -62,7 +65,7 @@ def labels_of_sessions(
     }
 
 
-def _set_speeds_mph(log: Path, built: BuiltLog) -> tuple[float, ...]:
+def _set_speeds_mph(log: Location, built: BuiltLog) -> tuple[float, ...]:
     if built.set_speeds_mph is not None:
         return built.set_speeds_mph
     with Log(log) as opened:
@@ -96,7 +99,7 @@ class _Stored(msgspec.Struct):
     lag: SteeringLag | None
 
 
-def _measure(path: Path, index: Path, session: str, fingerprint: str) -> _Stored:
+def _measure(path: Location, index: Path, session: str, fingerprint: str) -> _Stored:
     """Measure the lag of a session in its pictures, and keep it."""
     from recorder.log.steering_lag import measure_lag  # OpenCV
 

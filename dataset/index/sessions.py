@@ -6,54 +6,68 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from common.errors import did_you_mean, printable
+from common.location import Location, Url, absolute, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
-from dataset.index.build_state import read_state, sources_of
+from dataset.index.build_state import Stats, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
+from recorder.log.log_info import logs_in
 
 
-def find_logs(sessions: Sequence[Path | str], folder: Path | str) -> list[Path]:
-    """Logs by session name (in `folder`) or by path; without any, all of `folder`, readable or not.
+def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> list[Location]:
+    """Logs by session name (in `folder`) or by path or URL; without any, all of `folder`, readable or not.
 
     Raises DatasetError for a folder without logs, and for a log that is named here and does not exist, that has a
     name which no index can hold, or whose name another one has.
     """
-    folder = Path(folder)
+    folder = location(folder)
     if not sessions:
-        if logs := sorted(folder.glob("*.mcap")):
+        if logs := finished_logs(folder):
             return logs
         raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
-    by_name: dict[str, Path] = {}
+    by_name: dict[str, Location] = {}
+    listed: dict[Url, set[Url]] = {}
     for given in map(str, sessions):
-        log = Path(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap"
-        if not log.is_file():
-            meant = did_you_mean(given, [session_name(other) for other in folder.glob("*.mcap")])
+        log = location(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap"
+        if isinstance(log, Url):
+            if log.parent not in listed:
+                listed[log.parent] = set(logs_in(log.parent))
+            is_there = log in listed[log.parent]
+        else:
+            is_there = log.is_file()
+        if not is_there:
+            meant = did_you_mean(given, [session_name(other) for other in finished_logs(folder)])
             raise DatasetError(
                 f"{log}: no such log; {meant or f'the sessions are named by the files in {folder}'}"
             )
         if problem := name_problem(log):
             raise DatasetError(problem)
         other = by_name.setdefault(session_name(log), log)
-        if other.resolve() != log.resolve():
+        if absolute(other) != absolute(log):
             raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
     return list(by_name.values())
 
 
-def name_problem(log: Path) -> str:
+def finished_logs(folder: Location) -> list[Location]:
+    """The logs of a folder that are finished, by name."""
+    return [log for log in logs_in(folder) if log.suffix == ".mcap"]
+
+
+def name_problem(log: Location) -> str:
     """Why no index can hold a session of this name; empty if it can."""
     if session_name(log) and printable(log.name) == log.name:
         return ""
     return f"{log}: a session needs a name of plain UTF-8 text; rename the log"
 
 
-def sessions_beside(logs: Sequence[Path], folder: Path) -> list[str]:
+def sessions_beside(logs: Sequence[Location], folder: Location) -> list[str]:
     """Names of the other logs in `folder`."""
     chosen = set(map(session_name, logs))
-    return [name for log in sorted(folder.glob("*.mcap")) if (name := session_name(log)) not in chosen]
+    return [name for log in finished_logs(folder) if (name := session_name(log)) not in chosen]
 
 
-def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
+def sessions_not_indexed(index: Path | str, folder: Location | str) -> list[str]:
     """Names of the logs in `folder` that the index does not hold because they are newer, or have changed since.
 
     Those that somebody chose not to have in it, and those that could not be read, were reported when it was built.
@@ -63,21 +77,21 @@ def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
     if not isinstance(held, dict):
         return []
     state = read_state(index)
-    found = []
-    for log in sorted(Path(folder).glob("*.mcap")):
+    found, stats = [], Stats()
+    for log in finished_logs(location(folder)):
         name = session_name(log)
         entry = state.logs.get(name)
-        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index))
+        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index, stats))
         if name not in held and not is_reported:
             found.append(name)
     return found
 
 
-def unfinished_recordings(folder: Path, sessions: Sequence[str]) -> list[str]:
+def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:
     """A line for each unfinished recording in `folder`; with `sessions`, only for those of their names."""
     return [
         f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`, and"
         " remove it"
-        for part in sorted(folder.glob("*.mcap.*.part"))
+        for part in (sorted(folder.glob("*.mcap.*.part")) if isinstance(folder, Path) else ())
         if not sessions or session_name(part) in sessions
     ]

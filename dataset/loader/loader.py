@@ -27,6 +27,7 @@ from common import Skipped
 from common.closeable import Closeable
 from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops
+from dataset.loader.look_ahead import LookAhead
 from dataset.loader.prefetch import prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
@@ -86,9 +87,12 @@ class Loader(Closeable):
         self._samples = samples
         self._undecoded: set[int] = set()  # the pictures in `skipped`
         self._crops = Crops(self.rows, samples.logs, budget_bytes, seen)
+        self._look_ahead = LookAhead.of(self.rows, samples.logs, rank / ranks)
         self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
 
     def close(self) -> None:
+        if self._look_ahead is not None:
+            self._look_ahead.close()
         self._samples.close()
 
     def __len__(self) -> int:
@@ -152,6 +156,8 @@ class Loader(Closeable):
         self, parts: Iterable[NDArray[np.int64]], crops: Crops
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The samples of each part that decode, and their pictures; the others are skipped."""
+        if self._look_ahead is not None:
+            parts = self._look_ahead.parts(parts, crops.wanted)
         for part, pictures, failed in prefetched(
             parts, crops.fill, self.seen, threads=self.threads, at_once=self._at_once
         ):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
+from common.location import Location, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import driven_states
@@ -35,9 +35,9 @@ class LogCrops(Closeable):
     """The pictures of a log, finished or not, numbered from 0 in the order of writing; arrays (N,). Use it as a
     context manager, or call `close()`."""
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Location | str) -> None:
         """Raises LogError for a damaged log, DatasetError for one without a picture of the centre camera."""
-        path = Path(path)
+        path = location(path)
         self.session = session_name(path)
         self.skipped = Skipped()  # each picture once
         self._undecoded: set[int] = set()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from common import Skipped
 from common.car import CAMERAS, Camera
 from common.closeable import Closeable
+from common.location import Location, location
 from dataset.frames.frames_file import session_name
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import UNDECODED
@@ -31,9 +31,9 @@ class LogViews(Closeable):
     """A log's rows, finished or not, numbered from 0, and what is seen at them. Use it as a context manager, or
     call `close()`."""
 
-    def __init__(self, path: Path | str, car: str = "auto", picture: PictureSpec = ORIGINAL) -> None:
+    def __init__(self, path: Location | str, car: str = "auto", picture: PictureSpec = ORIGINAL) -> None:
         """Raises LogError for a damaged log or tags, RecordingError where nothing tells of which car it is."""
-        self.path = Path(path)
+        self.path = location(path)
         self.session = session_name(self.path)
         self.picture = picture
         self.skipped = Skipped()  # each picture once

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, get_args
@@ -21,13 +22,18 @@ from numpy.typing import NDArray
 from common.car import MAX_STEERING_DEG
 from common.closeable import Closeable
 from common.files import short_path
+from common.location import Location, Url
 from common.open_file_limit import allow_open_files
+from common.stored_settings import settings_from
+from dataset.config import IndexConfig
 from dataset.errors import DatasetError
+from dataset.frames.frames_file import log_place
 from dataset.parquet_file import METADATA_KEY
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
 from recorder import Log, LogError
+from recorder.log.chunk_cache import default_cache
 
 Split = Literal["train", "validation"]
 
@@ -46,6 +52,8 @@ def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, 
 
 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
+
+_OPENED_AT_ONCE: Final = 16
 
 _UNREADABLE: Final = (
     OSError,
@@ -128,6 +136,14 @@ class Samples(Closeable):
         try:
             return seen.set_column(seen.schema.get_field_index("label"), "label", seen["recorded"])
         except _UNREADABLE as error:
+            raise self._damaged(error) from None
+
+    @cached_property
+    def settings(self) -> IndexConfig:
+        """Those that the index was built with. Raises DatasetError for what are none."""
+        try:
+            return settings_from(IndexConfig, self.metadata["settings"])
+        except (KeyError, ValueError) as error:
             raise self._damaged(error) from None
 
     @cached_property
@@ -243,25 +259,29 @@ class Samples(Closeable):
         return DatasetError(f"{self.path}: damaged ({why}); remove it and give `bc-index`")
 
 
-def open_logs(index: Path, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
+def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
     """The logs of an index by session.
 
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
-    allow_open_files(len(sources))
+    allow_open_files(2 * len(sources))  # what is kept of a log in a store is a file, too
+    places = {session: log_place(source.path, index) for session, source in sources.items()}
     logs: dict[str, Log] = {}
     try:
+        logs.update(_open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)}))
         for session, source in sources.items():
-            place = index / source.path
-            path = short_path(place.parent) / place.name  # also where the index is a passing one
-            if not path.is_file():
+            place = places[session]
+            if isinstance(place, Path):
+                path = short_path(place.parent) / place.name  # also where the index is a passing one
+                if not path.is_file():
+                    raise DatasetError(
+                        f"{path}: the log of session {session} is gone; put it back or run `bc-index` again"
+                    )
+                logs[session] = Log(path)
+            if logs[session].file_fingerprint != source.file:
                 raise DatasetError(
-                    f"{path}: the log of session {session} is gone; put it back or run `bc-index` again"
-                )
-            log = logs[session] = Log(path)
-            if log.file_fingerprint != source.file:
-                raise DatasetError(
-                    f"{path}: has changed since it was indexed as session {session}; run `bc-index` again"
+                    f"{logs[session].path}: has changed since it was indexed as session {session};"
+                    " run `bc-index` again"
                 )
     except BaseException as error:
         for log in logs.values():
@@ -269,7 +289,33 @@ def open_logs(index: Path, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
         if isinstance(error, LogError | OSError):
             raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
         raise
-    return logs
+    return {session: logs[session] for session in sources}
+
+
+def _open_in_stores(places: Mapping[str, Url]) -> dict[str, Log]:
+    """Logs by session, several at a time: each takes three requests or so."""
+    if not places:
+        return {}
+    cache = default_cache()
+
+    def opened(session: str) -> Log:
+        try:
+            log = Log(places[session], cache=cache)
+        except LogError as error:
+            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
+        _ = log.file_fingerprint
+        return log
+
+    with ThreadPoolExecutor(_OPENED_AT_ONCE) as pool:
+        opening = {session: pool.submit(opened, session) for session in places}
+        try:
+            return {session: each.result() for session, each in opening.items()}
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            for each in opening.values():
+                if not each.cancelled() and each.exception() is None:
+                    each.result().close()
+            raise
 
 
 def _known(split: Split) -> str:

@@ -22,12 +22,11 @@ from common.car import CAMERAS
 from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.drawn_views import VIEWPOINT, draw_views, mirrored_view
 from dataset.errors import DatasetError
-from dataset.frames.drivers import DRIVERS, is_taken
-from dataset.frames.frame_flags import is_excluded, is_unusable
-from dataset.frames.frames_file import SPLITS, codes, read_frames
+from dataset.frames.frames_file import codes, read_frames
 from dataset.parquet_file import METADATA_KEY
 from dataset.samples.filter import Condition
-from dataset.samples.labels import planned_labels, planned_speed_mph, recorded_throttle
+from dataset.samples.frame_choice import choose_frames
+from dataset.samples.labels import planned_speed_mph, recorded_throttle
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.samples.viewpoint_labels import has_way_back, label_back
@@ -131,43 +130,18 @@ def _usable(
     car: Car,
     random: np.random.Generator,
 ) -> tuple[_Session, SessionCounts]:
+    choice = choose_frames(frames, config, plan, condition)
+    at = np.flatnonzero(choice.is_chosen)
     camera = codes(frames["camera"], CAMERAS)
-    split = codes(frames["split"], SPLITS)
-    is_bad = is_unusable(frames)
-    is_tagged = is_excluded(frames)
-    driver = codes(frames["driver"], DRIVERS)
-    is_asked_for = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
-    if condition is not None:
-        is_asked_for &= condition.holds(frames)
-    is_wanted = is_asked_for & is_taken(driver, config.drives)
-    is_good = ~is_bad & ~is_tagged
-    steering, is_crashed = planned_labels(frames, plan)
-    usable = is_wanted & is_good
-    has_label = ~np.isnan(steering)
-    is_left_out = is_crashed & (split == 0)
-    chosen = usable & has_label & (split != 2) & ~is_left_out
-    at = np.flatnonzero(chosen)
-    label = _of_camera(steering[at], camera[at], config)
+    label = _of_camera(choice.steering[at], camera[at], config)
     recorded = _of_camera(frames["steering"].to_numpy()[at], camera[at], config)
-    counts = SessionCounts(
-        frames=len(frames),
-        training=int((chosen & (split == 0)).sum()),
-        validation=int((chosen & (split == 1)).sum()),
-        gap=int((usable & (split == 2)).sum()),
-        excluded=int((is_wanted & is_tagged).sum()),
-        unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
-        unlabelled=int((usable & ~has_label & (split != 2) & ~is_left_out).sum()),
-        not_asked_for=int((~is_asked_for).sum()),
-        crashed=int((usable & is_left_out).sum()),
-        not_taken_over=int((is_asked_for & ~is_wanted).sum()),
-    )
     view = np.full(len(at), -1)
     session = _Session(
         at.astype(np.int32),
         label,
         recorded,
         view,
-        split[at] == 0,
+        choice.is_training[at],
         planned_speed_mph(frames, plan, config.speed_ahead_s, slower_mph)[at],
         recorded_throttle(frames)[at],
     )
@@ -175,7 +149,7 @@ def _usable(
         speed_mph = frames["speed_mph"].to_numpy()[at]
         is_seen = session.is_training & (camera[at] == CAMERAS.index("center")) & has_way_back(speed_mph)
         session = _with_views(session, speed_mph, is_seen, config.viewpoints, car, random)
-    return session, counts
+    return session, choice.counts
 
 
 def _with_views(

@@ -15,6 +15,7 @@ from typing import Final
 
 import torch
 
+from common.location import local_path
 from dataset import DatasetError, build_index, find_logs
 from drive.config import DriveConfig
 from drive.errors import DriveError
@@ -171,5 +172,5 @@ def _sessions(run: Path, fingerprints: dict[str, str], folders: AggregationFolde
         with Log(path) as log:
             if log.fingerprint != fingerprint:
                 raise DriveError(f"{path}: changed since {run} was trained on it; give the --sessions that it was")
-        logs.append(path)
+        logs.append(local_path(path))
     return logs

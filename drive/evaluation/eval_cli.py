@@ -24,6 +24,7 @@ from common.command import (
     warn_skipped,
 )
 from common.errors import UsageError, counted
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.progress import track
 from common.tasks import RayAddress, tasks_of
@@ -69,7 +70,7 @@ class Eval:
     """Which of its frames: those that were held out, or those for training."""
     session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
     """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
-    sessions: Annotated[Path | None, _default("PATH", "sessions")] = None
+    sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
     """Where logs are kept, for --session and --on."""
     worst: Annotated[int | None, _default("INT", "10")] = None
     """How many of the worst frames to list, at most one for each second of a session."""

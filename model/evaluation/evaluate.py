@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.car import MAX_STEERING_DEG
 from common.errors import counted
-from common.location import Location, absolute
+from common.location import Location, absolute, location
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.crash_frames import in_crashes
 from dataset.frames.frames_file import session_name
@@ -170,7 +170,7 @@ def evaluate_runs(runs: Sequence[Path | str], index: Path | str, split: Split = 
         return _evaluate([Path(run) for run in runs], samples, seen)
 
 
-def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation:
+def evaluate_sessions(run: Path | str, logs: Sequence[Location | str]) -> Evaluation:
     """Measure a run on all frames of some logs that can be used, whether or not they are in an index.
 
     Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
@@ -179,9 +179,9 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Path | str]) -> Evaluation
     return found
 
 
-def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Path | str]) -> list[Evaluation]:
+def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Location | str]) -> list[Evaluation]:
     """As `evaluate_sessions`, for several runs at once: each picture is decoded once, all have the same frames."""
-    paths = {session_name(log): log for log in map(Path, logs)}
+    paths = {session_name(log): log for log in map(location, logs)}
     ahead_s = [speed_ahead_s_of_run(Path(run)) for run in runs if "speed" in targets_of_run(Path(run))]
     config = IndexConfig(
         validation=tuple(paths),

@@ -20,6 +20,7 @@ import numpy as np
 from common import Skipped
 from common.autonomy import autonomy_percent
 from common.car import MPS_PER_MPH
+from common.location import Location
 from common.progress import progress_bar
 from dataset.errors import DatasetError
 from dataset.loader.log_views import LogViews
@@ -51,7 +52,7 @@ class RecordedDrive:
     """A network's drive of a recording."""
 
     session: str
-    log: Path
+    log: Location
     departure_m: float
     rows: int  # that were driven
     rows_left_out: int  # borders: standing, manoeuvring, hits, gaps, rows without a picture or tagged `exclude`

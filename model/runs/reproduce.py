@@ -8,6 +8,8 @@ from typing import Any
 
 import msgspec
 
+from common.location import Location
+from common.random_access import is_there
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from model.errors import RunError
@@ -17,7 +19,7 @@ from model.runs.run_inputs import logs_of
 
 
 def index_of_run(
-    run: Path, index: Path, sessions: Path, on_notice: Callable[[str], object] = lambda notice: None
+    run: Path, index: Path, sessions: Location, on_notice: Callable[[str], object] = lambda notice: None
 ) -> Path:
     """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
     from the run's settings and the logs of its sessions, in `sessions` or where they were.
@@ -35,7 +37,7 @@ def index_of_run(
     settings, fingerprints = _data_of(stored, where)
     before = logs_of(run)
     logs = [
-        str(before[name]) if name in before and not (sessions / f"{name}.mcap").exists() else name
+        str(before[name]) if name in before and not is_there(sessions / f"{name}.mcap") else name
         for name in fingerprints
     ]
     for notice in build_index(find_logs(logs, sessions), own, settings).notices:

@@ -5,10 +5,14 @@ A run's config.json has them relative to its folder: all can be moved together.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
 from common.files import short_path
+from common.location import Location, Url
+from dataset.errors import DatasetError
+from dataset.frames.frames_file import log_place
 from model.errors import RunError
 from model.runs.run_folder import CONFIG, config_folder, find_run, load_config, weights_checksum
 
@@ -28,20 +32,27 @@ def index_of(run: Path) -> Path | None:
     return _place_of(run, load_config(run).get("index"))
 
 
-def logs_of(run: Path) -> dict[str, Path]:
+def logs_of(run: Path) -> dict[str, Location]:
     """The logs of a run's index by session, where they were; empty where its config does not say."""
     stored, index = load_config(run), index_of(run)
     try:
         logs = {str(name): str(log["log"]) for name, log in stored["data"]["logs"].items()}
     except (KeyError, TypeError, AttributeError):
         return {}
-    return {} if index is None else {name: short_path(index / log) for name, log in logs.items()}
+    if index is None:
+        return {}
+    with contextlib.suppress(DatasetError):  # somebody else's
+        return {name: short_path(log_place(log, index)) for name, log in logs.items()}
+    return {}
 
 
-def sessions_of(run: Path) -> Path | None:
-    """The folder that holds the logs of a run's index, if it is one folder, and still there."""
-    folders = {log.parent for log in logs_of(run).values()}
-    return folder if len(folders) == 1 and (folder := folders.pop()).is_dir() else None
+def sessions_of(run: Path) -> Location | None:
+    """The folder that holds the logs of a run's index, if it is one folder, and still there or in a store."""
+    folders: set[Location] = {log.parent for log in logs_of(run).values()}
+    if len(folders) != 1:
+        return None
+    folder = folders.pop()
+    return folder if isinstance(folder, Url) or folder.is_dir() else None
 
 
 def init_of(run: Path, runs: Path) -> Path | None:

@@ -10,6 +10,7 @@ from typing import Any, Final
 from common.errors import counted
 from common.markdown import as_markdown
 from common.versions import version_of
+from recorder.lerobot.dataset_format import SPLIT
 
 CARD_PATH: Final = "README.md"
 NO_LICENCE: Final = "not stated: ask whoever recorded it before you use it"
@@ -65,6 +66,11 @@ def card(
         f" {each.excluded:,} | `{each.fingerprint[:16]}` |"
         for each in sessions
     ]
+    of_split = (
+        "- `split`, also in `meta/episodes`: `train`, or `validation` for whole stretches of time that were held"
+        " out. An episode is on one side."
+    )
+    split = [of_split] if SPLIT in info["features"] else []
     lines = [
         *header,
         "",
@@ -90,6 +96,7 @@ def card(
         "- `log_fingerprint`, `log_row`: the log and the row that a frame comes from. `log_vehicle`: steering,"
         " throttle, brake and speed with all the digits of the log.",
         "- An episode is a drive without a pause of more than a second.",
+        *split,
         "",
         "## Who drove, and what was left out",
         "",

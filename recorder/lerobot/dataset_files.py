@@ -24,11 +24,12 @@ _EPISODES_AT_ONCE: Final = 64  # are kept until they are written to meta/episode
 class DatasetFiles:
     """As a context manager it ends its files."""
 
-    def __init__(self, root: Path, fps: int, *, has_speed: bool, is_video: bool) -> None:
+    def __init__(self, root: Path, fps: int, *, has_speed: bool, is_video: bool, has_split: bool = False) -> None:
         self.root = root
         self.is_video = is_video
         self._fps = fps
         self._has_speed = has_speed
+        self.has_split = has_split
         self._schema = pa.schema([])
         self._data: DataFiles | None = None
         self._videos: list[VideoFiles] = []
@@ -38,7 +39,9 @@ class DatasetFiles:
     def begin_episode(self, sizes: Sizes) -> None:
         """To be called before anything is added of an episode."""
         if self._data is None:
-            columns = form.features(sizes, has_speed=self._has_speed, is_video=self.is_video)
+            columns = form.features(
+                sizes, has_speed=self._has_speed, is_video=self.is_video, has_split=self.has_split
+            )
             self._schema = form.data_schema(columns)
             self._data = DataFiles(self.root, self._schema)
             cameras = sizes.items() if self.is_video else ()

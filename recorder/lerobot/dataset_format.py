@@ -39,6 +39,8 @@ LOG_VEHICLE: Final = "log_vehicle"
 LOG_FINGERPRINT: Final = "log_fingerprint"
 LOG_CAR: Final = "log_car"
 """A column of meta/episodes: the car that the episode's log is of, as JSON; empty if nothing tells."""
+SPLIT: Final = "split"
+"""A column of data files and of meta/episodes: the side of an index's split, `train` or `validation`."""
 REQUIRED: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 IMAGE_TYPE: Final = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """An image in a data file, as the library `datasets` stores it."""
@@ -72,7 +74,9 @@ def image_key(camera: Camera) -> str:
     return f"observation.images.{camera}"
 
 
-def features(sizes: Mapping[Camera, tuple[int, int]], *, has_speed: bool, is_video: bool) -> dict[str, Feature]:
+def features(
+    sizes: Mapping[Camera, tuple[int, int]], *, has_speed: bool, is_video: bool, has_split: bool = False
+) -> dict[str, Feature]:
     """The columns of a dataset of ours; `sizes` are width and height of each camera's pictures."""
     images = {
         image_key(camera): Feature(
@@ -91,6 +95,7 @@ def features(sizes: Mapping[Camera, tuple[int, int]], *, has_speed: bool, is_vid
         LOG_ROW: Feature("int64", (1,)),
         LOG_VEHICLE: Feature("float64", (4,), (*ACTION_NAMES, "speed_mph")),
         LOG_FINGERPRINT: Feature("string", (1,)),
+        **({SPLIT: Feature("string", (1,))} if has_split else {}),
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,8 +14,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from common import Skipped, UserError
-from common.car import Camera
+from common.car import CAMERAS, Camera
 from common.files import new_folder
+from common.location import Location
 from common.progress import progress_bar
 from recorder.errors import LogError, RecordingError
 from recorder.lerobot import dataset_format as form
@@ -30,7 +31,7 @@ from recorder.lerobot.feature_statistics import (
     number_statistics,
     sampled,
 )
-from recorder.lerobot.log_episodes import LogEpisodes, log_episodes
+from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, log_episodes
 from recorder.lerobot.picture_spool import PictureSpool
 from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
@@ -61,27 +62,37 @@ class Exported:
 
 
 def export_lerobot(
-    paths: Sequence[Path], folder: Path, *, task: str = TASK, licence: str | None = None, is_video: bool = False
+    paths: Sequence[Location],
+    folder: Path,
+    *,
+    task: str = TASK,
+    licence: str | None = None,
+    is_video: bool = False,
+    chosen: Mapping[Location, ChosenRows] | None = None,
+    cameras: Sequence[Camera] = CAMERAS,
 ) -> Exported:
     """Write the logs at `paths` as the new LeRobot dataset `folder`, an episode for each drive.
 
-    Pictures are in its parquet files byte for byte, or, with `is_video`, encoded anew in videos.
+    With `chosen`, only these rows of each log, with the side of the split that each is on. Of `cameras`, those
+    that every log has. Pictures are in its parquet files byte for byte, or, with `is_video`, encoded anew in
+    videos.
     Raises LogError if a log cannot be read or nothing in it can be used, and UserError if `folder` exists or
     cannot be written.
     """
     if is_video:
         require_av()
     with new_folder(folder) as part, _refused(folder):
-        plan = plan_export(paths)
+        plan = plan_export(paths, chosen, cameras)
+        about = {"has_speed": plan.has_speed, "is_video": is_video, "has_split": chosen is not None}
         with (
-            DatasetFiles(part, plan.fps, has_speed=plan.has_speed, is_video=is_video) as files,
+            DatasetFiles(part, plan.fps, **about) as files,
             progress_bar() as progress,
         ):
             bar = progress.add_task(f"exporting to {folder.name}", total=plan.rows, note="")
             export = _Export(plan, files, task, lambda: progress.advance(bar))
             for path in paths:
                 with Log(path) as log:
-                    export.add(log)
+                    export.add(log, None if chosen is None else chosen[path])
         if not export.episodes:
             raise LogError(f"{', '.join(map(str, paths))}: no row can be exported{export.skipped.error_suffix()}")
         export.write_rest(licence)
@@ -111,11 +122,11 @@ class _Export:
         self._statistics = DatasetStatistics()
         self._example = b""
 
-    def add(self, log: Log) -> None:
-        """Write the episodes of a log. Raises LogError where it is damaged."""
+    def add(self, log: Log, chosen: ChosenRows | None = None) -> None:
+        """Write the episodes of a log, or of rows that are chosen of it. Raises LogError where it is damaged."""
         if log.notice:
             self.skipped.add("parts of logs that are not finished", log.notice)
-        taken = log_episodes(log, self._plan.cameras, self.skipped)
+        taken = log_episodes(log, self._plan.cameras, self.skipped, chosen)
         frames_before, episodes_before = self.frames, self.episodes
         pictures = RowPictures(log, taken, self._sizes, self.skipped)
         for episode in taken.episodes:
@@ -145,7 +156,11 @@ class _Export:
                 form.LOG_FINGERPRINT: pa.array([log.fingerprint] * len(kept)),
                 **dict(zip(map(form.image_key, cameras), spool.columns(), strict=True)),
             }
-            self._files.write(columns, spool.size_bytes, self._about(log, statistics, len(kept)))
+            about = self._about(log, statistics, len(kept))
+            if taken.split is not None:
+                columns[form.SPLIT] = pa.array(taken.split[kept])
+                about[form.SPLIT] = str(taken.split[kept[0]])
+            self._files.write(columns, spool.size_bytes, about)
             del columns  # they are views of the spool's files
         self._statistics.add(statistics)
         self.episodes += 1
@@ -221,7 +236,9 @@ class _Export:
     def write_rest(self, licence: str | None) -> None:
         """Write what tells what the episodes are, now that all of them are there."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
-        columns = form.features(self._sizes, has_speed=plan.has_speed, is_video=is_video)
+        columns = form.features(
+            self._sizes, has_speed=plan.has_speed, is_video=is_video, has_split=self._files.has_split
+        )
         info = form.info(
             columns, fps=plan.fps, episodes=self.episodes, frames=self.frames, robot=ROBOT, is_video=is_video
         )

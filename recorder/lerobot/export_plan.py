@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -12,9 +11,10 @@ import numpy as np
 from common import Skipped
 from common.car import CAMERAS, Camera
 from common.errors import counted
+from common.location import Location
 from recorder.errors import LogError
 from recorder.lerobot.dataset_format import LOG_TIME, LOG_VEHICLE, STATE
-from recorder.lerobot.log_episodes import log_episodes
+from recorder.lerobot.log_episodes import ChosenRows, log_episodes
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.topics import camera_topic
@@ -41,14 +41,19 @@ class ExportPlan:
         return max(1, round(self.rate_hz))
 
 
-def plan_export(paths: Sequence[Path]) -> ExportPlan:
-    """The plan for the logs at `paths`. Raises LogError if one cannot be read, if no camera is in all, or if
+def plan_export(
+    paths: Sequence[Location],
+    chosen: Mapping[Location, ChosenRows] | None = None,
+    wanted: Sequence[Camera] = CAMERAS,
+) -> ExportPlan:
+    """The plan for the logs at `paths`, or for rows that are `chosen` of each, with pictures of the `wanted`
+    cameras. Raises LogError if one cannot be read, if no camera is in all, or if
     their wheels turn differently."""
-    cameras, notices = _cameras(paths)
+    cameras, notices = _cameras(paths, wanted)
     steps, rates, row_count, known, degrees = [np.zeros(0, np.int64)], {}, 0, [], set[float]()
     for path in paths:
         with Log(path, shows_progress=True) as log:
-            taken = log_episodes(log, cameras, Skipped())
+            taken = log_episodes(log, cameras, Skipped(), None if chosen is None else chosen[path])
             degrees.add(max_steering_deg_of(log))
         row_count += len(taken.states.row)
         its_steps = taken.steps_ns[taken.steps_ns > 0]
@@ -72,15 +77,15 @@ def plan_export(paths: Sequence[Path]) -> ExportPlan:
     return ExportPlan(cameras, bool(known) and all(known), rate_hz, degrees.pop(), row_count, tuple(notices))
 
 
-def _cameras(paths: Sequence[Path]) -> tuple[tuple[Camera, ...], list[str]]:
-    """The cameras whose pictures each of the logs has, and lines about the others."""
-    having: dict[Camera, list[str]] = {camera: [] for camera in CAMERAS}
+def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple[Camera, ...], list[str]]:
+    """Those of the wanted cameras whose pictures each of the logs has, and lines about the others."""
+    having: dict[Camera, list[str]] = {camera: [] for camera in CAMERAS if camera in wanted}
     for path in paths:
         with Log(path) as log:
-            for camera in CAMERAS:
+            for camera in having:
                 if log.counts.get(camera_topic(camera)):
                     having[camera].append(path.name)
-    cameras = tuple(camera for camera in CAMERAS if len(having[camera]) == len(paths))
+    cameras = tuple(camera for camera in having if len(having[camera]) == len(paths))
     if not cameras:
         raise LogError(
             f"{', '.join(map(str, paths))}: no camera of which each log has pictures; export them one by one"

@@ -18,6 +18,14 @@ from recorder.log.topics import camera_topic
 
 
 @dataclass(frozen=True)
+class ChosenRows:
+    """Those rows of a log that are wanted, and the side of a split that each is on: `train`, `validation`."""
+
+    row: NDArray[np.int64]  # (N,), ascending
+    split: NDArray[np.str_]  # (N,)
+
+
+@dataclass(frozen=True)
 class LogEpisodes:
     """What is taken of a log."""
 
@@ -26,6 +34,7 @@ class LogEpisodes:
     pictures: dict[Camera, Pictures]
     episodes: list[slice]
     excluded: int  # rows that somebody has tagged so
+    split: NDArray[np.str_] | None  # (N,) of the rows that are taken; None where all of the log was wanted
 
     @property
     def steps_ns(self) -> NDArray[np.int64]:
@@ -34,17 +43,23 @@ class LogEpisodes:
         return np.concatenate([np.zeros(0, np.int64), *steps])
 
 
-def log_episodes(log: Log, cameras: Sequence[Camera], skipped: Skipped) -> LogEpisodes:
-    """The rows of a log with a picture of each of `cameras`, and steering and pedals in their ranges.
+def log_episodes(
+    log: Log, cameras: Sequence[Camera], skipped: Skipped, chosen: ChosenRows | None = None
+) -> LogEpisodes:
+    """The rows of a log, or those of them that are `chosen`, with a picture of each of `cameras`, and steering and
+    pedals in their ranges.
 
     A new episode begins as a drive does: after more than a second without a row that is taken, or where time goes
-    back. Rows tagged `exclude` are left out and counted; others that are left out are skipped.
+    back; also where the side of the split changes. Rows tagged `exclude` are left out and counted; others that are
+    left out are skipped.
     Raises LogError for a damaged log, or damaged tags.
     """
     states = States.of(log.vehicle())
     name = log.path.name
     is_excluded = _is_tagged(states.row, log)
     taken = ~is_excluded
+    if chosen is not None:
+        taken &= np.isin(states.row, chosen.row)
     out_of_range = row_flags(states)["out_of_range"] & taken
     _skip(skipped, f"rows of {name} with steering, pedals or speed out of range", states.row[out_of_range])
     taken &= ~out_of_range
@@ -55,10 +70,13 @@ def log_episodes(log: Log, cameras: Sequence[Camera], skipped: Skipped) -> LogEp
         _skip(skipped, f"rows of {name} without a picture of the {camera} camera", states.row[is_missing])
         taken &= ~is_missing
     kept = States(*(getattr(states, field)[taken] for field in vars(states)))
-    starts = np.flatnonzero(np.diff(drive_numbers(kept.time_ns), prepend=-1)).tolist()
-    episodes = [slice(*ends) for ends in pairwise([*starts, len(kept.row)])]
+    split = None if chosen is None else chosen.split[np.searchsorted(chosen.row, kept.row)]
+    begins = np.diff(drive_numbers(kept.time_ns), prepend=-1) != 0
+    if split is not None:
+        begins[1:] |= split[1:] != split[:-1]
+    episodes = [slice(*ends) for ends in pairwise([*np.flatnonzero(begins).tolist(), len(kept.row)])]
     of_rows = {camera: place[taken] for camera, place in places.items()}
-    return LogEpisodes(kept, of_rows, pictures, episodes, int(is_excluded.sum()))
+    return LogEpisodes(kept, of_rows, pictures, episodes, int(is_excluded.sum()), split)
 
 
 def _is_tagged(rows: NDArray[np.int64], log: Log) -> NDArray[np.bool_]:

@@ -146,6 +146,15 @@ class McapFile(Closeable):
         for chunk, data in zip(chunks, self._read_many(ranges), strict=True):
             yield chunk, self._records(chunk, data)
 
+    def read_alone(self, offset: int, length: int) -> bytes:
+        """As `read`, but of a file in a store nothing beside is read, and nothing is kept."""
+        self._check_range(offset, length)
+        return self._bytes.read_alone(offset, length)
+
+    def check_record(self, chunk: Chunk, record: bytes) -> None:
+        """Raise LogError if this is not what a chunk should be, as far as its CRC shows."""
+        self._records(chunk, record)
+
     def _read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         if not self.is_remote:
             yield from (self.read(offset, length) for offset, length in ranges)

@@ -26,7 +26,9 @@ from common.closeable import Closeable
 from common.location import Location, location
 from recorder.errors import LogError
 from recorder.log import topics
+from recorder.log.chunk_cache import ChunkCache
 from recorder.log.chunk_reader import ChunkReader
+from recorder.log.fetched_chunks import FetchedChunks
 from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.log.number_fields import decode_numbers
@@ -73,10 +75,18 @@ class Log(Closeable):
 
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first asked for.
+    `cache`: keeps the chunks of a log in a store that pictures are read from.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
-    def __init__(self, path: Location | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
+    def __init__(
+        self,
+        path: Location | str,
+        *,
+        salvages: bool = False,
+        shows_progress: bool = False,
+        cache: ChunkCache | None = None,
+    ) -> None:
         self.path = location(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
@@ -97,13 +107,27 @@ class Log(Closeable):
         unless it `salvages`."""
         self.chunks = self._structure.chunks
         self.channels = self._structure.channels
-        self._chunk_reader = ChunkReader(self._file, self.chunks)
+        self.fetched = self._fetched_chunks(cache)
+        """What is here of a log in a store, if it has a cache."""
+        self._chunk_reader = ChunkReader(self._file, self.chunks, self.fetched)
         self._copied_from: set[int] = set()
         self._copied = 0
+        self._is_mixed = False
         self._pictures: dict[str, Pictures] = {}
 
     def close(self) -> None:
         self._file.close()
+        if self.fetched is not None:
+            self.fetched.close()
+
+    def _fetched_chunks(self, cache: ChunkCache | None) -> FetchedChunks | None:
+        if cache is None or not self._file.is_remote:
+            return None
+        return FetchedChunks(self._file, self.chunks, cache, self.file_fingerprint)
+
+    def chunk_numbers(self, offsets: NDArray[np.int64], chunks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Which of the log's chunks each of these places is in, by its number: arrays (N,), as in `Pictures`."""
+        return self._chunk_reader.numbers_of(offsets, chunks)
 
     @property
     def notice(self) -> str:
@@ -344,9 +368,15 @@ class Log(Closeable):
         if places is not None:
             images = self._structure.image_channels
             read = [chunk for chunk in read if not is_of_pictures(chunk, images)]
+        self._is_mixed = places is None and len(self._structure.image_channels) > 0
         index = index_messages(self._file, self._structure, read, self._tracked(len(read)))
         self._chunk_reader.set_verified(read)
         return index if places is None else np.concatenate([index, places])
+
+    @property
+    def is_mixed(self) -> bool:
+        """True if its rows cannot be read without its pictures: nothing tells where these lie."""
+        return len(self._index) > 0 and self._is_mixed
 
     def _tracked(self, chunks: int) -> Callable[[Iterable[Read]], Iterable[Read]]:
         if not self._shows_progress:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -22,21 +21,12 @@ from recorder.sources.csv_columns import CsvColumns, CsvRow
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
 from recorder.sources.mcap_messages import is_whole_picture
 from recorder.sources.picture_folder import PictureFolder
 from recorder.sources.udacity_recording import MOST_CSV_BYTES, MOST_PICTURE_BYTES
 
 MISSING: Final = "pictures that a row names and no file has, or several have"
-_OUT_OF_RANGE: Final = (
-    "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
-)
-
-
-@dataclass(frozen=True)
-class _Row:
-    time_ns: int
-    of: CsvRow
-    pictures: dict[Camera, bytes]
 
 
 def import_csv(
@@ -79,18 +69,8 @@ def import_csv(
         "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
         **({} if rate_hz is None else {"start": "1970, because the recording does not tell it"}),
     }
-    count = pictures = 0
     with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
-        for row in itertools.chain([first], rows):
-            events.at(writer, row.time_ns)
-            for camera, picture in row.pictures.items():
-                writer.picture(camera, row.time_ns, count, picture)
-            state = VehicleState(
-                steering=row.of.steering, throttle=row.of.throttle, brake=row.of.brake, speed_mph=row.of.speed_mph
-            )
-            writer.vehicle(row.time_ns, count, state)
-            count += 1
-            pictures += len(row.pictures)
+        count, pictures = write_rows(writer, itertools.chain([first], rows), events)
     return Imported(log, count, pictures, events.skipped, writer.notices)
 
 
@@ -126,7 +106,7 @@ def _rows(
     rate_hz: float | None,
     steering_scale: float,
     skipped: Skipped,
-) -> Iterator[_Row]:
+) -> Iterator[ImportedRow]:
     """The rows that can be used, with their pictures, one at a time."""
     named = set[str]()
     rows = columns.rows(csv, steering_scale, skipped)
@@ -149,12 +129,16 @@ def _rows(
         if not pictures:
             continue
         if abs(row.steering) > 1:
-            skipped.add(_OUT_OF_RANGE, f"line {row.line}: {row.steering:g}")
+            skipped.add(STEERING_OUT_OF_RANGE, f"line {row.line}: {row.steering:g}")
         if time_ns is not None:
-            yield _Row(time_ns, row, pictures)
+            yield ImportedRow(time_ns, _state(row), pictures)
     for within, path in folder.paths.items():
         if path not in named:
             skipped.add("pictures without a row", within)
+
+
+def _state(row: CsvRow) -> VehicleState:
+    return VehicleState(steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=row.speed_mph)
 
 
 def _read(path: str) -> bytes | None:

@@ -7,7 +7,6 @@ import math
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -22,18 +21,12 @@ from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.imported_rows import ImportedRow, write_rows
 from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
 
 DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
 
 _PICTURE = re.compile(r"[0-9]+_cam[_-]image_array_\.jpg")  # other cameras and depths have other names
-
-
-@dataclass(frozen=True)
-class _Frame:
-    time_ns: int
-    state: VehicleState
-    jpeg: bytes
 
 
 class _UnusableRecordError(Exception):
@@ -78,17 +71,12 @@ def import_tub(
         metadata["clock"] = describe_clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
         metadata["start"] = "1970, because the tub does not tell it"
-    rows = 0
     with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
-        for frame in itertools.chain([first], frames):
-            events.at(writer, frame.time_ns)
-            writer.picture("center", frame.time_ns, rows, frame.jpeg)
-            writer.vehicle(frame.time_ns, rows, frame.state)
-            rows += 1
-    return Imported(log, rows, rows, skipped, writer.notices)
+        rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
+    return Imported(log, rows, pictures, skipped, writer.notices)
 
 
-def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[_Frame]:
+def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:
     """The usable records with their pictures, one at a time."""
     named: set[str] = set()
     for record in track(tub.records(skipped), what, tub.count):
@@ -101,7 +89,7 @@ def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Ite
             skipped.add("pictures without a record", name)
 
 
-def _frame(tub: Tub, record: TubRecord, step_ms: float | None, named: set[str]) -> _Frame:
+def _frame(tub: Tub, record: TubRecord, step_ms: float | None, named: set[str]) -> ImportedRow:
     picture = record.values.get("cam/image_array")
     name = re.split(r"[/\\]", picture)[-1] if isinstance(picture, str) else ""
     is_named_before = name in named
@@ -128,7 +116,7 @@ def _frame(tub: Tub, record: TubRecord, step_ms: float | None, named: set[str]) 
         brake=-throttle if throttle < 0 else 0.0,
         speed_mph=math.nan,
     )
-    return _Frame(time_ns, state, jpeg)
+    return ImportedRow(time_ns, state, {"center": jpeg})
 
 
 def _value(record: TubRecord, field: str) -> float:

@@ -7,7 +7,6 @@ import itertools
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +26,7 @@ from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
 from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
 from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
 from recorder.sources.lerobot_videos import CameraVideos
@@ -36,16 +36,6 @@ from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
 APART_NS: Final = 10_000_000_000
 """Between episodes whose dates are not told: each is a drive of its own."""
 _TIME_END_NS: Final = 2**63
-_OUT_OF_RANGE: Final = (
-    "frames with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
-)
-
-
-@dataclass(frozen=True)
-class _Frame:
-    time_ns: int
-    state: VehicleState
-    pictures: dict[Camera, bytes]
 
 
 def import_lerobot(
@@ -81,17 +71,10 @@ def import_lerobot(
         first = next(frames, None)
         if first is None:
             raise RecordingError(f"{folder}: no frame of it can be used{events.skipped.error_suffix()}")
-        rows = pictures = 0
         told = _told_car(dataset) if car is None and chosen.is_own else car
         metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(told)
         with LogWriter(log, metadata, overwrite=overwrite) as writer:
-            for frame in itertools.chain([first], frames):
-                events.at(writer, frame.time_ns)
-                for camera, picture in frame.pictures.items():
-                    writer.picture(camera, frame.time_ns, rows, picture)
-                writer.vehicle(frame.time_ns, rows, frame.state)
-                rows += 1
-                pictures += len(frame.pictures)
+            rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
     notices = []
     if steering is None and not chosen.is_own:
         notices.append(f"steering is the dataset's {printable(chosen.steering.label)} (--steering names another)")
@@ -130,7 +113,7 @@ def _told_car(dataset: LeRobotFolder) -> Car | None:
 
 def _frames(
     dataset: LeRobotFolder, chosen: LeRobotFeatures, videos: dict[Camera, CameraVideos], skipped: Skipped
-) -> Iterator[_Frame]:
+) -> Iterator[ImportedRow]:
     """The frames that can be used, one at a time."""
     images = {camera: key for camera, key in chosen.cameras.items() if camera not in videos}
     time_columns = [LOG_TIME] if chosen.has_log_time else []
@@ -167,8 +150,8 @@ def _frames(
                 skipped.add("frames with a steering that is no finite number", name)
                 continue
             if abs(state.steering) > 1:
-                skipped.add(_OUT_OF_RANGE, f"{name}: {state.steering:g}")
-            yield _Frame(time_ns, state, sound)
+                skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {state.steering:g}")
+            yield ImportedRow(time_ns, state, sound)
     _skip_missing(dataset, counts, skipped)
 
 

@@ -31,6 +31,7 @@ from recorder.log.session_car import Car, metadata_of
 from recorder.log.topics import PROFILE
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,
@@ -48,9 +49,6 @@ MOST_STEERING_AGE_S: Final = 1.0
 _TIME_END_NS: Final = 2**63
 # magic, then the header's opcode, length, and the length of its profile
 _OWN_HEADER: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
-_OUT_OF_RANGE: Final = (
-    "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
-)
 
 
 @dataclass(frozen=True)
@@ -99,13 +97,6 @@ class _Steering:
 
     time_ns: NDArray[np.int64]
     value: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Row:
-    time_ns: int
-    steering: float
-    picture: bytes
 
 
 def is_mcap_or_bag(source: Path) -> bool:
@@ -158,19 +149,13 @@ def import_mcap(
         "steering_topic": topics.steering,
         "steering_scale": repr(topics.steering_scale),
     }
-    count = 0
     has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
     notices = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
     with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
         for notice in notices:
             writer.event(first.time_ns, notice, "WARNING", "recorder")
-        for row in itertools.chain([first], rows):
-            events.at(writer, row.time_ns)
-            writer.picture("center", row.time_ns, count, row.picture)
-            state = VehicleState(steering=row.steering, throttle=0.0, brake=0.0, speed_mph=math.nan)
-            writer.vehicle(row.time_ns, count, state)
-            count += 1
-    return Imported(log, count, count, skipped, [*notices, *writer.notices])
+        count, pictures = write_rows(writer, itertools.chain([first], rows), events)
+    return Imported(log, count, pictures, skipped, [*notices, *writer.notices])
 
 
 def _files(source: Path, skipped: Skipped) -> list[_File]:
@@ -235,7 +220,9 @@ def _read_steering(
     return _Steering(np.array(times, np.int64)[order], np.array(values, np.float64)[order])
 
 
-def _rows(files: list[_File], topic: str, steering: _Steering, bar: str, skipped: Skipped) -> Iterator[_Row]:
+def _rows(
+    files: list[_File], topic: str, steering: _Steering, bar: str, skipped: Skipped
+) -> Iterator[ImportedRow]:
     """The pictures that can be used, one at a time in the order of the files."""
     for time_ns, name, message in _decoded(files, topic, bar, skipped):
         at = int(np.searchsorted(steering.time_ns, time_ns, "right")) - 1
@@ -255,8 +242,9 @@ def _rows(files: list[_File], topic: str, steering: _Steering, bar: str, skipped
             continue
         value = float(steering.value[at])
         if abs(value) > 1:
-            skipped.add(_OUT_OF_RANGE, f"{name}: {value:g}")
-        yield _Row(time_ns, value, picture)
+            skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {value:g}")
+        state = VehicleState(steering=value, throttle=0.0, brake=0.0, speed_mph=math.nan)
+        yield ImportedRow(time_ns, state, {"center": picture})
 
 
 def _decoded(files: list[_File], topic: str, bar: str, skipped: Skipped) -> Iterator[tuple[int, str, object]]:

@@ -59,7 +59,7 @@ def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
     """A run that was trained on two sessions, lake and hurt, of which the second is damaged now."""
     logs = [
         record_simulated(SimulatedDrive(track=track, laps=laps), folder / "sessions" / f"{name}.mcap").path
-        for name, track, laps in (("lake", "lake", 0.01), ("hurt", "mountain", 0.005))
+        for name, track, laps in (("lake", "lake", 0.005), ("hurt", "mountain", 0.002))
     ]
     build_index(logs, folder / "index", SETTINGS)
     config = TrainConfig(network="small", epochs=1, batch=32)
@@ -155,7 +155,7 @@ def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
     aggregated: Aggregated, tmp_path: Path
 ) -> None:
     shutil.copy(aggregated.folder / "sessions" / "hurt.mcap", tmp_path)
-    record_simulated(SimulatedDrive(track="mountain", laps=0.01), tmp_path / "lake.mcap")
+    record_simulated(SimulatedDrive(track="mountain", laps=0.002), tmp_path / "lake.mcap")
     with pytest.raises(DriveError, match=r"lake\.mcap: changed since .*first was trained on it"):
         aggregation(aggregated, "first", tmp_path)
 

@@ -30,7 +30,7 @@ from simulator.cli import main as sim_main
 from simulator.roads.track import load_track
 from udacity import call
 
-DRIVE = SimulatedDrive(track="lake", laps=0.02, seed=5)
+DRIVE = SimulatedDrive(track="lake", laps=0.01, seed=5)
 CAMERAS = ("/camera/center", "/camera/left", "/camera/right")
 
 
@@ -96,7 +96,7 @@ def test_nothing_is_recorded_past_the_share_of_the_lap(recorded: Imported) -> No
 def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(recorded: Imported, tmp_path: Path) -> None:
     again = record_simulated(DRIVE, tmp_path / "again.mcap")
     assert again.path.read_bytes() == recorded.path.read_bytes()
-    other = record_simulated(SimulatedDrive(track="lake", laps=0.005, seed=6), tmp_path / "other.mcap")
+    other = record_simulated(SimulatedDrive(track="lake", laps=0.002, seed=6), tmp_path / "other.mcap")
     assert messages(other.path, "/vehicle") != messages(recorded.path, "/vehicle")[: other.rows]
 
 
@@ -230,9 +230,9 @@ def pilot_run(folder: Path) -> Path:
 
 def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp_path: Path) -> None:
     """One here, one as a user calls it."""
-    drives = [(BuiltInSimulator("lake", 0.005), DriveConfig())]
+    drives = [(BuiltInSimulator("lake", 0.002), DriveConfig())]
     with Child(
-        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.005, "--logs", tmp_path / "b", "--json")
+        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.002, "--logs", tmp_path / "b", "--json")
     ) as child:
         (here,) = evaluate(load_pilot(pilot_run), drives, tmp_path / "a")
         assert child.join() == 0, child.stderr
@@ -240,7 +240,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     there = json.loads(line)
     assert here.as_dict() == {**there, "log": str(here.log)}
     assert len(there["trajectory_sha256"]) == 64
-    assert 0.005 <= there["laps"] < 0.007
+    assert 0.002 <= there["laps"] < 0.004
     assert {"track", "set_speed_mph", "interventions", "autonomy_percent", "mean_offset", "max_offset"} <= set(
         there
     )
@@ -285,7 +285,7 @@ def test_an_evaluation_of_nothing_is_one_line(
 
 def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    done = run("bc-drive", pilot_run, "--log", log, "--simulator", "lake", "--laps", 0.005)
+    done = run("bc-drive", pilot_run, "--log", log, "--simulator", "lake", "--laps", 0.002)
     assert done.returncode == 0, done.stderr
     logged, driven, *rest = done.stdout.splitlines()
     assert logged.startswith(f"{log}: ")

@@ -105,7 +105,7 @@ def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     untrained_run(tmp_path / "runs" / "untrained", seed=1)
-    flags = ("--simulator", "lake", "--laps", 0.005)
+    flags = ("--simulator", "lake", "--laps", 0.002)
     assert call(main, "--compare", "untrained", "untrained", *flags, "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["verdict"] == "not told apart"

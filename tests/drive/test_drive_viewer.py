@@ -79,7 +79,7 @@ def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
 ) -> None:
     log = tmp_path / "run.mcap"
     line = command_with_viewer(STAND_IN, "bc-drive", pilot_run, "--log", log, "--port", 0, *viewer)
-    with Process(line) as process:
+    with Process(line, loads_pytorch=True) as process:
         if not viewer:
             assert process.wait_for(r"^stand-in (\S+) --follow$")[1].startswith(f"{log}.")
         drive(process)
@@ -93,7 +93,8 @@ def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
 @pytest.mark.skipif(sys.platform == "win32", reason="no log is shown there while it grows")
 def test_a_viewer_that_cannot_be_shown_costs_a_line_and_no_answer(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    with Process(command_with_viewer(FAILING, "bc-drive", pilot_run, "--log", log, "--port", 0)) as process:
+    line = command_with_viewer(FAILING, "bc-drive", pilot_run, "--log", log, "--port", 0)
+    with Process(line, loads_pytorch=True) as process:
         process.wait_for("^viewer: no graphics$")
         drive(process)
         assert process.end(signal.SIGINT) == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import re
 import signal
@@ -11,6 +10,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 import torch
 
-from dataset.prediction_targets import STEERING_ONLY, TargetName
+from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from drive.cli import main as drive_main
 from forked import Forked, ForkServer
-from model.network.original import SteeringNetwork
+from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
 from udacity import call
@@ -109,7 +109,6 @@ def call_drive(*arguments: object) -> int:
     finally:
         sys.setswitchinterval(switch_s)
         torch.set_num_threads(threads)
-        gc.unfreeze()  # else nothing of what is loaded is collected at the end, and DuckDB lists it as leaked
 
 
 def one_line_of(done: subprocess.CompletedProcess[str]) -> str:
@@ -143,15 +142,24 @@ def road_jpeg(number: int) -> bytes:
     return encoded.tobytes()
 
 
-def untrained_run(folder: Path, seed: int = 0, targets: Sequence[TargetName] = STEERING_ONLY) -> Path:
-    """A run whose network was never trained, but steers differently for every picture."""
+def untrained_run(
+    folder: Path, seed: int = 0, targets: Sequence[TargetName] = STEERING_ONLY, network: str = "small"
+) -> Path:
+    """A run whose network was never trained, but steers differently for every picture. Of the speed, it always
+    says 10 mph: else the car might stand still."""
     torch.manual_seed(seed)
-    network = SteeringNetwork(outputs=len(targets))
-    for parameter in network.parameters():
+    choice = replace(built_in(network, {}), outputs=len(targets))
+    made = choice.build()
+    for parameter in made.parameters():
         if parameter.dim() > 1:
             torch.nn.init.kaiming_uniform_(parameter, nonlinearity="relu")
-    create_run(folder, {"seed": seed, "targets": targets})
-    save_weights(folder, network.state_dict(), epoch=0)
+    if "speed" in targets:
+        *_, weight, bias = made.parameters()
+        with torch.no_grad():
+            weight[targets.index("speed")], bias[targets.index("speed")] = 0, 10 / TARGETS["speed"].per_unit
+    config = {"seed": seed, "targets": targets, "network": choice.description}
+    create_run(folder, config, choice.picture)
+    save_weights(folder, made.state_dict(), epoch=0)
     return folder
 
 

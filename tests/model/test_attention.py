@@ -80,7 +80,7 @@ def crops(numbers: list[int]) -> NDArray[np.uint8]:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return untrained_run(tmp_path_factory.mktemp("runs") / "some run")
+    return untrained_run(tmp_path_factory.mktemp("runs") / "some run", network="original")
 
 
 def test_the_steering_is_what_the_network_says_and_each_picture_has_a_map_of_its_own(run: Path) -> None:

@@ -51,7 +51,7 @@ def test_runs_stand_beside_one_another(
     header, row = (line.split() for line in capsys.readouterr().out.splitlines()[-2:])
     assert header == ["run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"]
     # RMSE 2 of the mean's 4; epoch_line tells no balanced RMSE of the mean, as earlier versions did
-    assert row[:8] == ["first", "original", "2", "people", "1/2", "0.50", "-", "0.17"]
+    assert row[:8] == ["first", "small", "2", "people", "1/2", "0.50", "-", "0.17"]
     assert " ".join(row[8:]) == "10 mph: lake 2"
 
 

@@ -23,6 +23,7 @@ from model.cli import main
 from model.evaluation.evaluate import evaluate_runs
 from model.evaluation.predict import as_input
 from model.network.choice import choose_network
+from model.network.original import SteeringNetwork
 from model.network.visual_backprop import predict_with_attention
 from model.runs.run_folder import load_answer_scale, load_network
 from toy import TINY, road, toy_index
@@ -83,6 +84,17 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(run: Path, index: Pa
         ours, theirs = load_file(run / file), load_file(at_once / file)
         assert ours.keys() == theirs.keys()
         assert all((ours[name] == theirs[name]).all() for name in ours)
+
+
+@pytest.mark.parametrize("stored", [{}, {"network": "bojarski2016-modified"}], ids=["nothing", "a name"])
+def test_a_run_of_before_there_was_a_choice_has_the_original_network(
+    stored: dict[str, str], tmp_path: Path
+) -> None:
+    run = untrained_run(tmp_path / "run", network="original")
+    config = json.loads((run / "config.json").read_text())
+    del config["network"]
+    (run / "config.json").write_text(json.dumps({**config, **stored}))
+    assert isinstance(load_network(run), SteeringNetwork)
 
 
 def test_its_config_says_which_network_and_what_it_sees(run: Path) -> None:
@@ -151,7 +163,7 @@ def test_it_is_exported(run: Path, tmp_path: Path) -> None:
 
 
 def test_networks_that_see_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:
-    original = untrained_run(tmp_path / "original")
+    original = untrained_run(tmp_path / "original", network="original")
     small = train(index, tmp_path / "small", replace(settings("small"), epochs=1), figures=False).run
     together = evaluate_runs([original, small], index)
     for run, found in zip((original, small), together, strict=True):
@@ -170,7 +182,7 @@ def test_networks_that_see_different_pictures_are_measured_on_the_same_frames(in
 
 
 def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: Path, tmp_path: Path) -> None:
-    original = untrained_run(tmp_path / "original")
+    original = untrained_run(tmp_path / "original", network="original")
     with pytest.raises(RunError, match=r"its network is original, and small cannot .* give --network original"):
         train(index, tmp_path / "run", settings("small"), init=original)
     red = replace(TINY, channels="RGB")

@@ -33,7 +33,7 @@ HIDDEN = f"import sys; sys.modules.update(dict.fromkeys({['torch', 'onnx', *OURS
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return untrained_run(tmp_path_factory.mktemp("runs") / "first")
+    return untrained_run(tmp_path_factory.mktemp("runs") / "first", network="original")
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from model.runs.run_folder import load_network
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return untrained_run(tmp_path_factory.mktemp("runs") / "untrained", seed=3)
+    return untrained_run(tmp_path_factory.mktemp("runs") / "untrained", seed=3, network="original")
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,8 @@ import sys
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires
 from pathlib import Path
 
+import pytest
+
 from dataset import IndexConfig, build_index
 from driving import PATIENCE_S, environment, road_jpeg
 from logs import write_log
@@ -42,11 +44,12 @@ import numpy as np
 from dataset import Samples, SamplesDataset, load
 from model import TrainConfig, load_pilot, train
 
-index, run, other_index = map(Path, sys.argv[1:])
-config = TrainConfig(epochs=1, batch=16, threads=1)
+index, run, other_index = map(Path, sys.argv[2:])
+config = TrainConfig(network=sys.argv[1], epochs=1, batch=16, threads=1)
 train(index, run, config)
 print(*train(other_index, run.with_name("tuned"), config, init=run).notices)
-assert -2 < load_pilot(run).predict(np.zeros((128, 128, 3), np.uint8)) < 2
+pilot = load_pilot(run)
+assert -2 < pilot.predict(np.zeros(pilot.picture.shape, np.uint8)) < 2
 with load(index, batch=16) as loader:
     first = next(loader.epoch(1))
     print(len(loader), first.pictures.shape, len(SamplesDataset(index)))
@@ -71,7 +74,8 @@ def installed_with(names: tuple[str, ...]) -> set[str]:
     return found
 
 
-def test_training_runs_where_nothing_else_is_installed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("network", ["small", pytest.param("original", marks=pytest.mark.long)])
+def test_training_runs_where_nothing_else_is_installed(network: str, tmp_path: Path) -> None:
     steering = [(row % 21 - 10) / 10 for row in range(60)]
     log = write_log(tmp_path / "road.mcap", steering, lambda camera, row: road_jpeg(row), cameras=["center"])
     index = build_index([log], tmp_path / "index", IndexConfig(block_s=1.0, gap_s=0.1)).path
@@ -90,7 +94,7 @@ def test_training_runs_where_nothing_else_is_installed(tmp_path: Path) -> None:
     }
     assert must_be_missing <= set(refused)
     done = subprocess.run(
-        [sys.executable, "-c", TRAINING, str(index), str(tmp_path / "run"), str(split_otherwise)],
+        [sys.executable, "-c", TRAINING, network, str(index), str(tmp_path / "run"), str(split_otherwise)],
         input=json.dumps(refused),
         env=environment(),
         capture_output=True,

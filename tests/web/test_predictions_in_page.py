@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -36,14 +37,15 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield found
 
 
-def constant_run(folder: Path, **changed: Any) -> None:
+def constant_run(folder: Path, first_layers: float = 0) -> None:
+    """A run that answers the same to every picture; its convolutions have weights of `first_layers` all over."""
     choice = built_in("small", {})
     network = choice.build()
     with torch.no_grad():
         for weights in network.parameters():
-            weights.zero_()
+            weights.fill_(first_layers if weights.dim() == 4 else 0.0)
         list(network.parameters())[-1].fill_(ANSWER)
-    create_run(folder, {"network": choice.description, **changed}, choice.picture)
+    create_run(folder, {"network": choice.description}, choice.picture)
     save_weights(folder, network.state_dict(), 1)
 
 
@@ -73,12 +75,39 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(bench: Served
         wait_until(lambda: page.get_attribute("#curves", "aria-valuenow") == str(worst))
         assert "predicted 0.26" in page.inner_text("#now")
         assert page.locator("#curves .key .predicted").count() == 1
+        page.keyboard.press("a")  # where it looks at the picture of this row
+        page.wait_for_selector(f"figure[data-attention*='/constant/{worst}?'] .attention")
+        page.keyboard.press("a")
+        page.wait_for_selector(".attention", state="hidden")
         # kept: a page that names the run has it at once, and the project's own folders have nothing new
         page.goto(f"{bench.address}/sessions/toy#run=constant")
         page.reload()
         page.wait_for_selector("#session[data-run=constant]")
     assert sorted(path.name for path in (bench.folder / "sessions").iterdir()) == ["blind.mcap", "toy.mcap"]
     assert len(list((bench.folder / "cache").rglob("predictions/*.npz"))) == 1
+
+
+def test_where_a_network_looks_lies_over_what_it_sees(bench: Served) -> None:
+    """One whose layers answer brightness looks at the white post, wherever that is."""
+    run = bench.folder / "runs" / "bright"
+    constant_run(run, first_layers=0.01)
+    for row in (4, 14):  # one to the right, one to the left
+        answer = bench.get(f"/sessions/toy/attention/bright/{row}")
+        assert answer.headers["content-type"] == "image/png"
+        shown = cv2.imdecode(np.frombuffer(answer.body, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert shown is not None
+        assert shown.shape == (160, 320, 4)
+        alpha = shown[..., 3].astype(float)
+        assert alpha[:50].min() == alpha[140:].max() > 100  # dark: cut off before the network sees it
+        assert not shown[:50, :, :3].any()
+        looks = alpha[50:140].sum(0)
+        assert np.average(np.arange(320), weights=looks) == pytest.approx(160 + 140 * STEERING[row], abs=15)
+    blank = bench.get("/sessions/toy/attention/constant/4").body  # nothing stands out for it
+    shown = cv2.imdecode(np.frombuffer(blank, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert shown is not None
+    assert not shown[50:140, :, 3].any()
+    assert bench.get("/sessions/toy/attention/constant/99").status == 404
+    assert bench.get("/sessions/toy/attention/none/4").status == 404
 
 
 def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
@@ -101,6 +130,7 @@ def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
     own = problem("own")
     assert "code of your own" in own
     assert "--network" in own
+    assert "code of your own" in bench.get("/sessions/toy/attention/own/4").json["error"]
     assert not ran.exists()
     assert "weights after its first epoch" in problem("young")
     assert "no picture of the centre camera" in problem("constant", "blind")

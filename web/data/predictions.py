@@ -25,10 +25,10 @@ from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from web.data.file_versions import version_of
 from web.data.project_folders import RUN_CONFIG
+from web.data.run_networks import WEIGHTS
 from web.errors import WebError
 
 _FORMAT: Final = 1  # of the files that are kept
-_WEIGHTS: Final = "model.safetensors"  # `model.runs.run_folder.WEIGHTS`, without PyTorch
 _ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
 _START: Final = (
     "import sys; sys.path.append(sys.argv.pop(1)); from web.data.prediction_process import main; main()"
@@ -108,7 +108,7 @@ class Predictions:
 
     def key(self, log_fingerprint: str, run: Path) -> str:
         """The name that this prediction has here. Raises WebError for a run without weights."""
-        files = [run / _WEIGHTS, run / RUN_CONFIG]
+        files = [run / WEIGHTS, run / RUN_CONFIG]
         version = version_of(*files)
         known = self._fingerprints.get(run)
         if known is None or known[0] != version:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import Final
 
 from web.errors import WebError
+
+WEIGHTS: Final = "model.safetensors"  # `model.runs.run_folder.WEIGHTS`, without PyTorch
 
 
 def check_network(run: Path, log: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from web.data.attention import Attention
 from web.data.cache_folder import CacheFolder
 from web.data.drive_view import DriveViews
 from web.data.index_trials import IndexTrials
@@ -34,3 +35,4 @@ class Workbench:
     trials: IndexTrials
     viewers: RerunViewers
     predictions: Predictions
+    attention: Attention

@@ -1,6 +1,7 @@
 // The page of a session: what the mouse and the keys do to its curves, pictures and tags.
 
 import { say } from "../live.js";
+import { Attention } from "./attention.js";
 import { clock } from "./clock.js";
 import { Curves } from "./curves.js";
 import { History } from "./history.js";
@@ -25,6 +26,7 @@ const done = new History(data);
 const makers = new Makers(by("make"), data);
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: say });
 const predictions = new Predictions(data, { onChange: showPredicted });
+const attention = new Attention(document.querySelector("figure[data-camera=center]"), data, { onChange: showAttention });
 let groups = [];
 let toDo = [];
 let selection = null;
@@ -39,6 +41,7 @@ function move(position) {
   if (!data.length) return;
   curves.point(position);
   pictures.show(curves.position);
+  attention.show(curves.position);
   rerun.moveTo(curves.position);
   const at = curves.position;
   const { row, time_s, steering, throttle, brake, speed_mph, predicted } = data.columns;
@@ -149,12 +152,24 @@ function setSpeed(speed) {
 function showPredicted() {
   by("predicted").textContent = predictions.told;
   by("predicted").className = predictions.problem ? "problem" : "dim";
+  attention.use(predictions.run);
+  by("attention").disabled = !predictions.run;
   by("worst-next").disabled = !predictions.worst.length;
   by("worst-part").hidden = !predictions.about;
   listWorst(by("worst"), predictions.worst, goToMoment);
   curves.build();
   move(curves.position);
   page.dataset.run = predictions.about ? predictions.run : ""; // what is shown now, for whoever waits for it
+}
+
+function showAttention(why) {
+  by("attention").setAttribute("aria-pressed", attention.isOn);
+  if (why) say(why);
+}
+
+function toggleAttention() {
+  if (predictions.run) attention.toggle();
+  else say("choose a run first, whose network looks at this picture");
 }
 
 function goToMoment(moment) {
@@ -245,6 +260,7 @@ by("run").addEventListener("change", () => {
   predictions.choose(by("run").value);
   by("run").blur(); // its keys are the page's again
 });
+by("attention").addEventListener("click", toggleAttention);
 by("worst-next").addEventListener("click", () => goToWorst(1));
 by("rerun-button").addEventListener("click", toggleRerun);
 by("rerun-close").addEventListener("click", toggleRerun);
@@ -306,6 +322,7 @@ listen({
   "-": () => curves.zoom(2),
   0: () => curves.show(0, data.length - 1),
   o: toggleRerun,
+  a: toggleAttention,
   w: () => goToWorst(1),
   W: () => goToWorst(-1),
   "?": toggleHelp,

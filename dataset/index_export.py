@@ -1,0 +1,63 @@
+"""What an index uses of its logs, as a LeRobot dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from common import UserError
+from dataset.errors import DatasetError
+from dataset.frames.frames_file import read_frames
+from dataset.index.build_state import FRAMES_FOLDER
+from dataset.samples.filter import Condition
+from dataset.samples.frame_choice import choose_frames
+from dataset.samples.samples_format import SessionLabels
+from dataset.samples.samples_reader import Samples
+from recorder.lerobot.export import Exported, export_lerobot
+from recorder.lerobot.log_episodes import ChosenRows
+
+
+def export_index(index: Path, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
+    """Write the rows that `index` uses as the new LeRobot dataset `folder`, and which side of the split each is on
+    (`split`).
+
+    These are the rows of which a frame is for training or validation before anything is balanced: those that its
+    settings, tags and flags leave in; and of these, those of which a frame fulfils `where`. Steering is as it was
+    driven, whatever is learnt of it. `options` are those of `export_lerobot`.
+
+    Raises DatasetError if there is no index, if it does not fit its logs, or for a condition that is none;
+    LogError if nothing can be exported, UserError if `folder` exists or cannot be written.
+    """
+    with Samples(index) as samples:
+        chosen = _chosen_rows(index, samples, where)
+        logs = {session: log.path for session, log in samples.logs.items() if len(chosen[session].row)}
+        if not logs:
+            raise UserError(f"{index}: no row is used{'' if where is None else f' and fulfils --where {where!r}'}")
+        cameras = samples.settings.cameras
+    by_path = {path: chosen[session] for session, path in logs.items()}
+    return export_lerobot(list(by_path), folder, chosen=by_path, cameras=cameras, **options)
+
+
+def _chosen_rows(index: Path, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
+    """By session."""
+    config = samples.settings
+    condition = None if config.where is None else Condition(config.where)
+    further = None if where is None else Condition(where)
+    chosen: dict[str, ChosenRows] = {}
+    for session in samples.sources:
+        try:
+            plan = msgspec.convert(samples.metadata["labels"][session], SessionLabels).plan
+        except (KeyError, TypeError, msgspec.ValidationError):
+            raise DatasetError(
+                f"{samples.path}: does not say how {session} was learnt; run `bc-index` again"
+            ) from None
+        frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet")
+        choice = choose_frames(frames, config, plan, condition)
+        is_used = choice.is_chosen if further is None else choice.is_chosen & further.holds(frames)
+        row, first = np.unique(frames["row"].to_numpy()[is_used], return_index=True)
+        chosen[session] = ChosenRows(row, np.where(choice.is_training[is_used][first], "train", "validation"))
+    return chosen

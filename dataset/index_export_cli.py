@@ -1,0 +1,60 @@
+"""`bc-index export`: what an index uses of its logs, in the format of another toolkit."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from common.command import run_command, usage_errors
+from dataset.errors import DatasetError
+from recorder.log_export_cli import print_exported, refuse_no_text
+
+
+@dataclass(frozen=True)
+class ExportIndex:
+    """Write what the index uses of its logs as a LeRobot dataset (v3.0): without what its settings, tags and
+    --where leave out, with the side of the split that each row is on."""
+
+    lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """The new folder of the dataset."""
+    index: Path = Path("index")
+    """The index."""
+    where: str | None = None
+    """Only rows that fulfil this condition, too: SQL on the index's columns."""
+    task: str = "Drive along the road."
+    """What was done, in words: LeRobot gives it to networks that read."""
+    license: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Licence of the recordings, as Hugging Face names it (cc-by-4.0); without one, the card says to ask you."""
+    video: bool = False
+    """Encode the pictures anew, as videos: a third smaller, and no longer the original pictures. Needs PyAV."""
+
+
+def export(config: ExportIndex) -> int:
+    from dataset.frames.frames_file import FRAMES_SCHEMA
+    from dataset.index_export import export_index
+    from dataset.samples.filter import Condition
+
+    refuse_no_text(("--task", config.task), ("--license", config.license))
+    if config.where is not None:
+        condition = Condition(config.where)
+        with usage_errors(DatasetError):
+            condition.check(FRAMES_SCHEMA.empty_table())
+    done = export_index(
+        config.index,
+        config.lerobot,
+        where=config.where,
+        task=config.task,
+        licence=config.license,
+        is_video=config.video,
+    )
+    return print_exported(done, has_licence=config.license is not None, is_video=config.video)
+
+
+def main() -> None:
+    """Run `bc-index export`: `sys.argv` begins with the first argument, `export`."""
+    del sys.argv[1]
+    run_command("bc-index export", ExportIndex, export)

@@ -1,0 +1,63 @@
+"""Which frames of a session an index uses: those with a label, that nothing leaves out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from common.car import CAMERAS
+from dataset.config import IndexConfig
+from dataset.frames.drivers import DRIVERS, is_taken
+from dataset.frames.frame_flags import is_excluded, is_unusable
+from dataset.frames.frames_file import SPLITS, codes
+from dataset.samples.filter import Condition
+from dataset.samples.labels import planned_labels
+from dataset.samples.samples_format import SessionCounts
+from recorder.log.label_plan import LabelPlan
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """The choice among a session's frames, before anything is balanced; arrays of one length."""
+
+    is_chosen: NDArray[np.bool_]
+    is_training: NDArray[np.bool_]
+    """Else, if it is chosen, for validation."""
+    steering: NDArray[np.float64]
+    """To be learnt for the centre camera."""
+    counts: SessionCounts
+
+
+def choose_frames(
+    frames: pa.Table, config: IndexConfig, plan: LabelPlan, condition: Condition | None
+) -> FrameChoice:
+    """`condition` is that of `config.where`. Raises DatasetError if it is none on the columns of `frames`."""
+    split = codes(frames["split"], SPLITS)
+    is_bad = is_unusable(frames)
+    is_tagged = is_excluded(frames)
+    camera = codes(frames["camera"], CAMERAS)
+    is_asked_for = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
+    if condition is not None:
+        is_asked_for &= condition.holds(frames)
+    is_wanted = is_asked_for & is_taken(codes(frames["driver"], DRIVERS), config.drives)
+    steering, is_crashed = planned_labels(frames, plan)
+    usable = is_wanted & ~is_bad & ~is_tagged
+    has_label = ~np.isnan(steering)
+    is_left_out = is_crashed & (split == 0)
+    chosen = usable & has_label & (split != 2) & ~is_left_out
+    counts = SessionCounts(
+        frames=len(frames),
+        training=int((chosen & (split == 0)).sum()),
+        validation=int((chosen & (split == 1)).sum()),
+        gap=int((usable & (split == 2)).sum()),
+        excluded=int((is_wanted & is_tagged).sum()),
+        unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
+        unlabelled=int((usable & ~has_label & (split != 2) & ~is_left_out).sum()),
+        not_asked_for=int((~is_asked_for).sum()),
+        crashed=int((usable & is_left_out).sum()),
+        not_taken_over=int((is_asked_for & ~is_wanted).sum()),
+    )
+    return FrameChoice(chosen, split == 0, steering, counts)

@@ -1,0 +1,28 @@
+"""Where a run's network looks in the centre camera's picture of a row."""
+
+from __future__ import annotations
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from recorder import LogError
+from web.data.project_folders import Place
+from web.errors import WebError
+from web.pages.workbench import Workbench
+
+
+def attention_routes(bench: Workbench, place: Place) -> list[Route]:
+    def overlay(request: Request) -> Response:
+        path = bench.folders.log(place, request.path_params["log"])
+        run = bench.folders.run(request.path_params["run"])
+        with bench.logs.open(path) as opened:
+            if request.query_params.get("v", opened.version) != opened.version:
+                raise WebError("the log has changed since this page was opened: reload it", 409)
+            try:
+                encoded = opened.log.picture(int(request.path_params["row"]), "center")
+            except LogError as error:
+                raise WebError(str(error), 404) from None
+        return Response(bench.attention.overlay(run, path, encoded), media_type="image/png")
+
+    return [Route(f"/{place}/{{log}}/attention/{{run}}/{{row:int}}", overlay)]
