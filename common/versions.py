@@ -1,14 +1,19 @@
-"""Versions of installed packages."""
+"""The version of this toolkit, and those of installed packages."""
 
 from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError, version
+from typing import Final
 
-TOOLKIT = "behavioural-cloning-toolkit"
+TOOLKIT: Final = "behavioural-cloning-toolkit"
+VERSION: Final = "0.2.0"
+"""Of the toolkit: the only place where it stands. pyproject.toml and all commands take it from here."""
 
 
 def version_of(package: str = TOOLKIT) -> str:
-    """The version of an installed package; "unknown" where it is not installed, as our own may be."""
+    """The version of this toolkit, or of an installed package; "unknown" where that is not installed."""
+    if package == TOOLKIT:
+        return VERSION
     try:
         return version(package)
     except PackageNotFoundError:
