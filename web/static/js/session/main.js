@@ -209,6 +209,7 @@ function showTags() {
     onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
   });
   curves.mark({});
+  by("look").hidden = data.state.looked || !data.state.cameras.length;
   page.dataset.tags = data.tags.length; // what is shown now, for whoever waits for it
 }
 
@@ -217,7 +218,6 @@ data.addEventListener("rows", () => {
   predictions.forget(); // of the log as it was
   player.useRows();
   pictures.useCameras();
-  by("look").hidden = data.state.looked || !data.state.cameras.length;
   curves.odd = groups;
   curves.build();
   makers.select(selection && data.rowsOf(selection));
