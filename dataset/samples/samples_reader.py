@@ -264,7 +264,7 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
 
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
-    allow_open_files(len(sources))
+    allow_open_files(2 * len(sources))  # what is kept of a log in a store is a file, too
     places = {session: log_place(source.path, index) for session, source in sources.items()}
     logs: dict[str, Log] = {}
     try:

@@ -1,12 +1,12 @@
 """Chunks of logs in stores, kept on this machine's disk: what was fetched once is read as from a disk.
 
-A file a chunk, CHUNKS/FINGERPRINT/OFFSET, byte for byte as in the log. The fingerprint is the log file's, so that
-a log which is replaced, or lies at two places, is never confused. Any number of processes share the folder without
-a word between them: a file appears whole, and may vanish at any moment. Nothing in it is believed: the CRC of a
-chunk is compared when it comes, and again when a process first reads it from the disk.
+A file a log, named after its fingerprint, with each chunk where it lies in the log; what was not fetched is a
+hole, which takes no room. Any number of processes share it without a word between them: nothing in it is believed
+before its CRC holds, so whatever is not there, half-written, or damaged is fetched.
 
-BC_CACHE names another folder than that of the system, BC_CACHE_GB how much it may hold (100). The oldest chunks,
-by their last use, make room for new ones; a gigabyte of the disk always stays free.
+BC_CACHE names another folder than that of the system, BC_CACHE_GB how much it may hold (100). Where that is full,
+the logs that were not used for longest go; if there are none but those in use, what comes is not kept: to keep a
+part is better than to replace all of it in each epoch. A gigabyte of the disk always stays free.
 """
 
 from __future__ import annotations
@@ -14,128 +14,131 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import secrets
 import shutil
 import sys
 import threading
 from pathlib import Path
 from typing import Final
 
+from common.closeable import Closeable
 from common.errors import UsageError
 
 _DEFAULT_GB: Final = 100.0
 _STAYS_FREE: Final = 10**9  # bytes of the disk
 _LOOK_EVERY: Final = 50  # looked through after a fiftieth of what it may hold was added
 _MOST_BETWEEN: Final = 1 << 30
-_FULL: Final = 0.9  # of what it may hold is left when room is made
+_BLOCK_BYTES: Final = 512  # that a file's status counts in
 
 _LOG: Final = logging.getLogger(__name__)
 
 
 class ChunkCache:
-    """A folder of chunks. May be used from any thread."""
+    """A folder of parts of logs. May be used from any thread."""
 
     def __init__(self, folder: Path, most_bytes: int) -> None:
         self.folder = folder
         self.most_bytes = most_bytes
+        self._in_use: set[str] = set()
         self._lock = threading.Lock()
-        self._added = most_bytes  # looked through before the first one is kept
-        self._is_off = False
+        self._added = most_bytes  # looked through before the first chunk is kept
+        self._is_full = False
+        self._is_told = False
 
-    def path(self, fingerprint: str, start: int) -> Path:
-        return self.folder / fingerprint[:32] / str(start)
-
-    def read(self, fingerprint: str, start: int, offset: int, length: int) -> bytes | None:
-        """`length` bytes of a chunk from `offset`; None if it is not here (any more)."""
+    def open(self, fingerprint: str) -> CachedLog | None:
+        """What is kept of a log; None, and that is said, where nothing can be."""
+        path = self.folder / f"{fingerprint[:32]}.part-of-log"
+        self._in_use.add(path.name)
         try:
-            descriptor = os.open(self.path(fingerprint, start), os.O_RDONLY | getattr(os, "O_BINARY", 0))
-        except OSError:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+            descriptor = os.open(path, flags, 0o600)
+            os.utime(path)
+        except OSError as error:
+            self.tell(f"cannot be written ({error.strerror})")
             return None
-        try:
-            if sys.platform == "win32":  # no pread there
-                os.lseek(descriptor, offset, os.SEEK_SET)
-                data = os.read(descriptor, length)
-            else:
-                data = os.pread(descriptor, length, offset)
-        except OSError:
-            return None
-        finally:
-            os.close(descriptor)
-        return data if len(data) == length else None
+        return CachedLog(self, descriptor)
 
-    def has(self, fingerprint: str, start: int, length: int) -> bool:
-        """True if a chunk is here, as far as its length tells."""
-        try:
-            return self.path(fingerprint, start).stat().st_size == length
-        except OSError:
-            return False
-
-    def note_use(self, fingerprint: str, start: int) -> None:
-        with contextlib.suppress(OSError):
-            os.utime(self.path(fingerprint, start))
-
-    def keep(self, fingerprint: str, start: int, record: bytes) -> bool:
-        """Keep a chunk; False if there is no room for it, or it cannot be written."""
+    def has_room(self, size: int) -> bool:
+        """True if so many bytes more may be kept."""
         with self._lock:
-            self._added += len(record)
+            self._added += size
             if self._added >= min(self.most_bytes // _LOOK_EVERY, _MOST_BETWEEN):
                 self._added = 0
-                self._make_room()
-            if self._is_off:
-                return False
-        path = self.path(fingerprint, start)
-        part = path.with_name(f"{start}.{secrets.token_hex(3)}.part")
-        try:
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            part.write_bytes(record)
-            part.replace(path)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink()
-            self._turn_off(f"cannot be written ({error.strerror})")
-            return False
-        return True
+                self._make_room(size)
+            return not self._is_full
 
-    def drop(self, fingerprint: str, start: int) -> None:
-        with contextlib.suppress(OSError):
-            self.path(fingerprint, start).unlink()
-
-    def _make_room(self) -> None:
-        """Remove the oldest chunks until all of them are no more than they may be."""
-        found: list[tuple[float, int, str]] = []
-        with contextlib.suppress(OSError):
-            for folder in os.scandir(self.folder):
-                with contextlib.suppress(OSError), os.scandir(folder.path) as files:
-                    for file in files:
-                        with contextlib.suppress(OSError):
-                            status = file.stat()
-                            found.append((status.st_mtime, status.st_size, file.path))
-        held = sum(size for _, size, _ in found)
-        most = self.most_bytes
-        with contextlib.suppress(OSError):
-            above = next(each for each in (self.folder, *self.folder.parents) if each.exists())
-            most = min(most, held + shutil.disk_usage(above).free - _STAYS_FREE)
-        if held > most:
-            for _, size, path in sorted(found):
-                with contextlib.suppress(OSError):
-                    Path(path).unlink()
-                held -= size
-                if held <= _FULL * most:
-                    break
-        if most <= 0:
-            self._turn_off("lies on a full disk")
-        else:
-            self._is_off = False
-
-    def _turn_off(self, why: str) -> None:
-        if not self._is_off:
-            self._is_off = True
+    def tell(self, why: str) -> None:
+        """Say, once, why something is not kept."""
+        if not self._is_told:
+            self._is_told = True
             _LOG.warning(
-                "%s: the cache of what was read from the store %s; it is read anew each time it is needed"
-                " (BC_CACHE names another folder)",
+                "%s: the cache of what was read from the store %s: some of it is read again each time"
+                " (BC_CACHE names another folder, BC_CACHE_GB how much it may hold)",
                 self.folder,
                 why,
             )
+
+    def _make_room(self, size: int) -> None:
+        """Remove the logs that were not used for longest, but those in use here, until all may be kept."""
+        found: list[tuple[float, int, Path]] = []
+        with contextlib.suppress(OSError):
+            for path in self.folder.iterdir():
+                with contextlib.suppress(OSError):
+                    status = path.stat()
+                    blocks = getattr(status, "st_blocks", None)  # Windows has none, and no holes
+                    held = status.st_size if blocks is None else blocks * _BLOCK_BYTES
+                    found.append((status.st_mtime, held, path))
+        held = sum(each for _, each, _ in found) + size
+        most = self.most_bytes
+        with contextlib.suppress(OSError):
+            most = min(most, held - size + shutil.disk_usage(self.folder).free - _STAYS_FREE)
+        for _, freed, path in sorted(found):
+            if held <= most:
+                break
+            if path.name not in self._in_use:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                    held -= freed
+        self._is_full = held > most
+        if self._is_full:
+            self.tell("is full")
+
+
+class CachedLog(Closeable):
+    """What is kept of one log, by the places that it has there. May be used from any thread."""
+
+    def __init__(self, cache: ChunkCache, descriptor: int) -> None:
+        self._cache = cache
+        self._descriptor = descriptor
+        self._lock = threading.Lock()
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+    def read(self, offset: int, length: int) -> bytes:
+        """These bytes, if they are here; zeros, or fewer, if not."""
+        try:
+            if sys.platform == "win32":  # no pread there
+                with self._lock:
+                    os.lseek(self._descriptor, offset, os.SEEK_SET)
+                    return os.read(self._descriptor, length)
+            return os.pread(self._descriptor, length, offset)
+        except OSError:
+            return b""
+
+    def keep(self, offset: int, data: bytes) -> bool:
+        """Keep these bytes; False if there is no room for them, or they cannot be written."""
+        if not self._cache.has_room(len(data)):
+            return False
+        try:
+            if sys.platform == "win32":
+                with self._lock:
+                    os.lseek(self._descriptor, offset, os.SEEK_SET)
+                    return os.write(self._descriptor, data) == len(data)
+            return os.pwrite(self._descriptor, data, offset) == len(data)
+        except OSError as error:
+            self._cache.tell(f"cannot be written ({error.strerror})")
+            return False
 
 
 def default_cache() -> ChunkCache:

@@ -47,7 +47,7 @@ class ChunkReader:
             return data
         if self._fetched is not None:
             number = self._number_of(offset, length)
-            return self._fetched.read(number, offset - self._chunks[number].start, length)
+            return self._fetched.read(number, offset, length)
         if self._file.is_remote:  # a chunk is one request, and so is a picture of it
             start, records = self.records_around(offset, length)
             return records[offset - start : offset - start + length]

@@ -8,6 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Final
 
+from mcap.opcode import Opcode
+
+from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.log.chunk_cache import ChunkCache
 from recorder.log.mcap_file import Chunk, McapFile
@@ -19,27 +22,32 @@ MOST_BYTES: Final = 1 << 22
 _KEPT_BYTES: Final = 1 << 26  # in memory, where the disk has no room
 
 
-class FetchedChunks:
+class FetchedChunks(Closeable):
     """Chunks by their numbers in the file. May be used from any thread."""
 
     def __init__(self, file: McapFile, chunks: Sequence[Chunk], cache: ChunkCache, fingerprint: str) -> None:
         self._file = file
         self._chunks = chunks
-        self._cache = cache
-        self._fingerprint = fingerprint
+        self._most_bytes = cache.most_bytes
+        self._cached = cache.open(fingerprint)
         self._lock = threading.Lock()
         self._is_verified = bytearray(len(chunks))  # by this process, as it is on the disk
         self._coming: dict[int, Future[bytes]] = {}
         self._kept: OrderedDict[int, bytes] = OrderedDict()
         self._damaged: dict[int, LogError] = {}
 
+    def close(self) -> None:
+        if self._cached is not None:
+            self._cached.close()
+
     def read(self, number: int, offset: int, length: int) -> bytes:
-        """`length` bytes of a chunk's record from `offset`. Raises LogError where its CRC does not hold,
-        StoreError where it cannot be fetched."""
-        if self._is_verified[number]:
-            data = self._cache.read(self._fingerprint, self._chunks[number].start, offset, length)
-            if data is not None:
+        """`length` bytes from `offset` in the file, which lie in a chunk. Raises LogError where its CRC does
+        not hold, StoreError where it cannot be fetched."""
+        if self._is_verified[number] and self._cached is not None:
+            data = self._cached.read(offset, length)
+            if len(data) == length:
                 return data
+        offset -= self._chunks[number].start
         return self.record(number)[offset : offset + length]
 
     def record(self, number: int) -> bytes:
@@ -62,7 +70,7 @@ class FetchedChunks:
     @property
     def most_bytes(self) -> int:
         """That are kept on the disk, of all logs."""
-        return self._cache.most_bytes
+        return self._most_bytes
 
     def sizes(self, numbers: Sequence[int]) -> int:
         """Bytes of these chunks."""
@@ -139,7 +147,7 @@ class FetchedChunks:
         """Keep a chunk whose CRC holds. Raises LogError for another."""
         chunk = self._chunks[number]
         self._file.check_record(chunk, record)
-        if self._cache.keep(self._fingerprint, chunk.start, record):
+        if self._cached is not None and self._cached.keep(chunk.start, record):
             self._is_verified[number] = True
             return
         with self._lock:
@@ -148,21 +156,22 @@ class FetchedChunks:
                 self._kept.popitem(last=False)
 
     def _has(self, number: int) -> bool:
+        """True if a chunk is on the disk, as far as its header tells."""
+        if self._cached is None:
+            return False
         chunk = self._chunks[number]
-        return self._cache.has(self._fingerprint, chunk.start, chunk.end - chunk.start)
+        head = chunk.head or bytes([Opcode.CHUNK])
+        return self._cached.read(chunk.start, len(head)) == head
 
     def _on_disk(self, number: int) -> bytes | None:
-        """A chunk as it is on the disk, if its CRC holds; one that is damaged there is removed."""
+        """A chunk as it is on the disk, if its CRC holds."""
         chunk = self._chunks[number]
-        record = self._cache.read(self._fingerprint, chunk.start, 0, chunk.end - chunk.start)
-        if record is None:
+        if self._cached is None or not self._has(number):
             return None
-        if not self._is_verified[number]:
-            try:
-                self._file.check_record(chunk, record)
-            except LogError:
-                self._cache.drop(self._fingerprint, chunk.start)
-                return None
-            self._is_verified[number] = True
-            self._cache.note_use(self._fingerprint, chunk.start)
+        record = self._cached.read(chunk.start, chunk.end - chunk.start)
+        try:
+            self._file.check_record(chunk, record)
+        except LogError:
+            return None
+        self._is_verified[number] = True
         return record

@@ -117,6 +117,8 @@ class Log(Closeable):
 
     def close(self) -> None:
         self._file.close()
+        if self.fetched is not None:
+            self.fetched.close()
 
     def _fetched_chunks(self, cache: ChunkCache | None) -> FetchedChunks | None:
         if cache is None or not self._file.is_remote:

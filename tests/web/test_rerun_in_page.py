@@ -71,11 +71,16 @@ def serving() -> set[str]:
 
 def test_what_serves_a_log_ends_with_its_page_and_two_are_open_at_most(tmp_path: Path) -> None:
     for name in "abc":
-        write_colored(tmp_path / "sessions" / f"{name}.mcap")
+        log = write_colored(tmp_path / "sessions" / f"{name}.mcap")
+        if name == "b":  # its pictures are damaged
+            data = log.read_bytes()
+            log.write_bytes(data[:2000] + bytes(500) + data[2500:])
     with served(tmp_path) as bench, contextlib.ExitStack() as still_open:
         first = still_open.enter_context(opened(bench, "a"))
         frames = [next(first)["frame"]]
-        frames.append(next(still_open.enter_context(opened(bench, "b")))["frame"])
+        second = still_open.enter_context(opened(bench, "b"))
+        frames.append(next(second)["frame"])
+        assert "skipped pictures" in next(second)["note"]
         ports = [data_port(bench, frame) for frame in frames]
         assert all(map(is_listening, ports))
         assert serving() == {"a", "b"}

@@ -215,11 +215,11 @@ function showTags() {
 
 data.addEventListener("rows", () => {
   groups = grouped(data.state.odd);
-  predictions.forget(); // of the log as it was
   player.useRows();
   pictures.useCameras();
   curves.odd = groups;
-  curves.build();
+  if (predictions.run) predictions.choose(predictions.run); // it was of the log as it was
+  else curves.build();
   makers.select(selection && data.rowsOf(selection));
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);

@@ -1,0 +1,285 @@
+"""Reading logs out of a bucket, beside reading them from the disk.
+
+python benchmarks/from_bucket.py SESSIONS libraries    # obstore and pyarrow.fs: requests, MB/s
+python benchmarks/from_bucket.py SESSIONS logs         # bc-log info and bc-index: requests, bytes
+python benchmarks/from_bucket.py SESSIONS loading      # epochs of pictures alone, nothing learnt of them
+python benchmarks/from_bucket.py SESSIONS training     # epochs of bc-train
+
+SESSIONS is a folder of logs. They are served by localbucket from a process of its own, each request 50 ms late and
+all answers together at 100 MB/s (--delay-ms, --mb-s). The bucket's cache is empty before each first epoch.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from http.server import ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, Final
+
+import localbucket
+import numpy as np
+import obstore
+from pyarrow.fs import S3FileSystem
+
+from common.location import Location, Url
+from common.object_store import forget_stores
+from dataset import IndexConfig, build_index
+from dataset.loader.loader import load
+from model.config import TrainConfig
+from model.runs.training_progress import Epoch, Step
+from model.training.trainer import train
+from recorder.log.log_info import describe
+
+BUCKET: Final = "logs"
+EPOCHS: Final = 3
+GET_USD: Final = 0.0004 / 1000  # S3 Standard, us-east-1: a GET; bytes to the same region are free
+INTERNET_USD_GB: Final = 0.09  # ... and to anywhere else
+RANGE_BYTES: Final = 256 * 1024
+
+
+class _Late(localbucket.S3Handler):  # type: ignore[misc]
+    """Answers late, and all answers together no faster than a network would."""
+
+    delay_s: float
+    bytes_s: float
+    lock = threading.Lock()
+    free_at = 0.0
+    requests = 0
+    sent = 0
+
+    def log_message(self, *arguments: object) -> None: ...
+
+    def do_GET(self) -> None:  # noqa: N802
+        if self.path == "/counts":
+            body = json.dumps([_Late.requests, _Late.sent]).encode()
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+            return
+        with _Late.lock:
+            _Late.requests += 1
+        time.sleep(self.delay_s)
+        super().do_GET()
+
+    def do_HEAD(self) -> None:  # noqa: N802
+        time.sleep(self.delay_s)
+        super().do_HEAD()
+
+    def _send_file(self, status: Any, file: Any, start: int, length: int, headers: Any, include_body: Any) -> None:
+        with _Late.lock:
+            _Late.sent += length if include_body else 0
+            begin = max(_Late.free_at, time.monotonic())
+            _Late.free_at = begin + length / self.bytes_s
+            until = _Late.free_at
+        time.sleep(max(0.0, until - time.monotonic()))
+        super()._send_file(status, file, start, length, headers, include_body)
+
+
+def serve(folder: str, delay_ms: float, mb_s: float) -> None:
+    settings = {"data_root": Path(folder), "delay_s": delay_ms / 1000, "bytes_s": mb_s * 1e6}
+    with ThreadingHTTPServer(("127.0.0.1", 0), type("Late", (_Late,), settings)) as server:
+        print(server.server_port, flush=True)
+        server.serve_forever()
+
+
+class Server:
+    """A server in a process of its own."""
+
+    def __init__(self, port: int) -> None:
+        self.address = f"127.0.0.1:{port}"
+
+    def counts(self) -> tuple[int, int]:
+        """Requests for objects, and the bytes of them, until now."""
+        with urllib.request.urlopen(f"http://{self.address}/counts") as answer:
+            requests, sent = json.load(answer)
+        return requests, sent
+
+
+@contextlib.contextmanager
+def serving(sessions: Path, delay_ms: float, mb_s: float) -> Iterator[Server]:
+    """Copies of the logs in a bucket; s3:// leads there."""
+    with tempfile.TemporaryDirectory(prefix="bc-bucket-") as folder:
+        (Path(folder) / BUCKET).mkdir()
+        for log in sorted(sessions.glob("*.mcap")):
+            shutil.copy(log, Path(folder) / BUCKET / log.name)
+        line = [sys.executable, __file__, folder, "serve", "--delay-ms", str(delay_ms), "--mb-s", str(mb_s)]
+        with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None  # noqa: S101
+            server = Server(int(process.stdout.readline()))
+            keys = {
+                "AWS_ACCESS_KEY_ID": "benchmark",
+                "AWS_SECRET_ACCESS_KEY": "benchmark",
+                "AWS_REGION": "us-east-1",
+            }
+            os.environ.update(keys, AWS_ENDPOINT_URL_S3=f"http://{server.address}")
+            forget_stores()
+            try:
+                yield server
+            finally:
+                process.terminate()
+
+
+def print_libraries(sessions: Path, server: Server) -> None:
+    name = max(sessions.glob("*.mcap"), key=lambda log: log.stat().st_size).name
+    size = (sessions / name).stat().st_size
+    store = obstore.store.from_url(
+        f"s3://{BUCKET}", endpoint=f"http://{server.address}", client_options={"allow_http": True}
+    )
+    arrow = S3FileSystem(endpoint_override=server.address, scheme="http", region="us-east-1")
+    starts = np.random.default_rng(0).permutation(size // RANGE_BYTES)[:128] * RANGE_BYTES
+
+    def obstore_end() -> int:
+        return len(obstore.get(store, name, options={"range": {"suffix": 1 << 17}}).bytes())
+
+    def arrow_end() -> int:
+        with arrow.open_input_file(f"{BUCKET}/{name}") as file:
+            return len(file.read_at(1 << 17, file.size() - (1 << 17)))
+
+    def obstore_ranges() -> int:
+        def one(start: int) -> int:
+            return len(obstore.get(store, name, options={"range": (start, start + RANGE_BYTES)}).bytes())
+
+        with ThreadPoolExecutor(16) as pool:
+            return sum(pool.map(one, starts.tolist()))
+
+    def arrow_ranges() -> int:
+        with arrow.open_input_file(f"{BUCKET}/{name}") as file, ThreadPoolExecutor(16) as pool:
+            return sum(pool.map(lambda start: len(file.read_at(RANGE_BYTES, start)), starts.tolist()))
+
+    ways = {
+        "obstore, the end": obstore_end,
+        "pyarrow.fs, the end": arrow_end,
+        "obstore, 128 ranges of 256 KB": obstore_ranges,
+        "pyarrow.fs, the same": arrow_ranges,
+    }
+    print("| | requests | ms | MB/s |\n|---|---|---|---|")
+    for way, read in ways.items():
+        read()  # connects
+        found = []
+        for _ in range(5):
+            before, begin = server.counts()[0], time.perf_counter()
+            moved = read()
+            found.append((time.perf_counter() - begin, server.counts()[0] - before, moved))
+        seconds = statistics.median(each[0] for each in found)
+        print(f"| {way} | {found[-1][1]} | {1000 * seconds:,.0f} | {found[-1][2] / seconds / 1e6:,.1f} |")
+
+
+def print_logs(sessions: Path, server: Server) -> None:
+    print("| | MB | requests | MB moved |\n|---|---|---|---|")
+    for log in sorted(sessions.glob("*.mcap")):
+        before = server.counts()
+        describe(Url("s3", BUCKET, log.name))
+        _print_moved(f"`bc-log info` {log.stem}", log.stat().st_size, server, before)
+    total = sum(log.stat().st_size for log in sessions.glob("*.mcap"))
+    with tempfile.TemporaryDirectory() as folder:
+        for what in ("`bc-index --labels as-recorded`", "again"):
+            before = server.counts()
+            logs = [Url("s3", BUCKET, log.name) for log in sorted(sessions.glob("*.mcap"))]
+            build_index(logs, Path(folder) / "index", IndexConfig(labels="as-recorded"))
+            _print_moved(what, total, server, before)
+
+
+def _print_moved(what: str, size: int, server: Server, before: tuple[int, int]) -> None:
+    requests, sent = (now - then for now, then in zip(server.counts(), before, strict=True))
+    print(f"| {what} | {size / 1e6:,.1f} | {requests:,} | {sent / 1e6:,.2f} |", flush=True)
+
+
+def print_epochs(sessions: Path, server: Server, repeats: int, *, learns: bool, network: str) -> None:
+    """Epochs from the disk and from the bucket, in turn; the second and later ones are those of a warm cache."""
+    names = [log.name for log in sorted(sessions.glob("*.mcap"))]
+    places: dict[str, Sequence[Location]] = {
+        "disk": [sessions / name for name in names],
+        "bucket": [Url("s3", BUCKET, name) for name in names],
+    }
+    seconds: dict[str, list[list[float]]] = {"disk": [], "bucket": []}
+    with tempfile.TemporaryDirectory(prefix="bc-bucket-") as folder:
+        for where, logs in places.items():
+            build_index(logs, Path(folder) / where, IndexConfig(labels="as-recorded"))
+        for repeat in range(repeats):
+            os.environ["BC_CACHE"] = f"{folder}/cache{repeat}"
+            for where in ("disk", "bucket") if repeat % 2 == 0 else ("bucket", "disk"):
+                before = server.counts()
+                index = Path(folder) / where
+                run = Path(folder) / "runs" / f"{where}{repeat}"
+                seconds[where].append(_trained(index, run, network) if learns else _loaded(index))
+                if where == "bucket":
+                    requests, sent = (now - then for now, then in zip(server.counts(), before, strict=True))
+            shutil.rmtree(os.environ["BC_CACHE"])
+    size = sum((sessions / name).stat().st_size for name in names)
+    print(f"{size / 1e6:,.0f} MB of logs; all epochs together move {sent / 1e6:,.0f} MB in {requests:,} requests:")
+    print(f"{requests * GET_USD:.5f} USD, and {sent / 1e9 * INTERNET_USD_GB:.3f} USD out of its region\n")
+    print("| epoch | disk, s | bucket, s | speed of the disk's |\n|---|---|---|---|")
+    for epoch in range(EPOCHS):
+        disk, bucket = (statistics.median(each[epoch] for each in seconds[where]) for where in ("disk", "bucket"))
+        print(f"| {epoch + 1} | {disk:.2f} | {bucket:.2f} | {disk / bucket:.3f} |")
+
+
+def _loaded(index: Path) -> list[float]:
+    """Seconds of each epoch, the first with the loader's own beginning."""
+    found, begin = [], time.perf_counter()
+    with load(index, budget_bytes=0) as loader:
+        for epoch in range(EPOCHS):
+            for _ in loader.epoch(epoch + 1):
+                pass
+            found.append(time.perf_counter() - begin)
+            begin = time.perf_counter()
+    return found
+
+
+def _trained(index: Path, run: Path, network: str) -> list[float]:
+    """Seconds of each epoch, as the training tells them."""
+    found: list[float] = []
+    settings = replace(TrainConfig(), epochs=EPOCHS, network=network)
+
+    class Clock:
+        def step(self, step: Step) -> None: ...
+
+        def epoch(self, epoch: Epoch) -> None:
+            found.append(epoch.seconds)
+
+        def close(self) -> None: ...
+
+    train(index, run, settings, [Clock()])
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sessions", type=Path)
+    parser.add_argument("what", choices=["libraries", "logs", "loading", "training", "serve"])
+    parser.add_argument("--delay-ms", type=float, default=50)
+    parser.add_argument("--mb-s", type=float, default=100)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--network", default=TrainConfig().network)
+    given = parser.parse_args()
+    if given.what == "serve":
+        serve(str(given.sessions), given.delay_ms, given.mb_s)
+        return
+    with serving(given.sessions, given.delay_ms, given.mb_s) as server:
+        match given.what:
+            case "libraries":
+                print_libraries(given.sessions, server)
+            case "logs":
+                print_logs(given.sessions, server)
+            case what:
+                learns = what == "training"
+                print_epochs(given.sessions, server, given.repeats, learns=learns, network=given.network)
+
+
+if __name__ == "__main__":
+    main()
