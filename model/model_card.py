@@ -19,7 +19,7 @@ from model.runs.kept_results import KeptResult
 from model.runs.training_progress import Epoch
 
 NO_LICENCE: Final = "Not stated: ask whoever trained it before you use it."
-_TAGS: Final = ("behavioural-cloning", "imitation-learning", "self-driving", "driving-simulator", "udacity")
+_TAGS: Final = ("behavioural-cloning", "imitation-learning", "self-driving")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def card(of: ModelCard) -> str:
             "",
             f"# {as_markdown(of.name)}",
             "",
-            f"A network that steers a car in a driving simulator by what its camera sees: {_network(of)},"
+            f"A network that steers a car by what its camera sees: {_network(of)},"
             f" {of.parameters:,} parameters. {_answers(of)}",
             "",
             *_learnt_from(of),
