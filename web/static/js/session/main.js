@@ -209,6 +209,7 @@ function showTags() {
     onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
   });
   curves.mark({});
+  by("look").hidden = data.state.looked || !data.state.cameras.length;
   page.dataset.tags = data.tags.length; // what is shown now, for whoever waits for it
 }
 
@@ -216,7 +217,6 @@ data.addEventListener("rows", () => {
   groups = grouped(data.state.odd);
   player.useRows();
   pictures.useCameras();
-  by("look").hidden = data.state.looked || !data.state.cameras.length;
   curves.odd = groups;
   if (predictions.run) predictions.choose(predictions.run); // it was of the log as it was
   else curves.build();
