@@ -153,7 +153,8 @@ def train(config: Train) -> int:
     best = trained.best_epoch
     for line in verdict(read_history(run)[0].epochs, best, settings.keep) if best else ():
         print_result(line)
-    print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
+    drive = f"bc-drive {run_argument(run)}{_network_flag(run)}"
+    print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")
     return code
 
 
@@ -195,7 +196,17 @@ def _resume(run: Path, index: Path) -> str:
     command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
     stored = index_of(run)
     is_stored = stored is not None and stored.resolve() == index.resolve()
-    return f"{command} --resume {run_argument(run)}{'' if is_stored else f' --index {shlex.quote(str(index))}'}"
+    given = "" if is_stored else f" --index {shlex.quote(str(index))}"
+    return f"{command} --resume {run_argument(run)}{_network_flag(run)}{given}"
+
+
+def _network_flag(run: Path) -> str:
+    """What has to be given for a run of somebody's own network, whose code no run names for itself."""
+    from model.runs.network_of_run import network_flag, stored_network
+    from model.runs.run_folder import load_config
+
+    stored = stored_network(load_config(run), run)
+    return f" {network_flag(stored, run)}" if is_own(stored.name) else ""
 
 
 def _listeners(config: Train, run: Path) -> list[Listener]:
