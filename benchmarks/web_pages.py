@@ -1,11 +1,13 @@
 """How long the workbench lets one wait, in Chromium without a window, beside a page that only shows the pictures.
 
-python benchmarks/web_pages.py [--sessions 1000] [--minutes 60] [--seconds 20]
+python benchmarks/web_pages.py [--sessions 1000] [--minutes 60] [--seconds 20] [--hours-of-use 1]
 
 The mouse moves 30 times a second along the curves of a session of an hour with three cameras. Measured is the
 time from each move until every camera shows its picture, or that of a later move. The page beside it puts the
-addresses of the same bytes, as files, into three <img>. Needs Playwright, Chromium, and 1.2 GB in the folder for
-temporary files.
+addresses of the same bytes, as files, into three <img>. An hour of use is as many pictures as an hour of scrubbing
+asks for, as fast as they come. On a machine that does other things too, only processor times and the ratios of
+what was measured in turns say something; the load is printed. Needs Playwright, Chromium, and 1.2 GB in the folder
+for temporary files.
 """
 
 from __future__ import annotations
@@ -127,6 +129,15 @@ def get(connection: http.client.HTTPConnection, path: str) -> bytes:
     return connection.getresponse().read()
 
 
+def cpu_s(server: psutil.Process) -> float:
+    times = server.cpu_times()
+    return float(times.user + times.system)
+
+
+def load() -> str:
+    return f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+
+
 def first_views(browser: Browser, folder: Path, sessions: int) -> None:
     for name in ("the first start", "a later start"):
         with workbench(folder) as server:
@@ -139,7 +150,15 @@ def first_views(browser: Browser, folder: Path, sessions: int) -> None:
                 time.sleep(0.05)
             print(
                 f"{sessions:,} sessions, {name}: the page after {seen_s:.2f} s, all of them in it after"
-                f" {time.perf_counter() - started_s:.2f} s; {server.memory_info().rss / 1e6:.0f} MB"
+                f" {time.perf_counter() - started_s:.2f} s; {cpu_s(server):.2f} s of a processor since its start,"
+                f" {server.memory_info().rss / 1e6:.0f} MB; {load()}"
+            )
+            used_s, begun_s = cpu_s(server), time.perf_counter()
+            for _ in range(5):
+                page.reload(timeout=300_000)
+            print(
+                f"  again: the page after {(time.perf_counter() - begun_s) / 5:.2f} s,"
+                f" {(cpu_s(server) - used_s) / 5:.2f} s of a processor; {load()}"
             )
             if name == "a later start":
                 print(f"scrolling through them: from frame to frame {percentiles(scroll(page))}")
@@ -200,6 +219,22 @@ def crowd(rows: int, seconds: float) -> list[float]:
     return waits
 
 
+def hours_of_use(server: psutil.Process, rows: int, hours: float) -> None:
+    """The pictures of three cameras, thirty times a second."""
+    pictures = int(hours * 3600 * MOVES_HZ) * len(CAMERAS)
+    connection = http.client.HTTPConnection("127.0.0.1", PORT)
+    memory_mb, used_s = [server.memory_info().rss / 1e6], cpu_s(server)
+    for at in range(pictures):
+        camera, row = CAMERAS[at % len(CAMERAS)], at * 7919 // len(CAMERAS) % rows
+        get(connection, f"/sessions/hour/pictures/{camera}/{row}")
+        if (at + 1) % max(1, pictures // 5) == 0:
+            memory_mb.append(server.memory_info().rss / 1e6)
+    print(
+        f"{pictures:,} pictures, {hours:g} h of scrubbing: {(cpu_s(server) - used_s) / pictures * 1e3:.2f} ms of a"
+        f" processor each; memory {', '.join(f'{each:.0f}' for each in memory_mb)} MB; {load()}"
+    )
+
+
 def percentiles(waits: list[float]) -> str:
     median, p95, p99 = np.percentile(waits, [50, 95, 99])
     return f"{median:.1f} ms, p95 {p95:.1f}, p99 {p99:.1f}"
@@ -210,6 +245,7 @@ def main() -> None:
     parser.add_argument("--sessions", type=int, default=1000)
     parser.add_argument("--minutes", type=float, default=60)
     parser.add_argument("--seconds", type=float, default=20)
+    parser.add_argument("--hours-of-use", type=float, default=1)
     asked = parser.parse_args()
     jpegs = pictures()
     flags = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
@@ -228,7 +264,7 @@ def main() -> None:
         (folder / "static" / "index.html").write_text(STATIC_PAGE % (DIFFERENT, rows))
         for number, jpeg in enumerate(jpegs):
             (folder / "static" / f"{number}.jpg").write_bytes(jpeg)
-        for _ in range(2):
+        for turn in range(2):
             with workbench(folder) as server:
                 page = browser.new_page(viewport={"width": 1280, "height": 800})
                 started_s = time.perf_counter()
@@ -237,21 +273,32 @@ def main() -> None:
                 page.wait_for_selector("figure[data-shown]")
                 opened_s = time.perf_counter() - started_s
                 memory_mb = [server.memory_info().rss / 1e6]
+                used_s = cpu_s(server)
                 waits = scrub(page, "#curves .u-over", rows, r"pictures/\w+/(\d+)", asked.seconds)
                 memory_mb.append(server.memory_info().rss / 1e6)
+                of_workbench = waits
                 print(
-                    f"{rows:,} rows: opened in {opened_s:.2f} s; from a move to its pictures {percentiles(waits)}"
+                    f"{rows:,} rows: opened in {opened_s:.2f} s; from a move to its pictures {percentiles(waits)};"
+                    f" {(cpu_s(server) - used_s) / asked.seconds:.2f} of a processor; {load()}"
                 )
                 page.close()
                 waits = crowd(rows, asked.seconds / 2)
                 memory_mb.append(server.memory_info().rss / 1e6)
                 print(f"{BROWSERS} at once: a picture in {percentiles(waits)}")
+                if turn:
+                    hours_of_use(server, rows, asked.hours_of_use)
                 print("memory when opened, scrubbed, crowded:", ", ".join(f"{each:.0f} MB" for each in memory_mb))
-            with static_server(folder):
+            with static_server(folder) as server:
                 page = browser.new_page(viewport={"width": 1280, "height": 800})
                 page.goto(f"http://127.0.0.1:{PORT}/")
+                used_s = cpu_s(server)
                 waits = scrub(page, "#over", rows, r"\.(\d+)$", asked.seconds)
-                print(f"a static page of the same pictures: {percentiles(waits)}")
+                ratios = np.percentile(of_workbench, [50, 95]) / np.percentile(waits, [50, 95])
+                print(
+                    f"a static page of the same pictures: {percentiles(waits)};"
+                    f" {(cpu_s(server) - used_s) / asked.seconds:.2f} of a processor; {load()};"
+                    f" the workbench takes {ratios[0]:.1f} times as long, p95 {ratios[1]:.1f}"
+                )
                 page.close()
         browser.close()
 

@@ -74,7 +74,9 @@ def track(items: Iterable[Item], description: str, total: int) -> Iterator[Item]
     """Yield `items` while a bar with this description counts them up to `total`."""
     with progress_bar() as progress:
         task = progress.add_task(description, total=total, note="")
-        yield from progress.track(items, total, task_id=task)
+        for item in items:  # rich's own `track` counts nothing where no bar is shown
+            yield item
+            progress.advance(task)
 
 
 class StatusLine:

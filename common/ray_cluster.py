@@ -14,6 +14,7 @@ import re
 import signal
 import socket
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,6 +98,7 @@ def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
 @contextlib.contextmanager
 def connection(address: str) -> Iterator[Any]:
     """The module `ray`, connected to a cluster in the block. See `cluster_tasks`."""
+    os.environ.setdefault("RAY_CLIENT_MAX_CONNECTION_TIMEOUT_S", str(round(UNREACHABLE_S)))
     try:
         import ray
     except ImportError:
@@ -112,7 +114,8 @@ def connection(address: str) -> Iterator[Any]:
     )  # its way from 2.55 on, of which it warns else
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
     try:
-        ray.init(address or None, log_to_driver=False, logging_level="ERROR", include_dashboard=None)
+        with warnings.catch_warnings(action="ignore"):
+            ray.init(address or None, log_to_driver=False, logging_level="ERROR")
     except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
         raise ClusterError(_why_not(address, str(error))) from None
     finally:
@@ -151,8 +154,10 @@ def _why_not(address: str, error: str) -> str:
     if "ersion mismatch" in error and len(versions) == 4:
         theirs, ours = (" and ".join(map(" ".join, pair)) for pair in (versions[:2], versions[2:]))
         return f"--ray {address}: the cluster has {theirs}, this machine {ours}: they must be the same"
-    line = " ".join(error.split())
-    return f"--ray {address or 'auto'}: {printable(line[:300])}"
+    line = printable(" ".join(error.split())[:300])
+    is_open = address not in _LOCAL_ADDRESSES and "RAY_AUTH_MODE" not in os.environ
+    hint = "; a cluster that asks for a token needs RAY_AUTH_MODE=token here (`ray get-auth-token` on its head)"
+    return f"--ray {address or 'auto'}: {line}{hint if is_open else ''}"
 
 
 def _results(
@@ -164,7 +169,7 @@ def _results(
 ) -> Iterator[tuple[int, Result]]:
     of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
     call = ray.remote(_call).options(**of_tasks)
-    versions, folder = _versions(), Path.cwd()
+    versions, folder = package_versions(), Path.cwd()
     numbers: dict[Any, int] = {}
     to_do = iter(enumerate(calls))
     try:
@@ -213,24 +218,32 @@ def _without_toolkit(error: str) -> str:
     return f"the cluster's node {where[-1] if where else ''} cannot import {what}: {needed}"
 
 
-def _versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
+    """What `refuse_other_node` compares."""
     return {package: version_of(package) for package in SAME_VERSIONS}
+
+
+def refuse_other_node(versions: Mapping[str, str], folder: Path) -> None:
+    """To be called on a node: work in the driver's `folder`. Raises ClusterError if it has other versions than the
+    driver's, or no such folder."""
+    node = socket.gethostname()
+    here = package_versions()
+    if others := [name for name, version in here.items() if version != versions[name]]:
+        has, wanted = (", ".join(f"{name} {found[name]}" for name in others) for found in (here, versions))
+        raise ClusterError(f"the cluster's node {node} has {has}, this machine {wanted}: they must be the same")
+    try:
+        os.chdir(folder)
+    except OSError as error:
+        why = f"({error.strerror}); logs, index and runs must lie on a disk that all nodes share, by the same path"
+        raise ClusterError(f"the cluster's node {node} has no {folder} {why}") from None
 
 
 def _call(
     function: Callable[..., Result], arguments: tuple[Any, ...], versions: Mapping[str, str], folder: Path
 ) -> Result | _Failed:
     """Runs on a node. What its caller's files are to blame for is returned: Ray would wrap what is raised."""
-    node = socket.gethostname()
-    if others := [f"{name} {here}" for name, here in _versions().items() if here != versions[name]]:
-        ours = ", ".join(f"{name} {versions[name]}" for name in versions if f"{name} " in " ".join(others) + " ")
-        return _Failed(ClusterError(f"the cluster's node {node} has {', '.join(others)}, this machine {ours}"))
     try:
-        os.chdir(folder)
-    except OSError as error:
-        why = f"({error.strerror}); logs, index and runs must lie on a disk that all nodes share, by the same path"
-        return _Failed(ClusterError(f"the cluster's node {node} has no {folder} {why}"))
-    try:
+        refuse_other_node(versions, folder)
         return function(*arguments)
     except (UserError, OSError) as error:
         return _Failed(error)

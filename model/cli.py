@@ -7,11 +7,11 @@ import contextlib
 import os
 import shlex
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
@@ -31,6 +31,9 @@ from model.network.names import is_own
 
 if TYPE_CHECKING:
     from model.runs.training_progress import Listener
+
+
+_MOST_WORKERS: Final = 10_000
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,11 @@ class Train:
     package.module:CLASS."""
     viewer: bool = False
     """Show the curves in the Rerun viewer while they grow."""
+    ray: Annotated[
+        tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
+    ] = None
+    """Train on N workers of a Ray cluster, which go on from the checkpoint where one dies; all of its nodes see
+    these folders by the same paths."""
     index: LocationFlag = Path("index")
     """The index to train on: a folder, or the URL of a copy of one in a store."""
     sessions: LocationFlag = Path("sessions")
@@ -82,6 +90,7 @@ def train(config: Train) -> int:
     from model.training.other_network import refuse_other_network
     from model.training.trainer import train as train_network
 
+    workers = _workers(config.ray)
     is_first = rank_of_process() == 0
     settings = config.config
     # all that can fail at once, before the minutes that an index may take
@@ -90,7 +99,8 @@ def train(config: Train) -> int:
     repeated = config.resume if config.resume is not None else config.like
     like = find_any_run(repeated, config.runs) if repeated is not None else None
     begun = load_config(like).get("machine") if like is not None else None
-    machine = choose_machine(settings, local_rank_of_process(), begun)
+    here = settings if config.ray is None else replace(settings, device="cpu")  # workers choose for themselves
+    machine = choose_machine(here, local_rank_of_process(), begun)
     if config.resume is None:
         network = choose_network(settings)
         picture = chosen_picture(settings, network)
@@ -104,17 +114,26 @@ def train(config: Train) -> int:
     listeners = _listeners(config, run) if is_first else []
     index, code = _index_of(config, is_first=is_first)
     if is_first:
-        where = "GPU" if machine.device.type == "cuda" else "processor"
+        where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
+        if workers is not None:
+            where = f"on {counted(workers[0], 'worker')} of a cluster"
         epochs = counted(settings.epochs, "epoch")
         print_result(
-            f"{run}: {_named(network.name)}{parameters:,} parameters, {epochs}, {machine.arithmetic} on the"
+            f"{run}: {_named(network.name)}{parameters:,} parameters, {epochs},"
             f" {where}"
             f"{_going_on(run) if config.resume is not None else ''}"
         )
     try:
         with _viewer(config, run) if is_first else contextlib.nullcontext():
             is_resumed = config.resume is not None
-            trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
+            if workers is None:
+                trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
+            else:
+                from model.training.ray_workers import train_on_cluster
+
+                trained = train_on_cluster(
+                    *workers, index, run, settings, listeners, init=init, like=like, resume=is_resumed
+                )
     except (KeyboardInterrupt, RunWriteError):
         if is_first and run.exists():
             print_message(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}`")
@@ -136,8 +155,23 @@ def train(config: Train) -> int:
     best = trained.best_epoch
     for line in verdict(read_history(run)[0].epochs, best, settings.keep) if best else ():
         print_result(line)
-    print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `bc-drive {run_argument(run)}`")
+    drive = f"bc-drive {run_argument(run)}{_network_flag(run)}"
+    print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")
     return code
+
+
+def _workers(ray: tuple[str, ...] | None) -> tuple[int, str] | None:
+    """Number and address that --ray gives. Raises UsageError for what are none."""
+    if ray is None:
+        return None
+    from common.ray_cluster import address_of
+
+    number, *address = ray or ("",)
+    if not number.isascii() or not number.isdigit() or not 0 < int(number) <= _MOST_WORKERS:
+        raise UsageError(f"--ray {' '.join(ray)}: a number of workers was expected, and perhaps an address")
+    if "WORLD_SIZE" in os.environ:
+        raise UsageError("--ray and torchrun each start the workers: give one of them")
+    return int(number), address_of(address)
 
 
 def _named(network: str) -> str:
@@ -164,7 +198,17 @@ def _resume(run: Path, index: Location) -> str:
     command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
     stored = index_of(run)
     is_stored = stored is not None and absolute(stored) == absolute(index)
-    return f"{command} --resume {run_argument(run)}{'' if is_stored else f' --index {shlex.quote(str(index))}'}"
+    given = "" if is_stored else f" --index {shlex.quote(str(index))}"
+    return f"{command} --resume {run_argument(run)}{_network_flag(run)}{given}"
+
+
+def _network_flag(run: Path) -> str:
+    """What has to be given for a run of somebody's own network, whose code no run names for itself."""
+    from model.runs.network_of_run import network_flag, stored_network
+    from model.runs.run_folder import load_config
+
+    stored = stored_network(load_config(run), run)
+    return f" {network_flag(stored, run)}" if is_own(stored.name) else ""
 
 
 def _listeners(config: Train, run: Path) -> list[Listener]:

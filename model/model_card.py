@@ -19,7 +19,7 @@ from model.runs.kept_results import KeptResult
 from model.runs.training_progress import Epoch
 
 NO_LICENCE: Final = "Not stated: ask whoever trained it before you use it."
-_TAGS: Final = ("behavioural-cloning", "imitation-learning", "self-driving", "driving-simulator", "udacity")
+_TAGS: Final = ("behavioural-cloning", "imitation-learning", "self-driving")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def card(of: ModelCard) -> str:
             "",
             f"# {as_markdown(of.name)}",
             "",
-            f"A network that steers a car in a driving simulator by what its camera sees: {_network(of)},"
+            f"A network that steers a car by what its camera sees: {_network(of)},"
             f" {of.parameters:,} parameters. {_answers(of)}",
             "",
             *_learnt_from(of),
@@ -185,7 +185,7 @@ def _measures(of: ModelCard) -> Iterator[str]:
         " wheels, beside those of predictors that know nothing:"
     )
     yield ""
-    yield "| | MAE | RMSE | RMSE of every bin of steering alike | MAE where it turns | correlation |"
+    yield "| | MAE | RMSE | balanced RMSE: every bin of steering alike | MAE where it turns | correlation |"
     yield "|---|---|---|---|---|---|"
     rows = [
         ("this network", measures.network, measures.balanced_rmse_deg),
@@ -195,6 +195,9 @@ def _measures(of: ModelCard) -> Iterator[str]:
     for name, errors, balanced in rows:
         numbers = (errors.mae_deg, errors.rmse_deg, balanced, errors.turning_mae_deg, errors.correlation)
         yield f"| {name} | {' | '.join(map(_number, numbers))} |"
+    if not measures.network.rmse_deg < measures.mean.rmse_deg:
+        yield ""
+        yield "**No better than always predicting the mean.**"
     for target in of.epoch.targets:
         if target.frames:
             yield ""

@@ -60,10 +60,14 @@ def test_a_training_of_ones_own(
     assert len(epochs) == 6
 
 
-def test_a_network_of_ones_own(index: Path, tmp_path: Path, without_figures: None) -> None:
+def test_a_network_of_ones_own(
+    index: Path, tmp_path: Path, without_figures: None, capsys: pytest.CaptureFixture[str]
+) -> None:
     code = f"{ROOT / 'examples' / 'own_network.py'}:ColumnNet"
     flags = ("--epochs", 1, "--batch", 8, "--network-args", "planes=4", "--index", index, "--runs", tmp_path)
     assert call(bc_train, "--name", "mine", "--network", code, *flags) == 0
+    copy = tmp_path / "mine" / "network.py"
+    assert f" --network {copy}:ColumnNet`" in capsys.readouterr().out  # the next command, as it can be typed
     load_code(code)
     pilot = load_pilot(tmp_path / "mine")
     assert pilot.crop(np.zeros((160, 320, 3), np.uint8)).shape == (48, 160, 3)

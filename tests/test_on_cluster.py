@@ -4,7 +4,9 @@ One file for all commands, because one cluster takes seconds to start."""
 
 from __future__ import annotations
 
+import json
 import os
+import signal
 import socket
 import subprocess
 import sysconfig
@@ -14,14 +16,19 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
+import yaml
+from safetensors.numpy import load_file
 
 from clusters import ray_cluster
 from common.ray_cluster import cluster_tasks
 from dataset import build_index
-from driving import one_line_of, run, run_code, untrained_run
+from driving import Process, command, one_line_of, run, run_code, untrained_run
 from logs import write_log
+from model.runs.checkpoint import read_position
+from repository import ROOT
 from toy import toy_index
 from waiting import wait_until
 
@@ -173,3 +180,51 @@ def test_a_sweep_on_a_cluster_comes_to_the_runs_of_one_machine(tmp_path: Path, c
     for seed in (1, 2):
         name = f"s-rate_0.0001-seed{seed}/model.safetensors"
         assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
+
+
+@pytest.mark.long
+def test_a_training_whose_worker_dies_goes_on_to_the_same_weights(tmp_path: Path, cluster: Any) -> None:
+    toy_index(tmp_path)
+    flags = ["--network", "small", "--batch", 10, "--precision", "float32", "--threads", 1, "--seed", 3]
+    workers = ["--ray", 2, cluster.address]
+    whole = run("bc-train", "--name", "whole", *flags, "--epochs", 60, *workers, cwd=tmp_path)
+    assert whole.returncode == 0, whole.stderr
+    first = run("bc-train", "--name", "killed", *flags, "--epochs", 2, *workers, cwd=tmp_path)
+    assert first.returncode == 0, first.stderr
+    metrics = tmp_path / "runs" / "killed" / "metrics.jsonl"
+    with Process(command("bc-train", "--resume", "killed", "--epochs", 60, *workers), cwd=tmp_path) as training:
+        wait_until(lambda: len(metrics.read_text().splitlines()) > 5)
+        assert len(metrics.read_text().splitlines()) < 60
+        cluster.remove_node(cluster.worker_nodes.copy().pop(), allow_graceful=False)
+        cluster.add_node(num_cpus=1, include_dashboard=False)
+        assert training.join() == 0, training.stderr
+    assert any("a worker was lost; going on from the checkpoint" in line for line in training.stderr)
+    runs = [tmp_path / "runs" / name for name in ("whole", "killed")]
+    best = [(folder / "model.safetensors").read_bytes() for folder in runs]
+    last = [load_file(folder / "last" / "checkpoint.safetensors") for folder in runs]
+    assert best[0] == best[1]
+    assert all(np.array_equal(last[0][name], last[1][name]) for name in last[0])
+
+
+def test_the_example_of_a_cluster_is_one_by_rays_own_schema() -> None:
+    import ray.autoscaler
+
+    schema = json.loads((Path(ray.autoscaler.__path__[0]) / "ray-schema.json").read_text())
+    example = yaml.safe_load((ROOT / "docs" / "ray-cluster.yaml").read_text())
+    jsonschema.validate(example, schema)
+    assert example["head_node_type"] in example["available_node_types"]
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**example, "max_worker": 1}, schema)
+
+
+@pytest.mark.long
+def test_a_training_on_a_cluster_that_is_stopped_keeps_what_it_has_learnt(tmp_path: Path, cluster: Any) -> None:
+    toy_index(tmp_path)
+    flags = ["--network", "small", "--batch", 10, "--precision", "float32", "--threads", 1, "--epochs", 1000]
+    line = command("bc-train", "--name", "stopped", *flags, "--ray", 2, cluster.address)
+    with Process(line, cwd=tmp_path) as training:
+        wait_until((tmp_path / "runs" / "stopped" / "metrics.jsonl").exists)
+        training.popen.send_signal(signal.SIGINT)
+        assert training.join() == 130, training.stderr
+    assert "what is learnt is kept; go on with" in " ".join(training.stderr)
+    assert 1 <= read_position(tmp_path / "runs" / "stopped").epoch < 1000

@@ -232,7 +232,7 @@ def _build(
                 name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
             }
             try:
-                refuse_shared_pictures(frames, by_name)
+                refuse_shared_pictures(frames, by_name, tasks)
                 labels = labels_of_sessions(frames, by_name, held, index, config, tasks)
                 with index_write_errors(index / SAMPLES_NAME):
                     made = (*write_samples(frames, samples, config, places, labels, cars), labels)

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from common.location import Location
 from common.open_file_limit import allow_open_files
+from common.progress import track
+from common.tasks import Tasks, one_by_one
 from dataset.errors import DatasetError
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.frames_file import read_frames
@@ -29,7 +31,9 @@ from recorder.log.chunk_cache import default_cache
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
-def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Location]) -> None:
+def refuse_shared_pictures(
+    frames: Mapping[str, Path], logs: Mapping[str, Location], tasks: Tasks = one_by_one
+) -> None:
     """Raise DatasetError if two sessions hold the same picture; frames tagged `exclude` do not count. Raises
     UnreadablePictureError for a damaged log.
 
@@ -38,14 +42,14 @@ def refuse_shared_pictures(frames: Mapping[str, Path], logs: Mapping[str, Locati
     if len(frames) < 2:
         return
     names = list(frames)
-    keys, owners, positions = [], [], []
-    for number, name in enumerate(names):
-        table = read_frames(frames[name], ("log_time_ns", "length", "camera", "tags"))
-        at = np.flatnonzero(~is_excluded(table))
-        keys.append(_key(table)[at])
-        owners.append(np.full(len(at), number, np.int32))
-        positions.append(at.astype(np.int32))
-    key, owner, position = np.concatenate(keys), np.concatenate(owners), np.concatenate(positions)
+    calls = [(frames[name],) for name in names]
+    found = dict(track(tasks(_keys, calls), "comparing sessions", len(calls)))
+    keys, positions = ([found[number][i] for number in range(len(names))] for i in range(2))
+    key = np.sort(np.concatenate(keys))
+    if not (key[1:] == key[:-1]).any():  # as nearly always
+        return
+    owner = np.repeat(np.arange(len(names), dtype=np.int32), [len(of_session) for of_session in keys])
+    key, position = np.concatenate(keys), np.concatenate(positions)
     order = np.argsort(key, kind="stable")  # and so by owner where keys are equal
     alike = np.flatnonzero((np.diff(key[order]) == 0) & (np.diff(owner[order]) != 0))
     # the groups of equal keys in which several sessions have a part
@@ -94,6 +98,13 @@ class _Session:
         """Row and bytes of a frame."""
         row, offset, length, chunk = (int(column[position]) for column in self._columns)
         return row, self._log.read(offset, length, chunk)
+
+
+def _keys(file: Path) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
+    """The keys of a session's frames that are not tagged `exclude`, and their positions in its file."""
+    table = read_frames(file, ("log_time_ns", "length", "camera", "tags"))
+    at = np.flatnonzero(~is_excluded(table))
+    return _key(table)[at], at.astype(np.int32)
 
 
 def _key(frames: pa.Table) -> NDArray[np.uint64]:

@@ -45,7 +45,9 @@ def labels_of_sessions(
 ) -> dict[str, SessionLabels]:
     """By session, from its frames file, its log, and what is known of that. Pictures are decoded of sessions only
     whose labels may depend on them. Raises LogError or FramesError for a damaged file."""
-    habits = {name: habits_of_frames(file, built[name].max_steering_deg) for name, file in frames.items()}
+    names = list(frames)
+    steered = tasks(habits_of_frames, [(frames[name], built[name].max_steering_deg) for name in names])
+    habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}
     is_asked = config.labels == "auto" and config.label_shift_s is None
     asked = [name for name in frames if is_asked and goes_by_lag(habits[name], built[name].driven_by)]
     lags = {name: _read_lag(index, name, built[name].fingerprint) for name in asked}

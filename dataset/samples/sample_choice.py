@@ -53,13 +53,16 @@ def choose_samples(
     validation = np.flatnonzero(~is_training)
     candidate = np.concatenate([candidate, validation])
     is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
-    # by frame, then original before mirror image, then copies
+    per_bin, short = balanced.per_bin, balanced.short
+    del training, balanced, validation, bins, straight, is_training  # of ten million frames, half a gigabyte
+    # by frame, then original before mirror image, then copies; all of a sample is in its key
     key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy
-    order = np.argsort(key, kind="stable")
-    key = key[order]
-    alteration, seed = _alterations(is_copy[order], config, random)
-    chosen = ChosenSamples(key >> 2, (key & 2) > 0, (key & 1) > 0, alteration, seed)
-    return chosen, Balance(before, after, balanced.per_bin, balanced.short)
+    del candidate
+    key.sort()
+    is_copy = (key & 1) > 0
+    alteration, seed = _alterations(is_copy, config, random)
+    chosen = ChosenSamples(key >> 2, (key & 2) > 0, is_copy, alteration, seed)
+    return chosen, Balance(before, after, per_bin, short)
 
 
 def _alterations(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -104,11 +105,13 @@ def write_samples(
     stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
     ends = np.searchsorted(chosen.frame, np.cumsum(sizes))
     starts = np.concatenate([[0], ends[:-1]])
+    written: Future[None] | None = None
     with (
         atomic_file(path, overwrite=True) as part,
         pq.ParquetWriter(
             part, SAMPLES_SCHEMA.with_metadata(stored), compression="zstd", write_page_checksum=True
         ) as writer,
+        ThreadPoolExecutor(1) as thread,  # compresses one session's samples while the next one's are made
     ):
         for file, session, first_frame, start, end in zip(
             frames.values(), sessions, np.cumsum(sizes) - sizes, starts.tolist(), ends.tolist(), strict=True
@@ -117,7 +120,12 @@ def write_samples(
                 part_of = chosen.between(start, end)
                 frame = part_of.frame - first_frame
                 taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
-                writer.write_table(_table(taken, session.taken(frame), part_of, config))
+                table = _table(taken, session.taken(frame), part_of, config)
+                if written is not None:
+                    written.result()
+                written = thread.submit(writer.write_table, table)
+        if written is not None:
+            written.result()
     return balanced, counts
 
 

@@ -6,6 +6,7 @@ bc-train --epochs 10
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -77,6 +78,7 @@ def train(
     resume: bool = False,
     show_progress: bool = True,
     figures: bool = True,
+    stop: threading.Event | None = None,
 ) -> Trained:
     """Train a network on `index` and keep it in the new folder `run`.
 
@@ -87,7 +89,8 @@ def train(
     `listeners` are told of its progress; none of them can end it.
     `figures` draws its curves, for which matplotlib is needed.
     Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
-    Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
+    Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt; so
+    does `stop` where it is set.
     A network of one's own is run as code: a new run's because `config` names it, that of a run that is resumed
     only if it was named before (`load_code`).
     Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges,
@@ -152,7 +155,7 @@ def train(
                 remarks += arithmetic_remarks(run, stored, origin["machine"])
                 group.on_first_rank(lambda: write_config(run, resumed_config(stored, origin)))
         with stop_signals() as stopped:
-            loop.train(stopped)
+            loop.train(stop or stopped)
         if group.is_first and figures:
             _draw_figures(loop, notices, remarks)
         return Trained(

@@ -18,6 +18,7 @@ from driving import PATIENCE_S
 from logs import write_log
 from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
+from recorder import LogWriter
 from toy import STEERING, road
 from waiting import wait_until
 from workbench import Served, served
@@ -78,7 +79,7 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(bench: Served
         page.keyboard.press("a")  # where it looks at the picture of this row
         page.wait_for_selector(f"figure[data-attention*='/constant/{worst}?'] .attention")
         page.keyboard.press("a")
-        page.wait_for_selector(".attention", state="hidden")
+        page.wait_for_selector(".attention", state="detached")
         # kept: a page that names the run has it at once, and the project's own folders have nothing new
         page.goto(f"{bench.address}/sessions/toy#run=constant")
         page.reload()
@@ -135,6 +136,11 @@ def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
     assert "weights after its first epoch" in problem("young")
     assert "no picture of the centre camera" in problem("constant", "blind")
     assert "no run 'none'" in problem("none")
+    with LogWriter(bench.folder / "sessions" / "now.mcap", {"source": "test"}) as writer:
+        writer.picture("center", 0, 0, road("center", 0))
+        part = next((bench.folder / "sessions").glob("now.mcap.*.part"))
+        assert "it is being recorded" in problem("constant", part.name, "0" * 64)
+    (bench.folder / "sessions" / "now.mcap").unlink()
     assert "the log has changed" in problem("constant", fingerprint="0" * 64)
     assert bench.get("/sessions/toy/predictions/rows/..%2f..%2fx").status == 404
     assert bench.ask("POST", "/sessions/toy/predictions/constant", b"", Sec_Fetch_Site="cross-site").status == 403

@@ -54,7 +54,7 @@ class AlteredSamples(msgspec.Struct, frozen=True):
 def altered_samples(index: Path, others: int, cache: CacheFolder) -> AlteredSamples:
     """`SHOWN` of them; each number `others` shows others. Raises UserError where the index or its logs cannot be
     read."""
-    key = f"altered 1 {index.resolve()} {version_of(index / SAMPLES_NAME)} {others}"
+    key = f"altered 2 {index.resolve()} {version_of(index / SAMPLES_NAME)} {others}"
     data = cache.get(key, lambda: msgspec.json.encode(_read(index, others)))
     try:
         return msgspec.json.decode(data, type=AlteredSamples)
@@ -86,7 +86,7 @@ def _shown(samples: Samples, chosen: pa.Table) -> list[AlteredSample]:
             told["row"],
             printable(told["camera"]),
             ", ".join(["mirrored"] * told["flip"] + [name for name in told["alteration"].split("+") if name]),
-            told["recorded"] * full_deg,
+            told["recorded"] * (-1 if told["flip"] else 1) * full_deg,  # of the picture that it stands beside
             told["label"] * full_deg,
             pictures,
         )

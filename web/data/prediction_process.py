@@ -19,6 +19,7 @@ import numpy as np
 
 from common import UserError
 from common.errors import printable
+from common.output import print_result
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH
 from model.evaluation.predict_log import predict_log
@@ -89,4 +90,4 @@ def _write(found: LogPredictions, result: Path) -> None:
 
 
 def _say(**values: object) -> None:
-    print(json.dumps(values), flush=True)
+    print_result(json.dumps(values))

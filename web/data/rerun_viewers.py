@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Final
 
 import behavioural_cloning_toolkit
+from common.command import FAILED
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from common.versions import version_of
@@ -34,7 +35,9 @@ FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "applica
 _LOCAL: Final = "127.0.0.1"
 _PATIENCE_S: Final = 10.0  # for a file of the viewer
 _GRACE_S: Final = 3.0  # for a process to end by itself
-_LAST_LINES: Final = 20
+_MOST_NOTES: Final = 20
+_PREFIX: Final = "bc-play: "
+_HINT: Final = "; Ctrl-C ends"  # where to open it, which is done here
 _ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
 _START: Final = "import sys; sys.path.append(sys.argv.pop(1)); from web.data.rerun_process import main; main()"
 
@@ -48,7 +51,8 @@ class RerunViewer:
         self.web_port, self.data_port = _free_ports(2)
         self._why_ended = ""
         self._is_ended = False
-        self._lines: list[str] = []
+        self.notes: list[str] = []
+        """What bc-play has said, such as what it had to leave out; an error last."""
         words = [str(log.absolute()), "--web", f"--web-port={self.web_port}", f"--port={self.data_port}"]
         line = [sys.executable, "-P", "-c", _START, _ROOT, *words, *(["--follow"] if is_growing else [])]
         environment = {**os.environ, "COLUMNS": "400", "NO_COLOR": "1"}
@@ -83,11 +87,10 @@ class RerunViewer:
 
     def why_ended(self) -> str:
         """What its page says then."""
-        if not self._why_ended:
+        if not self._why_ended and self._process.poll() == FAILED:
             self._reader.join(_GRACE_S)
-            last = next((line for line in reversed(self._lines) if line.startswith("bc-play: ")), "")
-            self._why_ended = last.removeprefix("bc-play: ") or "Rerun has ended; open it again"
-        return self._why_ended
+            self._why_ended = next(reversed(self.notes), "")
+        return self._why_ended or "Rerun has ended; open it again"
 
     def end(self, why: str = "") -> threading.Thread:
         """Begin to end it; the thread ends when all of it has."""
@@ -115,8 +118,9 @@ class RerunViewer:
         assert self._process.stderr is not None  # noqa: S101
         with self._process.stderr as lines:
             for line in lines:
-                self._lines.append(printable(line.decode("utf-8", "replace").rstrip()))
-                del self._lines[:-_LAST_LINES]
+                text = printable(line.decode("utf-8", "replace").rstrip())
+                if text.startswith(_PREFIX) and not text.endswith(_HINT) and len(self.notes) < _MOST_NOTES:
+                    self.notes.append(text.removeprefix(_PREFIX))
 
 
 class RerunViewers:

@@ -12,6 +12,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
+from common.files import PART_SUFFIX
+from common.locks import is_being_written
 from recorder.log.topics import camera_topic
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
@@ -28,6 +30,8 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         path = bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
         log = request.query_params.get("log", "")  # the fingerprint of what the page shows
+        if path.name.endswith(PART_SUFFIX) and is_being_written(path):
+            raise WebError("it is being recorded: a network can look at it when that has ended", 409)
         with bench.logs.open(path) as opened:
             return JSONResponse(_told(bench, path, opened, log, run, is_start=request.method == "POST"))
 

@@ -48,8 +48,8 @@ def rerun_routes(bench: Workbench) -> list[Route]:
 
 def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
     def open_log(request: Request) -> Response:
-        """Lines of JSON: where the viewer is, as soon as it can be opened, and what ends it. It lives as long as
-        somebody reads them."""
+        """Lines of JSON: where the viewer is, as soon as it can be opened, what is said of the log, and what ends
+        it. It lives as long as somebody reads them."""
         path = bench.folders.log(place, request.path_params["log"])
         if request.client is not None and not is_loopback(request.client.host):
             why = "Rerun gets its data on the machine that bc-web runs on, and there only"
@@ -62,12 +62,15 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
             viewer = None
             try:
                 viewer = await run_in_threadpool(bench.viewers.open, path, is_growing=is_growing)
-                is_told = False
+                is_told, notes = False, 0
                 while not viewer.is_ended and not request.scope["is_ending"]():
                     if not is_told and (is_told := viewer.is_listening()):
-                        yield _line(frame=f"/rerun/{viewer.key}", late_s=late_s)
+                        yield _line(frame=f"/rerun/{viewer.key}", late_s=late_s, is_growing=is_growing)
+                    for note in viewer.notes[notes:]:
+                        notes += 1
+                        yield _line(note=note)
                     await anyio.sleep(_LOOK_EVERY_S)
-                yield _line(problem=viewer.why_ended())
+                yield _line(problem=viewer.why_ended() if viewer.is_ended else "bc-web has ended")
             except UserError as error:
                 yield _line(problem=printable(str(error)))
             finally:  # also when the page is closed

@@ -7,7 +7,7 @@ export class Attention {
   /** `onChange(why)`: it is shown or not any more; `why` tells what went wrong. */
   constructor(figure, data, { onChange }) {
     Object.assign(this, { figure, data, onChange });
-    this.image = figure?.appendChild(Object.assign(new Image(), { className: "attention", hidden: true }));
+    this.image = null; // over the picture, while it is shown
     this.run = "";
     this.isOn = false;
     this.position = 0;
@@ -23,7 +23,7 @@ export class Attention {
   }
 
   toggle() {
-    this.isOn = Boolean(this.image) && Boolean(this.run) && !this.isOn;
+    this.isOn = Boolean(this.figure) && Boolean(this.run) && !this.isOn;
     if (this.isOn) this.show(this.position);
     else this.hide();
     this.onChange("");
@@ -31,9 +31,9 @@ export class Attention {
 
   hide() {
     if (!this.image) return;
-    this.image.hidden = true;
     URL.revokeObjectURL(this.image.src);
-    this.image.removeAttribute("src");
+    this.image.remove();
+    this.image = null;
     delete this.figure.dataset.attention;
   }
 
@@ -46,13 +46,11 @@ export class Attention {
       while (this.isOn && address !== this.wanted()) {
         address = this.wanted();
         const answer = await ask(address);
-        const shown = URL.createObjectURL(await answer.blob());
-        const before = this.image.src;
-        this.image.src = shown;
-        await this.image.decode();
-        URL.revokeObjectURL(before);
-        this.image.alt = "where the network looks";
-        this.image.hidden = !this.isOn;
+        const next = Object.assign(new Image(), { className: "attention", alt: "where the network looks" });
+        next.src = URL.createObjectURL(await answer.blob());
+        await next.decode();
+        this.hide();
+        this.image = this.figure.appendChild(next);
         this.figure.dataset.attention = address; // for whoever waits for it
       }
     } catch (error) {

@@ -209,17 +209,17 @@ function showTags() {
     onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
   });
   curves.mark({});
+  by("look").hidden = data.state.looked || !data.state.cameras.length;
   page.dataset.tags = data.tags.length; // what is shown now, for whoever waits for it
 }
 
 data.addEventListener("rows", () => {
   groups = grouped(data.state.odd);
-  predictions.forget(); // of the log as it was
   player.useRows();
   pictures.useCameras();
-  by("look").hidden = data.state.looked || !data.state.cameras.length;
   curves.odd = groups;
-  curves.build();
+  if (predictions.run) predictions.choose(predictions.run); // it was of the log as it was
+  else curves.build();
   makers.select(selection && data.rowsOf(selection));
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);

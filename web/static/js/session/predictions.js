@@ -18,13 +18,6 @@ export class Predictions {
     delete this.data.columns.predicted;
   }
 
-  /** The log is another one, or has grown. */
-  forget() {
-    if (!this.run) return;
-    this.clear("");
-    this.told = "the log has changed: choose the run again";
-  }
-
   async choose(run) {
     this.clear(run);
     this.onChange();

@@ -30,10 +30,11 @@ export class RerunFrame {
       for await (const line of lines(answer.body)) {
         const said = JSON.parse(line);
         if (said.problem) why = said.problem;
+        else if (said.note) this.told.textContent = said.note;
         else this.show(said);
       }
     } catch (error) {
-      why = error.message;
+      why = error instanceof TypeError ? "bc-web does not answer: it was ended, or is restarted" : error.message;
     }
     if (this.asking !== asking) return; // closed here
     this.close();
@@ -51,8 +52,9 @@ export class RerunFrame {
     this.onChange();
   }
 
-  show({ frame, late_s: lateS }) {
+  show({ frame, late_s: lateS, is_growing: isGrowing }) {
     this.lateS = lateS;
+    this.isGrowing = isGrowing; // then Rerun follows the recording, not the page
     this.told.textContent = "";
     this.frame = document.createElement("iframe");
     this.frame.title = "Rerun";
@@ -62,7 +64,7 @@ export class RerunFrame {
 
   moveTo(position) {
     this.position = position;
-    if (!this.isReady) return;
+    if (!this.isReady || this.isGrowing || !this.data.length) return;
     const at = this.data.columns.time_s[position] + this.lateS; // Rerun counts from the log's first message
     this.frame.contentWindow.postMessage({ at_s: at }, location.origin);
   }

@@ -1,0 +1,245 @@
+"""One network trained by workers on a Ray cluster: the loop that torchrun starts, in actors instead of processes.
+
+    bc-train --ray 4
+
+Each worker is a rank of one torch.distributed group (`model.training.distributed`). If one dies, all are started
+again and go on from the checkpoint, as `--resume` does: to the same weights.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from rich.progress import Progress
+
+from common.errors import UserError, counted, printable
+from common.location import Location
+from common.output import print_message
+from common.ray_cluster import ClusterError, connection, package_versions, refuse_other_node
+from model.config import TrainConfig
+from model.network.names import is_own
+from model.network.own_code import load_code
+from model.progress_bar import open_bar
+from model.runs.run_folder import CONFIG
+from model.runs.training_progress import Epoch, Listener, Step
+from model.training.distributed import FirstRankError
+from model.training.listeners import Listeners
+from model.training.trainer import Trained, train
+
+MAX_RESTARTS: Final = 5
+"""A training whose workers die for the sixth time is given up; it can be resumed."""
+
+_LOOK_EVERY_S: Final = 0.5
+_SAY_WAITING_S: Final = 10.0
+_STOP_S: Final = 60.0
+
+
+class _WorkerLostError(Exception):
+    """A worker died, or lost another one."""
+
+
+@dataclass(frozen=True)
+class _Call:
+    """What each rank calls `train` with."""
+
+    index: Location
+    run: Path
+    config: TrainConfig
+    init: Path | None
+    like: Path | None
+    resume: bool
+
+
+class _Recorder:
+    """A listener that keeps what it is told for the driver to ask for."""
+
+    def __init__(self) -> None:
+        self._told: list[Step | Epoch] = []
+        self._lock = threading.Lock()
+
+    def step(self, step: Step) -> None:
+        self._tell(step)
+
+    def epoch(self, epoch: Epoch) -> None:
+        self._tell(epoch)
+
+    def close(self) -> None:
+        """The driver closes its own."""
+
+    def _tell(self, told: Step | Epoch) -> None:
+        with self._lock:
+            self._told.append(told)
+
+    def taken(self) -> list[Step | Epoch]:
+        """What was told since the last call."""
+        with self._lock:
+            told, self._told = self._told, []
+            return told
+
+
+class _Worker:
+    """A rank, on a node. Ray calls `told` and `stop` in other threads than `train`."""
+
+    def __init__(self, versions: Mapping[str, str], folder: Path) -> None:
+        self._refused: UserError | None = None
+        self._recorder = _Recorder()
+        self._stop = threading.Event()
+        try:
+            refuse_other_node(versions, folder)
+        except UserError as error:
+            self._refused = error
+
+    def place(self) -> tuple[str, int]:
+        """This node's address, and a port that is free on it."""
+        import ray
+
+        with socket.socket() as probe:
+            probe.bind(("", 0))
+            return ray.util.get_node_ip_address(), probe.getsockname()[1]
+
+    def train(self, rank: int, ranks: int, place: tuple[str, int], call: _Call) -> Trained | Exception | None:
+        """The result, or the error that its user can mend; None if it was stopped."""
+        if self._refused is not None:
+            return self._refused
+        # LOCAL_RANK: Ray shows each worker no GPU but its own
+        host, port = place
+        group = {"RANK": rank, "WORLD_SIZE": ranks, "LOCAL_RANK": 0, "MASTER_ADDR": host, "MASTER_PORT": port}
+        os.environ.update({name: str(value) for name, value in group.items()})
+        try:
+            if call.resume and is_own(call.config.network):
+                load_code(call.config.network)
+            return train(
+                call.index,
+                call.run,
+                call.config,
+                [self._recorder],
+                init=call.init,
+                like=call.like,
+                resume=call.resume,
+                show_progress=False,
+                stop=self._stop,
+            )
+        except (UserError, OSError, MemoryError) as error:
+            return error
+        except KeyboardInterrupt:
+            return None
+
+    def told(self) -> list[Step | Epoch]:
+        return self._recorder.taken()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+
+def train_on_cluster(
+    workers: int,
+    address: str,
+    index: Location,
+    run: Path,
+    config: TrainConfig,
+    listeners: Sequence[Listener] = (),
+    *,
+    init: Path | None = None,
+    like: Path | None = None,
+    resume: bool = False,
+) -> Trained:
+    """`train` by so many workers of a cluster (`common.ray_cluster`), which all see `index` and `run` by these
+    paths. Each takes the processors that `config.threads` names, or one, and a GPU where the cluster has enough.
+
+    Raises what `train` does, ClusterError where no cluster can be reached or workers died too often. Ctrl-C ends
+    the training after the batch that it is in.
+    """
+    call = _Call(index, run, config, init, like, resume)
+    notices: list[str] = []
+    told = Listeners(listeners, notices)
+    with connection(address) as ray, open_bar(is_shown=True) as bar:
+        is_on_gpu = config.device == "cuda" or (
+            config.device == "auto" and ray.cluster_resources().get("GPU", 0) >= workers
+        )
+        actor = ray.remote(_Worker).options(
+            num_cpus=config.threads or 1, num_gpus=int(is_on_gpu), max_concurrency=2
+        )
+        try:
+            for attempt in itertools.count():
+                try:
+                    trained = _attempt(ray, actor, workers, call, told, bar)
+                    return replace(trained, notices=[*trained.notices, *notices])
+                except _WorkerLostError as error:
+                    why = printable(" ".join(str(error).split())[:300])
+                    if attempt == MAX_RESTARTS:
+                        raise ClusterError(f"{run}: workers were lost {attempt + 1} times: {why}") from None
+                    print_message(f"bc-train: a worker was lost; going on from the checkpoint ({why})")
+                    call = replace(call, resume=(run / CONFIG).exists())
+        finally:
+            told.close()
+    raise AssertionError("it ends in the loop")
+
+
+def _attempt(ray: Any, actor: Any, workers: int, call: _Call, listeners: Listeners, bar: Progress) -> Trained:
+    """Train from where the run is. Raises _WorkerLostError if a worker dies."""
+    ranks = [actor.remote(package_versions(), Path.cwd()) for _ in range(workers)]
+    results: list[Any] = []
+    try:
+        place = _place(ray, ranks)
+        results = [rank.train.remote(number, workers, place, call) for number, rank in enumerate(ranks)]
+        pending = results
+        while pending:
+            ready, pending = ray.wait(pending, timeout=_LOOK_EVERY_S)
+            _pass_on(ray.get(ranks[0].told.remote()), call.config.epochs, listeners, bar)
+            for result in map(ray.get, ready):
+                if isinstance(result, Exception) and not isinstance(result, FirstRankError):
+                    raise result
+        trained = ray.get(results[0])
+    except KeyboardInterrupt:
+        for rank in ranks:
+            rank.stop.remote()
+        if results:
+            ray.wait(results, num_returns=workers, timeout=_STOP_S)
+        raise
+    except ray.exceptions.RayError as error:
+        raise _WorkerLostError(str(error)) from None
+    finally:
+        for rank in ranks:
+            ray.kill(rank)
+    if trained is None:  # a node was told to stop
+        raise _WorkerLostError("it was stopped on its node")
+    assert isinstance(trained, Trained)  # noqa: S101
+    return trained
+
+
+def _place(ray: Any, ranks: Sequence[Any]) -> tuple[str, int]:
+    """Where the others meet the first rank, once the cluster has room for all of them."""
+    asked = [rank.place.remote() for rank in ranks]
+    began_s, is_said = time.monotonic(), False
+    while len(ray.wait(asked, num_returns=len(asked), timeout=_LOOK_EVERY_S)[0]) < len(asked):
+        if not is_said and time.monotonic() - began_s > _SAY_WAITING_S:
+            print_message(f"bc-train: waiting for room on the cluster for {counted(len(ranks), 'worker')}")
+            is_said = True
+    place: tuple[str, int] = ray.get(asked)[0]
+    return place
+
+
+def _pass_on(told: Sequence[Step | Epoch], epochs: int, listeners: Listeners, bar: Progress) -> None:
+    """Tell the driver's listeners and its bar what the first rank's were told."""
+    for each in told:
+        if isinstance(each, Epoch):
+            listeners.epoch(each)
+            continue
+        listeners.step(each)
+        if not bar.tasks:
+            bar.add_task("", note="")
+        bar.update(
+            bar.tasks[0].id,
+            description=f"epoch {each.epoch:,}/{epochs:,}",
+            total=epochs * each.batches,
+            completed=(each.epoch - 1) * each.batches + each.batch,
+            note=f"loss {each.training_loss:.4f}  {each.samples_per_s:,.0f} samples/s",
+        )

@@ -1,0 +1,102 @@
+"""Every page, light and dark: axe-core finds nothing serious, all of it is reached by the keyboard, nothing is cut
+off at the right."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+import dataset.cli
+import recorder.log_cli
+from chromium import chromium
+from driving import PATIENCE_S, road_jpeg, untrained_run
+from histories import epoch_line, step_lines, write_lines
+from logs import write_log
+from udacity import call
+from waiting import wait_until
+from workbench import Served, served
+
+PAGES: Final = (
+    "/sessions",
+    "/sessions?where=no_such_column",
+    "/sessions/faulty",
+    "/index",
+    "/runs?run=r",
+    "/runs/r",
+    "/drives?log=d&by=speed",
+    "/jobs?start=train",
+    "/nothing",
+)
+RUN: Final = """async (only) => {
+  const found = await axe.run(document, only ? {runOnly: only} : {});
+  return found.violations.filter(each => ['serious', 'critical'].includes(each.impact))
+    .map(each => [each.id, each.nodes.map(node => node.target.join(' ') + ': ' + node.failureSummary)]);
+}"""
+REACHED: Final = """() => {
+  const all = document.querySelectorAll('a[href], button, input:not([type=hidden]), select, summary, [tabindex]');
+  const wanted = [...all].filter(each => each.checkVisibility() && !each.disabled && each.tabIndex >= 0);
+  window.reached ??= new Set();
+  window.reached.add(document.activeElement);
+  return wanted.filter(each => !window.reached.has(each)).map(each => each.outerHTML.slice(0, 120));
+}"""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A session with something of everything, an index, a run with its worst frames, a drive, a job."""
+    folder = tmp_path_factory.mktemp("bench")
+    steering = 0.3 * np.sin(np.arange(300) / 9)
+    steering[100:150] = 0.25
+    faulty = write_log(folder / "sessions" / "faulty.mcap", steering.tolist(), lambda camera, row: road_jpeg(row))
+    (folder / "sessions" / "damaged.mcap").write_bytes(b"no log")
+    for name in ("exclude", "recovery"):
+        assert call(recorder.log_cli.main, "tag", faulty, name, "--rows", 100, 149) == 0
+    arguments = "faulty", "--sessions", faulty.parent, "--index", folder / "index"
+    assert call(dataset.cli.main, *arguments) == 0
+    run = untrained_run(folder / "runs" / "r")
+    config = json.loads((run / "config.json").read_text())
+    config.update(
+        training={"epochs": 2, "recipe": "people"}, data={"logs": {"faulty": {}}, "settings": {"bins": 25}}
+    )
+    (run / "config.json").write_text(json.dumps(config))
+    write_lines(run / "metrics.jsonl", [epoch_line(1), epoch_line(2)])
+    write_lines(run / "steps.jsonl", step_lines(1))
+    frame = {"session": "faulty", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
+    shown = {**frame, "predicted_deg": 9.0, "error_deg": 8.0, "jpeg": base64.b64encode(road_jpeg(7)).decode()}
+    write_lines(run / "worst.jsonl", [{"epoch": 2, "frames": [shown]}])
+    write_log(folder / "drives" / "d.mcap", [0.1] * 50, source="drive")
+    with served(folder) as found:
+        wait_until(lambda: "reading" not in found.get("/runs.rows").text)
+        yield found
+
+
+def test_every_page_is_for_everybody(bench: Served) -> None:
+    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-core is not installed")
+    wrong: dict[str, Any] = {}
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(PATIENCE_S * 1000)
+        for path in PAGES:
+            page.goto(f"{bench.address}{path}", wait_until="networkidle")
+            page.evaluate(axe.AXE_SCRIPT)
+            if found := page.evaluate(RUN, None):
+                wrong[path] = found
+            page.emulate_media(color_scheme="dark")
+            if found := page.evaluate(RUN, ["color-contrast"]):
+                wrong[f"{path}, dark"] = found
+            page.emulate_media(color_scheme="light")
+            for _ in range(150):
+                if not (left := page.evaluate(REACHED)):
+                    break
+                page.keyboard.press("Tab")
+            if left:
+                wrong[f"{path}, by the keyboard"] = left
+            for width in (1280, 2560):
+                page.set_viewport_size({"width": width, "height": width * 9 // 16})
+                page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+    assert wrong == {}
