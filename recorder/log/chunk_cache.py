@@ -20,9 +20,9 @@ import threading
 from pathlib import Path
 from typing import Final
 
-from common.cache_folder import cache_folder
 from common.closeable import Closeable
 from common.errors import UsageError
+from common.users_cache import users_cache
 
 _DEFAULT_GB: Final = 100.0
 _STAYS_FREE: Final = 10**9  # bytes of the disk
@@ -151,4 +151,4 @@ def default_cache() -> ChunkCache:
         most_gb = -1.0
     if not 0 <= most_gb < 1e9:
         raise UsageError(f"BC_CACHE_GB={given}: a number of gigabytes was expected")
-    return ChunkCache(cache_folder() / "chunks", int(most_gb * 1e9))
+    return ChunkCache(users_cache() / "chunks", int(most_gb * 1e9))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from common.cache_folder import cache_folder
+from common.users_cache import users_cache
 from simulator.rendering.ground_texture import paint_ground
 from simulator.rendering.noise import Field
 from simulator.rendering.props import cast_shadows, place_props
@@ -56,7 +56,7 @@ class WorldMaps:
 def build_world(track: Track, cache: bool = True) -> WorldMaps:
     """Bake a track's world, or read it back if an earlier call has.
 
-    What is baked is kept in the `cache_folder`. A cache that is damaged, old or not writable costs time and
+    What is baked is kept in the `users_cache`. A cache that is damaged, old or not writable costs time and
     nothing else.
     """
     if not cache:
@@ -91,7 +91,7 @@ def _bake(track: Track) -> WorldMaps:
 
 def _cache_file(track: Track) -> Path:
     name = track.name.replace(":", "-")
-    return cache_folder() / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
+    return users_cache() / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
 
 
 def _load(path: Path) -> WorldMaps | None:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 
-def cache_folder() -> Path:
+def users_cache() -> Path:
     """`BC_CACHE`, else `behavioural-cloning-toolkit` where a system keeps caches (`XDG_CACHE_HOME`, ~/.cache)."""
     if given := os.environ.get("BC_CACHE"):
         return Path(given)
