@@ -9,6 +9,7 @@ The thresholds were set on four recordings of people (5,667 rows): none of their
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -31,10 +32,13 @@ _USUAL: Final = 0.35
 the whole, as `recorder.log.steering_lag` takes it: a sixth of wrong labels would spoil it."""
 
 
-def against_pictures(log: Log) -> NDArray[np.bool_]:
+def against_pictures(log: Log, on_looked: Callable[[int], object] = lambda count: None) -> NDArray[np.bool_]:
     """The rows (N,) of the log whose steering contradicts its pictures; none where the pictures as a whole do not
-    tell how the car turned. Decodes every picture of the centre camera: a second of one core for
-    two thousand. Raises LogError for a log whose rows cannot be read."""
+    tell how the car turned.
+
+    Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_looked` is told how many
+    more are done. Raises LogError for a log whose rows cannot be read.
+    """
     states = States.of(log.vehicle())
     found = np.zeros(len(states.row), np.bool_)
     time_s = elapsed_s(states.time_ns)
@@ -42,7 +46,10 @@ def against_pictures(log: Log) -> NDArray[np.bool_]:
     pairs = rows_apart(states, time_s)
     pairs = pairs[is_sound[pairs].all(axis=1)]
     shown = FarField(log, states)
-    yaw_px: Values = np.array([shown.yaw_px(first, second) for first, second in pairs.tolist()])
+    yaw_px: Values = np.full(len(pairs), np.nan)
+    for number, (first, second) in enumerate(pairs.tolist()):
+        yaw_px[number] = shown.yaw_px(first, second)
+        on_looked(1)
     is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; beyond, it has found nothing in common
     pairs, yaw_px = pairs[is_known], yaw_px[is_known]
     if len(pairs) < _LEAST_PAIRS:

@@ -75,6 +75,12 @@ def test_where_its_commands_are_typed_is_said_when_it_is_stopped(tmp_path: Path)
         process.wait_for(rf"^bc-demo: what was made is in {folder}; type its commands there: `cd {folder}`$")
 
 
+def test_a_folder_that_has_a_project_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "runs").mkdir()
+    assert call(bc_demo, "--folder", tmp_path) == 1
+    assert one_line_in(capsys) == f"bc-demo: {tmp_path}: has runs already; give another --folder"
+
+
 def test_one_that_is_stopped_at_once_leaves_no_folder(tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     with Process(command("bc-demo", "--folder", folder)) as process:

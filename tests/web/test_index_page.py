@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import html
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlencode
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import dataset.cli
@@ -110,6 +112,33 @@ def test_other_settings_are_tried_before_they_are_written(bench: Served) -> None
     wait_until(lambda: "running" not in bench.get(f"{done}/body").text)
     assert samples.read_bytes() != before
     assert "5 bins" in plain(bench.get("/index").text)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"format": 99}, "of format 99, not 5"),
+        ({"format": "<b>x"}, "of format <b>x"),
+        ({"format": None}, "of format None"),
+        ({"balance": {}}, "not as this version writes it"),
+        ({"balance": {"before": [], "after": [], "per_bin": 0, "short": {}}}, "not as this version writes it"),
+        ({"counts": {"a": 3}}, "not as this version writes it"),
+        ({"settings": None}, "not as this version writes it"),
+    ],
+)
+def test_an_index_of_another_version_or_hand_is_told(
+    bench: Served, tmp_path: Path, changed: dict[str, object], told: str
+) -> None:
+    whole = pq.read_table(bench.folder / "index" / "samples.parquet")
+    stored = json.loads(whole.schema.metadata[b"bc.index"])
+    metadata = {b"bc.index": json.dumps({**stored, **changed}).encode()}
+    (tmp_path / "index").mkdir()
+    pq.write_table(whole.replace_schema_metadata(metadata), tmp_path / "index" / "samples.parquet")
+    with served(tmp_path) as other:
+        answer = other.get("/index")
+        assert (answer.status, told in plain(answer.text)) == (200, True)
+        assert "<b>x" not in answer.text
+        assert other.get("/index.bins").status == 422
 
 
 def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> None:

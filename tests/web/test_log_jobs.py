@@ -102,9 +102,8 @@ def test_the_commands_that_are_shown_do_it(bench: Served) -> None:
         assert "exists already" in command(bench, job, *asked, log=log), line
 
 
-@pytest.mark.parametrize(
-    ("job", "values", "why"),
-    [
+def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
+    for job, values, why in (
         ("trim", {"first": "3", "last": "2"}, "the first row, then the last one"),
         ("trim", {"first": "x", "last": "2"}, "the number of a row was expected"),
         ("trim", {"first": "0", "last": "2", "new": "../up"}, "the name of a log was expected"),
@@ -113,14 +112,10 @@ def test_the_commands_that_are_shown_do_it(bench: Served) -> None:
         ("merge", {}, "choose at least one other log"),
         ("merge", {"other": "none"}, "no log 'none'"),
         ("rm", {}, "nothing of that name"),
-    ],
-)
-def test_what_cannot_be_done_is_told_and_not_started(
-    bench: Served, job: str, values: dict[str, str], why: str
-) -> None:
-    answer = post(bench, job, **values)
-    assert answer.status in (404, 409, 422)
-    assert why in answer.json["error"]
+    ):
+        answer = post(bench, job, **values)
+        assert answer.status in (404, 409, 422)
+        assert why in answer.json["error"]
     assert "Nothing was started here yet" in bench.get("/jobs").text
 
 

@@ -16,8 +16,9 @@ import pytest
 import recorder.log_cli
 from chromium import chromium
 from common.car import Camera
-from driving import PATIENCE_S, command, environment
+from driving import command, environment
 from logs import START_NS
+from pages import drag, open_session, opened_page, press
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import read_tags
@@ -79,31 +80,10 @@ def cameras() -> tuple[Camera, ...]:
 
 @contextlib.contextmanager
 def opened(browser: Browser, bench: Served, name: str = "faulty") -> Iterator[Page]:
-    """The page of a session, with all of its data there; what its scripts raise fails the test."""
-    page = browser.new_page(viewport={"width": 1280, "height": 800})
-    page.set_default_timeout(PATIENCE_S * 1000)
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto(f"{bench.address}/sessions/{name}")
-    page.wait_for_selector("#session[data-ready]")
-    yield page
-    assert errors == []
-    page.close()
-
-
-def drag(page: Page, first: int, last: int) -> tuple[int, int]:
-    """Drag with the mouse from one row to another; the rows that the page says are selected."""
-    box = page.locator("#curves .u-over").first.bounding_box()
-    assert box is not None
-    across = [box["x"] + box["width"] * row / (ROWS - 1) for row in (first, last)]
-    y = box["y"] + box["height"] / 2
-    page.mouse.move(across[0], y)
-    page.mouse.down()
-    page.mouse.move(across[1], y, steps=4)
-    page.mouse.up()
-    wait_until(lambda: page.inner_text("#selected"))
-    words = page.inner_text("#selected").split()
-    return int(words[1]), int(words[3])
+    """The page of a session, with all of its data there."""
+    with opened_page(browser, f"{bench.address}/sessions/{name}") as page:
+        open_session(page)
+        yield page
 
 
 def tags(bench: Served) -> list[tuple[str, int, int]]:
@@ -113,15 +93,9 @@ def tags(bench: Served) -> list[tuple[str, int, int]]:
         return [(tag.name, tag.first_row, tag.last_row) for tag in read_tags(log, found.fingerprint)]
 
 
-def press(page: Page, key: str, shown: int) -> None:
-    """Press a key that changes the tags; wait until the page shows so many of them."""
-    page.keyboard.press(key)
-    page.wait_for_selector(f"#session[data-tags='{shown}']")
-
-
 def test_a_stretch_is_excluded_by_dragging_and_undone_and_done_again(browser: Browser, bench: Served) -> None:
     with opened(browser, bench) as page:
-        rows = drag(page, 200, 260)
+        rows = drag(page, 200, 260, ROWS)
         assert list(rows) == pytest.approx([200, 260], abs=3)
         press(page, "x", 1)
         assert tags(bench) == [("exclude", *rows)]
@@ -140,9 +114,9 @@ def test_a_stretch_is_excluded_by_dragging_and_undone_and_done_again(browser: Br
 
 def test_the_commands_that_are_shown_do_the_same(browser: Browser, bench: Served) -> None:
     with opened(browser, bench) as page:
-        drag(page, 20, 60)
+        drag(page, 20, 60, ROWS)
         press(page, "x", 1)
-        drag(page, 500, 550)
+        drag(page, 500, 550, ROWS)
         press(page, "x", 2)
         press(page, "u", 1)
         after = tags(bench)
@@ -224,7 +198,7 @@ def assert_shown(page: Page, row: int, within: int = 0) -> None:
     wait_until(lambda: set(pictures(page)) == {"center", "left"})
     wait_until(lambda: all(abs(at - row) <= within for at in pictures(page).values()))
     shown = page.evaluate(
-        """() => [...document.querySelectorAll('figure:not([hidden]) img')].map(image => {
+        """() => [...document.querySelectorAll('figure:not([hidden]) > img:first-child')].map(image => {
             const canvas = document.createElement('canvas');
             const context = canvas.getContext('2d');
             context.drawImage(image, 0, 0);

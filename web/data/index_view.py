@@ -18,7 +18,7 @@ from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_metadata
-from dataset.samples.samples_format import SAMPLES_NAME
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, Balance
 
 _WIDTH: Final = 300
 _COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page
@@ -51,18 +51,22 @@ def view_index(index: Path) -> IndexView:
     metadata = read_metadata(path)
     if metadata is None:
         raise DatasetError(f"{path}: no index, or a damaged one; `bc-index` builds it")
+    if (version := metadata.get("format")) not in READABLE_FORMATS:
+        raise DatasetError(
+            f"{path}: of format {printable(str(version))}, not {SAMPLES_FORMAT}; `bc-index` makes it anew"
+        )
     try:
-        balance = metadata["balance"]
+        balance = Balance.from_dict(metadata["balance"])
         return IndexView(
             {printable(str(name)): _text(value) for name, value in metadata["settings"].items()},
-            [int(count) for count in balance["before"]],
-            [int(count) for count in balance["after"]],
+            balance.before.tolist(),
+            balance.after.tolist(),
             {
                 str(session): {str(way): int(count) for way, count in counts.items()}
                 for session, counts in metadata["counts"].items()
             },
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DatasetError(f"{path}: not as this version writes it ({error}); `bc-index` makes it anew") from None
 
 

@@ -90,7 +90,7 @@ class PictureChecks:
         try:
             with Log(path) as log:  # of its own: a page may close the other
                 found = check_images(log, on_decoded)
-                against = stretches(against_pictures(log))
+                against = stretches(against_pictures(log, on_decoded))
             write_image_check(self._kept, fingerprint, fingerprint, found)
             self._cache.keep(f"{_AGAINST} {fingerprint}", msgspec.json.encode(against))
         except _StoppedError:

@@ -1,39 +1,57 @@
-"""Which runs were trained on what: on the index as it is now, on a session, and which of them drove."""
+"""What runs were trained on: the index as it is now, or a session; read without PyTorch."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
+from web.data.file_versions import version_of
 from web.data.project_folders import RUN_CONFIG
 
-
-class TrainedOn:
-    """What the config.json of each run says of its data; read without PyTorch."""
-
-    def __init__(self, index: Path) -> None:
-        self._index = read_metadata(index / SAMPLES_NAME)
-
-    def is_index(self, run: Path) -> bool:
-        """Whether the run was trained on the index as it is now: the same settings, logs and balance."""
-        data = _data(run)
-        return bool(self._index) and all(data.get(name) == value for name, value in (self._index or {}).items())
+_OF_THE_RUN: Final = ("fingerprint", "content_fingerprint", "targets_fingerprint")
+"""What a run's config says of its data, and the index does not say of itself."""
 
 
-def learnt_from(run: Path, session: str) -> bool:
-    """Whether that session was in what the run was trained on."""
-    logs = _data(run).get("logs")
-    return isinstance(logs, dict) and session in logs
+@dataclass(frozen=True)
+class RunOrigin:
+    """`index` is the checksum of what the index said of itself then: its settings, logs and balance; "" where that
+    is not known."""
+
+    sessions: frozenset[str]
+    index: str
 
 
-def _data(run: Path) -> Mapping[str, Any]:
-    """Empty where it cannot be read: the list of runs says why."""
+def origin_of(run: Path) -> RunOrigin:
+    """Of nothing, where the run's config.json cannot be read: the list of runs says why."""
+    config = run / RUN_CONFIG
+    return _origin(config, version_of(config))
+
+
+def index_checksum(index: Path) -> str:
+    """Of what the index says of itself now; "" where there is none."""
+    metadata = read_metadata(index / SAMPLES_NAME)
+    return _checksum(metadata) if metadata else ""
+
+
+@lru_cache(maxsize=4096)
+def _origin(config: Path, version: str) -> RunOrigin:
     try:
-        data = json.loads((run / RUN_CONFIG).read_bytes()).get("data")
+        data = json.loads(config.read_bytes()).get("data")
     except (OSError, ValueError, RecursionError, AttributeError):
-        return {}
-    return data if isinstance(data, dict) else {}
+        data = None
+    if not isinstance(data, dict):
+        return RunOrigin(frozenset(), "")
+    logs = data.get("logs")
+    sessions = frozenset(logs) if isinstance(logs, dict) else frozenset[str]()
+    return RunOrigin(sessions, _checksum({name: data[name] for name in data if name not in _OF_THE_RUN}))
+
+
+def _checksum(metadata: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(metadata, sort_keys=True).encode()).hexdigest()

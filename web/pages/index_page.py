@@ -22,7 +22,7 @@ from web.data.file_versions import version_of
 from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
 from web.data.job_forms import INDEX_FIELDS, form_of
 from web.data.project_folders import key_of
-from web.data.run_origins import TrainedOn
+from web.data.run_origins import index_checksum, origin_of
 from web.data.run_settings import differing
 from web.errors import WebError
 from web.pages.form_values import form_values
@@ -67,9 +67,9 @@ def index_routes(bench: Workbench) -> list[Route]:
 
     def _runs() -> list[tuple[str, str]]:
         """The runs that were trained on the index as it is now, and their pages."""
-        trained = TrainedOn(bench.folders.index)
+        now = index_checksum(bench.folders.index)
         found = bench.folders.run_folders().items()
-        return [(printable(path.name), f"/runs/{key}") for key, path in found if trained.is_index(path)]
+        return [(printable(path.name), f"/runs/{key}") for key, path in found if origin_of(path).index == now]
 
     def bins(request: Request) -> Response:
         return _picture(bins_sketch(view_index(folder_of(request))))

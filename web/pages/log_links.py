@@ -9,7 +9,7 @@ from starlette.routing import Route
 from common.errors import printable
 from dataset.frames.frames_file import session_name
 from web.data.project_folders import Place, key_of
-from web.data.run_origins import learnt_from
+from web.data.run_origins import origin_of
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
@@ -19,7 +19,9 @@ def log_link_routes(bench: Workbench, place: Place) -> list[Route]:
         path = bench.folders.log(place, request.path_params["log"])
         runs = bench.folders.run_folders()
         name = session_name(path)
-        learnt = [(printable(run.name), f"/runs/{key}") for key, run in runs.items() if learnt_from(run, name)]
+        learnt = [
+            (printable(run.name), f"/runs/{key}") for key, run in runs.items() if name in origin_of(run).sessions
+        ]
         with bench.logs.open(path) as opened:
             driver = opened.log.metadata.get("run", "")
         key = key_of(bench.folders.runs / driver) if driver else ""

@@ -15,7 +15,7 @@ from common import UserError
 from common.errors import printable
 from web.data.project_folders import PLACES, ProjectFolders, key_of
 from web.data.run_cards import RunCard
-from web.data.run_origins import TrainedOn
+from web.data.run_origins import index_checksum, origin_of
 from web.data.run_settings import run_settings
 from web.errors import WebError
 from web.pages.changes import runs_version
@@ -55,7 +55,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             "summary": card.summary,
             "settings": _settings(path) if not card.problem else {},
             "sessions": _sessions(bench.folders, card),
-            "is_of_index": TrainedOn(bench.folders.index).is_index(path),
+            "is_of_index": _is_of_index(path, bench.folders.index),
             "results": _results(bench.folders, card),
             "drives": _drives(bench, path.name),
             **_worst(bench, path, card, request.query_params.get("epoch", "")),
@@ -66,6 +66,11 @@ def run_routes(bench: Workbench) -> list[Route]:
         Route("/runs/{run}/body", body),
         Route("/runs/{run}/worst/{epoch:int}/{number:int}.jpg", worst_picture),
     ]
+
+
+def _is_of_index(run: Path, index: Path) -> bool:
+    now = index_checksum(index)
+    return bool(now) and origin_of(run).index == now
 
 
 def _settings(path: Path) -> dict[str, str]:

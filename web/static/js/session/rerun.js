@@ -34,7 +34,7 @@ export class RerunFrame {
         else this.show(said);
       }
     } catch (error) {
-      why = error.message;
+      why = error instanceof TypeError ? "bc-web does not answer: it was ended, or is restarted" : error.message;
     }
     if (this.asking !== asking) return; // closed here
     this.close();
