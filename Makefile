@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator web tests benchmarks docs
+SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator web tests benchmarks docs examples
 
 # several tests at once (tests/conftest.py says how many); those of one file share what they have made
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile

@@ -185,7 +185,7 @@ def _measures(of: ModelCard) -> Iterator[str]:
         " wheels, beside those of predictors that know nothing:"
     )
     yield ""
-    yield "| | MAE | RMSE | RMSE of every bin of steering alike | MAE where it turns | correlation |"
+    yield "| | MAE | RMSE | balanced RMSE: every bin of steering alike | MAE where it turns | correlation |"
     yield "|---|---|---|---|---|---|"
     rows = [
         ("this network", measures.network, measures.balanced_rmse_deg),
@@ -195,6 +195,9 @@ def _measures(of: ModelCard) -> Iterator[str]:
     for name, errors, balanced in rows:
         numbers = (errors.mae_deg, errors.rmse_deg, balanced, errors.turning_mae_deg, errors.correlation)
         yield f"| {name} | {' | '.join(map(_number, numbers))} |"
+    if not measures.network.rmse_deg < measures.mean.rmse_deg:
+        yield ""
+        yield "**No better than always predicting the mean.**"
     for target in of.epoch.targets:
         if target.frames:
             yield ""

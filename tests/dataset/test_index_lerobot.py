@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
+from bucket import serving_bucket
 from common import UserError
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main as bc_index
@@ -93,6 +95,15 @@ def test_it_comes_back_as_a_log(tmp_path: Path) -> None:
     done, _ = exported(indexed(tmp_path))
     back = import_lerobot(done.folder, tmp_path / "back.mcap")
     assert (back.rows, back.pictures, list(back.skipped)) == (20, 60, [])
+
+
+def test_logs_of_a_bucket_are_exported_as_those_of_a_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, here = exported(indexed(tmp_path))
+    with serving_bucket(tmp_path, monkeypatch) as bucket:
+        shutil.copy(tmp_path / "one.mcap", bucket.folder)
+        index = build_index([bucket.url("one.mcap")], tmp_path / "far" / "index", HALVES).path
+        _, there = exported(index)
+    assert there == here
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -115,6 +115,17 @@ def test_the_hub_is_told_licence_tags_and_measures(trained: Path, exported: Path
     assert mean == pytest.approx(best["mean"]["rmse_deg"], abs=1e-4)
 
 
+def test_the_card_says_if_it_has_learnt_nothing(trained: Path, exported: Path, tmp_path: Path) -> None:
+    no_better = "**No better than always predicting the mean.**"
+    assert no_better not in section(exported, "How well")
+    run = shutil.copytree(trained, tmp_path / "first")
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    for line in lines:
+        line["validation"]["rmse_deg"] = line["mean"]["rmse_deg"]
+    (run / "metrics.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    assert no_better in section(export_to_hub(run, tmp_path / "hub").folder, "How well")
+
+
 def test_the_card_says_where_it_drives_and_where_not(exported: Path) -> None:
     told = section(exported, "Where it drives, and where not")
     assert "- Without an intervention: lake (2.00 laps at 10 mph).\n" in told
