@@ -14,6 +14,7 @@ import re
 import signal
 import socket
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,6 +98,7 @@ def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
 @contextlib.contextmanager
 def connection(address: str) -> Iterator[Any]:
     """The module `ray`, connected to a cluster in the block. See `cluster_tasks`."""
+    os.environ.setdefault("RAY_CLIENT_MAX_CONNECTION_TIMEOUT_S", str(round(UNREACHABLE_S)))
     try:
         import ray
     except ImportError:
@@ -112,7 +114,8 @@ def connection(address: str) -> Iterator[Any]:
     )  # its way from 2.55 on, of which it warns else
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
     try:
-        ray.init(address or None, log_to_driver=False, logging_level="ERROR", include_dashboard=None)
+        with warnings.catch_warnings(action="ignore"):
+            ray.init(address or None, log_to_driver=False, logging_level="ERROR")
     except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
         raise ClusterError(_why_not(address, str(error))) from None
     finally:
@@ -151,8 +154,10 @@ def _why_not(address: str, error: str) -> str:
     if "ersion mismatch" in error and len(versions) == 4:
         theirs, ours = (" and ".join(map(" ".join, pair)) for pair in (versions[:2], versions[2:]))
         return f"--ray {address}: the cluster has {theirs}, this machine {ours}: they must be the same"
-    line = " ".join(error.split())
-    return f"--ray {address or 'auto'}: {printable(line[:300])}"
+    line = printable(" ".join(error.split())[:300])
+    is_open = address not in _LOCAL_ADDRESSES and "RAY_AUTH_MODE" not in os.environ
+    hint = "; a cluster that asks for a token needs RAY_AUTH_MODE=token here (`ray get-auth-token` on its head)"
+    return f"--ray {address or 'auto'}: {line}{hint if is_open else ''}"
 
 
 def _results(

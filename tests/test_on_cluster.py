@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sysconfig
@@ -26,6 +27,7 @@ from common.ray_cluster import cluster_tasks
 from dataset import build_index
 from driving import Process, command, one_line_of, run, run_code, untrained_run
 from logs import write_log
+from model.runs.checkpoint import read_position
 from repository import ROOT
 from toy import toy_index
 from waiting import wait_until
@@ -213,3 +215,16 @@ def test_the_example_of_a_cluster_is_one_by_rays_own_schema() -> None:
     assert example["head_node_type"] in example["available_node_types"]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**example, "max_worker": 1}, schema)
+
+
+@pytest.mark.long
+def test_a_training_on_a_cluster_that_is_stopped_keeps_what_it_has_learnt(tmp_path: Path, cluster: Any) -> None:
+    toy_index(tmp_path)
+    flags = ["--network", "small", "--batch", 10, "--precision", "float32", "--threads", 1, "--epochs", 1000]
+    line = command("bc-train", "--name", "stopped", *flags, "--ray", 2, cluster.address)
+    with Process(line, cwd=tmp_path) as training:
+        wait_until((tmp_path / "runs" / "stopped" / "metrics.jsonl").exists)
+        training.popen.send_signal(signal.SIGINT)
+        assert training.join() == 130, training.stderr
+    assert "what is learnt is kept; go on with" in " ".join(training.stderr)
+    assert 1 <= read_position(tmp_path / "runs" / "stopped").epoch < 1000
