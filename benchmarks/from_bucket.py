@@ -77,6 +77,8 @@ class _Late(localbucket.S3Handler):  # type: ignore[misc]
         super().do_GET()
 
     def do_HEAD(self) -> None:  # noqa: N802
+        with _Late.lock:
+            _Late.requests += 1
         time.sleep(self.delay_s)
         super().do_HEAD()
 
