@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
@@ -12,6 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from common.location import Location
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -114,5 +114,5 @@ def two_draws(crop: Image, names: str, seed: int) -> tuple[int, int]:
     )
 
 
-def _damaged(path: Path, what: object) -> DatasetError:
+def _damaged(path: Location, what: object) -> DatasetError:
     return DatasetError(f"{path}: damaged ({what}); build it again with `bc-index`")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import printable
+from common.location import local_path
 from common.stretches import stretches
 from dataset.errors import DatasetError
 from dataset.figure_style import BLUE, GREY, ORANGE, new_figure
@@ -53,7 +54,7 @@ def steered_sessions(samples: Samples) -> list[SteeredSession]:
             raise DatasetError(
                 f"{samples.path}: does not say how {name} was steered; build it again with `bc-index`"
             ) from None
-        frames = read_frames(samples.path.parent / "frames" / f"{name}.parquet")
+        frames = read_frames(local_path(samples.path).parent / "frames" / f"{name}.parquet")
         label, is_crash = planned_labels(frames, labels.plan)
         time_ns, row = (frames[column].to_numpy() for column in ("log_time_ns", "row"))
         _, rows = number_distinct(time_ns, row)

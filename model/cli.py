@@ -18,9 +18,11 @@ import tyro
 from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted, printable
+from common.location import Location, absolute, local_path
 from common.location_flag import LocationFlag
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
+from common.random_access import is_there
 from common.recipe import recipe_given
 from common.streams import end_process
 from model.config import TrainConfig
@@ -63,8 +65,8 @@ class Train:
     ] = None
     """Train on N workers of a Ray cluster, which go on from the checkpoint where one dies; all of its nodes see
     these folders by the same paths."""
-    index: Path = Path("index")
-    """The index to train on."""
+    index: LocationFlag = Path("index")
+    """The index to train on: a folder, or the URL of a copy of one in a store."""
     sessions: LocationFlag = Path("sessions")
     """Where logs are kept, for an index that has to be built."""
     runs: Path = Path("runs")
@@ -188,14 +190,14 @@ def _going_on(run: Path) -> str:
     return f", going on in epoch {begin.epoch:,} after batch {begin.batch:,}"
 
 
-def _resume(run: Path, index: Path) -> str:
+def _resume(run: Path, index: Location) -> str:
     """The command that goes on with a run."""
     from model.runs.run_arguments import run_argument
     from model.runs.run_inputs import index_of
 
     command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
     stored = index_of(run)
-    is_stored = stored is not None and stored.resolve() == index.resolve()
+    is_stored = stored is not None and absolute(stored) == absolute(index)
     given = "" if is_stored else f" --index {shlex.quote(str(index))}"
     return f"{command} --resume {run_argument(run)}{_network_flag(run)}{given}"
 
@@ -266,13 +268,13 @@ def _run_of(config: Train) -> Path:
     return run
 
 
-def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
+def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
     """The index to train on, built if need be, and the exit code of what had to be printed about it."""
     from dataset import sessions_not_indexed
     from dataset.samples.samples_format import SAMPLES_NAME
 
-    is_there = (config.index / SAMPLES_NAME).exists()
-    if config.like is not None or (config.resume is not None and not is_there):
+    is_built = is_there(config.index / SAMPLES_NAME)
+    if config.like is not None or (config.resume is not None and not is_built):
         from model.runs.reproduce import index_of_run
         from model.runs.run_folder import find_any_run
 
@@ -285,12 +287,13 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Path, int]:
                 codes.append(warn(notice))
 
         return index_of_run(find_any_run(name, config.runs), config.index, config.sessions, on_notice), max(codes)
-    if not is_there:
+    if not is_built:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         return config.index, _build_index(config)
-    if is_first and config.resume is None and (absent := sessions_not_indexed(config.index, config.sessions)):
+    is_asked = is_first and config.resume is None and isinstance(config.index, Path)
+    if is_asked and (absent := sessions_not_indexed(local_path(config.index), config.sessions)):
         print_message(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )
@@ -303,7 +306,8 @@ def _build_index(config: Train) -> int:
     from dataset.index.index_report import print_log_notices
 
     settings = IndexConfig.of(config.config.recipe)
-    indexed = build_index(find_logs((), config.sessions), config.index, settings, leave_out_unreadable=True)
+    logs, index = find_logs((), config.sessions), local_path(config.index)
+    indexed = build_index(logs, index, settings, leave_out_unreadable=True)
     return print_log_notices(indexed, config.sessions)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -88,6 +90,28 @@ def copy_recording(log: Path, to: Location, overwrite: bool) -> int:
         more = f" and {len(missing) - _MOST_NAMED:,} more" if len(missing) > _MOST_NAMED else ""
         print_message(f"not in {to} yet: {names}{more}; `bc-log copy {log.parent} {to}` copies them")
     return code
+
+
+@contextlib.contextmanager
+def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
+    """The same logs as files of this machine: those in a store as copies, which are gone afterwards. Raises what
+    `copy_log` does."""
+    from recorder.log.copy_log import copy_log  # obstore, an extra
+
+    with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
+        found: list[Path] = []
+        for number, place in enumerate(places):
+            if isinstance(place, Path):
+                found.append(place)
+                continue
+            copy = Path(folder) / str(number) / place.name
+            with progress_bar() as progress:
+                task = progress.add_task(f"copying {place.name}, bytes", total=_size(place), note="")
+                done = copy_log(place, copy, on_bytes=partial(progress.advance, task))
+            if done.notice:
+                print_message(done.notice)
+            found.append(copy)
+        yield tuple(found)
 
 
 def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Location]]:

@@ -14,6 +14,8 @@ import tyro
 from common import UserError
 from common.command import check_port, flags_given
 from common.errors import UsageError
+from common.location import local_path
+from common.location_flag import LocationFlag
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,9 @@ class Play:
     Without a display, the viewer is served to browsers on this machine.
     """
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to open, finished or not, or several to compare, or the folder of a run (runs/NAME)."""
+    places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    """The log to open, finished or not, or several to compare, or the folder of a run (runs/NAME). Of a log in a
+    store (s3://BUCKET/LOG), a copy comes to this machine while it is shown."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
     )
@@ -64,6 +67,11 @@ class Play:
     """Replace the file given to --save, --video or --write."""
 
     @property
+    def logs(self) -> tuple[Path, ...]:
+        """Raises UserError for one that is not on this machine."""
+        return tuple(map(local_path, self.places))
+
+    @property
     def log(self) -> Path:
         """The only log, or the first of several."""
         return self.logs[0]
@@ -86,7 +94,7 @@ def check_files(config: Play) -> None:
 
 def check_video_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together with --video."""
-    if len(config.logs) != 1:
+    if len(config.places) != 1:
         raise UsageError("--video is made of one log: give one")
     unfit = flags_given(
         config, "save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at"
@@ -101,11 +109,11 @@ def check_viewer_flags(config: Play) -> None:
         raise UsageError(f"{flags}: only of networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
-    if not config.logs:
+    if not config.places:
         raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
-    if len(config.logs) > 1 and (flags := flags_given(config, "follow", "run")):
+    if len(config.places) > 1 and (flags := flags_given(config, "follow", "run")):
         raise UsageError(f"{flags}: only with one log; several are compared as they are")
-    if len(config.logs) == 1 and config.by != "time":
+    if len(config.places) == 1 and config.by != "time":
         raise UsageError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
         raise UsageError("--connect shows it in a viewer that runs: give it without --web, --save")

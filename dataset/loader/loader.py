@@ -16,7 +16,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
+from common.location import Location
 from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops
 from dataset.loader.look_ahead import LookAhead
@@ -176,7 +176,7 @@ class Loader(Closeable):
 
 
 def load(
-    index: Path | str,
+    index: Location | str,
     split: Split = "train",
     *,
     batch: int = 256,
@@ -196,7 +196,7 @@ def load(
     `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees,
     `targets` what it learns. Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
     """
-    samples = Samples(Path(index))
+    samples = Samples(index)
     try:
         samples.refuse_missing(targets)
         rows = samples.driving_view(split) if driving_view else samples.of_split(split, loaded_columns(targets))

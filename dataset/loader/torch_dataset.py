@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.closeable import Closeable
+from common.location import Location, absolute, location
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
@@ -36,13 +36,13 @@ class SamplesDataset(Closeable):
 
     def __init__(
         self,
-        index: Path | str,
+        index: Location | str,
         split: Split = "train",
         seen: PictureSpec = ORIGINAL,
         targets: Sequence[TargetName] = STEERING_ONLY,
     ) -> None:
         """Raises DatasetError if there is no index, if it is damaged or does not fit its logs."""
-        self._index = Path(index).absolute()  # a worker may run elsewhere
+        self._index = absolute(location(index))  # a worker may run elsewhere
         self._seen = seen
         samples = Samples(self._index)
         self._logs = samples.logs

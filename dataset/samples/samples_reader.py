@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from common.car import MAX_STEERING_DEG
 from common.closeable import Closeable
 from common.files import short_path
-from common.location import Location, Url
+from common.location import Location, Url, location
 from common.open_file_limit import allow_open_files
+from common.random_access import read_bytes
 from common.stored_settings import settings_from
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
@@ -54,6 +55,7 @@ def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
 
 _OPENED_AT_ONCE: Final = 16
+_MOST_BYTES: Final = 1 << 34
 
 _UNREADABLE: Final = (
     OSError,
@@ -82,11 +84,12 @@ class Samples(Closeable):
     Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed.
     """
 
-    def __init__(self, index: Path | str) -> None:
-        index = Path(index)
+    def __init__(self, index: Location | str) -> None:
+        index = location(index)
         self.path = index / SAMPLES_NAME
+        self._file = self.path if isinstance(self.path, Path) else _fetched(self.path)
         try:
-            self.metadata: dict[str, Any] = json.loads(pq.read_schema(self.path).metadata[METADATA_KEY])
+            self.metadata: dict[str, Any] = json.loads(pq.read_schema(self._source()).metadata[METADATA_KEY])
             self.sources = {
                 str(session): IndexedLog(
                     str(source["log"]),
@@ -108,10 +111,13 @@ class Samples(Closeable):
         for log in self.logs.values():
             log.close()
 
+    def _source(self) -> Path | pa.BufferReader:
+        return self._file if isinstance(self._file, Path) else pa.BufferReader(self._file)
+
     @cached_property
     def _columns(self) -> list[str]:
         try:
-            return list(pq.read_schema(self.path).names)
+            return list(pq.read_schema(self._source()).names)
         except _UNREADABLE as error:
             raise self._damaged(error) from None
 
@@ -249,7 +255,7 @@ class Samples(Closeable):
         Row group by row group: read_table(filters=...) was seen to wait forever on a damaged file.
         """
         words = _WORDS if columns else ()
-        with pq.ParquetFile(self.path, read_dictionary=words, page_checksum_verification=True) as file:
+        with pq.ParquetFile(self._source(), read_dictionary=words, page_checksum_verification=True) as file:
             yield file.schema_arrow.empty_table().select(columns or file.schema_arrow.names)
             for group in range(file.num_row_groups):
                 yield file.read_row_group(group, columns)
@@ -257,6 +263,14 @@ class Samples(Closeable):
     def _damaged(self, error: Exception) -> DatasetError:
         why = " ".join(str(error).split())
         return DatasetError(f"{self.path}: damaged ({why}); remove it and give `bc-index`")
+
+
+def _fetched(url: Url) -> bytes:
+    """All of an index in a store, which is small beside its pictures."""
+    data = read_bytes(url, _MOST_BYTES)
+    if data is None:
+        raise DatasetError(f"{url}: no index; build one with `bc-index`, and copy its folder there")
+    return data
 
 
 def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:

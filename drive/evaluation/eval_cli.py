@@ -24,6 +24,7 @@ from common.command import (
     warn_skipped,
 )
 from common.errors import UsageError, counted
+from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.progress import track
@@ -64,7 +65,7 @@ class Eval:
     tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
     """How much worse B may be, for --compare: a share of A's error; of 1 for the correlation and the offset, of
     100 for autonomy."""
-    index: Annotated[Path | None, _default("PATH", "the one that the run was trained on")] = None
+    index: Annotated[LocationFlag | None, _default("PATH|URL", "the one that the run was trained on")] = None
     """The index whose frames are measured."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
     """Which of its frames: those that were held out, or those for training."""
@@ -229,14 +230,14 @@ def _print_what(what: dict[str, str | None]) -> None:
         )
 
 
-def _index_of(run: Path) -> Path:
+def _index_of(run: Path) -> Location:
     """The index that the run was trained on; the one in the current folder where a run does not name it."""
     from model.runs.run_inputs import index_of
 
     index = index_of(run)
     if index is None:
         return Path("index")
-    if not index.is_dir():
+    if isinstance(index, Path) and not index.is_dir():
         raise UserError(
             f"{index}: the index that {run} was trained on is not there any more; give --index INDEX, or measure"
             " whole sessions: --session NAME"

@@ -148,7 +148,7 @@ def target_columns(target: TargetName) -> tuple[str, str]:
     return f"predicted_{name}", f"recorded_{name}"
 
 
-def evaluate(run: Path | str, index: Path | str, split: Split = "validation") -> Evaluation:
+def evaluate(run: Path | str, index: Location | str, split: Split = "validation") -> Evaluation:
     """Measure a run on a split of `index`: what the car itself saw, unaltered, against how it was driven.
 
     Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
@@ -158,9 +158,11 @@ def evaluate(run: Path | str, index: Path | str, split: Split = "validation") ->
     return found
 
 
-def evaluate_runs(runs: Sequence[Path | str], index: Path | str, split: Split = "validation") -> list[Evaluation]:
+def evaluate_runs(
+    runs: Sequence[Path | str], index: Location | str, split: Split = "validation"
+) -> list[Evaluation]:
     """As `evaluate`, for several runs at once: each picture is decoded once, and all have the same frames."""
-    with Samples(Path(index)) as samples:
+    with Samples(index) as samples:
         seen = samples.driving_view(split)
         if not len(seen):
             raise DatasetError(

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from common.location import Location
+from common.location import Location, absolute, local_path
 from common.random_access import is_there
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
@@ -19,8 +19,8 @@ from model.runs.run_inputs import logs_of
 
 
 def index_of_run(
-    run: Path, index: Path, sessions: Location, on_notice: Callable[[str], object] = lambda notice: None
-) -> Path:
+    run: Path, index: Location, sessions: Location, on_notice: Callable[[str], object] = lambda notice: None
+) -> Location:
     """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
     from the run's settings and the logs of its sessions, in `sessions` or where they were.
 
@@ -29,7 +29,7 @@ def index_of_run(
     """
     stored = load_config(run)
     where = str(run / CONFIG)
-    index = index.resolve()
+    index = absolute(index)
     own = index.with_name(f"{index.name}-{run_name(run)}")
     for place in (index, own):
         if _is_of(place, stored, where):
@@ -40,7 +40,7 @@ def index_of_run(
         str(before[name]) if name in before and not is_there(sessions / f"{name}.mcap") else name
         for name in fingerprints
     ]
-    for notice in build_index(find_logs(logs, sessions), own, settings).notices:
+    for notice in build_index(find_logs(logs, sessions), local_path(own), settings).notices:
         on_notice(notice)
     with Samples(own) as samples:
         changed = [name for name, log in samples.sources.items() if log.fingerprint != fingerprints[name]]
@@ -62,7 +62,7 @@ def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
     return _data_of(load_config(run), str(run / CONFIG))
 
 
-def _is_of(index: Path, stored: dict[str, Any], where: str) -> bool:
+def _is_of(index: Location, stored: dict[str, Any], where: str) -> bool:
     """True if an index can be used, and holds the samples that a run with this config was trained on."""
     try:
         with Samples(index) as samples:

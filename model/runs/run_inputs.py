@@ -9,16 +9,19 @@ import contextlib
 import os
 from pathlib import Path
 
+from common.errors import UsageError
 from common.files import short_path
-from common.location import Location, Url
+from common.location import Location, Url, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from model.errors import RunError
 from model.runs.run_folder import CONFIG, config_folder, find_run, load_config, weights_checksum
 
 
-def relative_place(run: Path, place: Path) -> str:
-    """A place as a run's config has it: relative to the run's folder."""
+def relative_place(run: Path, place: Location) -> str:
+    """A place as a run's config has it: relative to the run's folder; the URL of one in a store."""
+    if isinstance(place, Url):
+        return str(place)
     run, place = run.resolve(), place.resolve()
     try:
         return Path(os.path.relpath(place, run)).as_posix()
@@ -26,7 +29,7 @@ def relative_place(run: Path, place: Path) -> str:
         return place.as_posix()
 
 
-def index_of(run: Path) -> Path | None:
+def index_of(run: Path) -> Location | None:
     """The index that a run was trained on, there or not; None where its config does not say, as in runs of
     earlier versions."""
     return _place_of(run, load_config(run).get("index"))
@@ -71,13 +74,17 @@ def init_of(run: Path, runs: Path) -> Path | None:
             raise ValueError("a run's name is a path")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{run / CONFIG}: does not say which run it was started from ({error})") from None
-    init = find_run(str(place) if place is not None and place.exists() else name, runs)
+    init = find_run(str(place) if isinstance(place, Path) and place.exists() else name, runs)
     if weights_checksum(init) != weights_sha256:
         raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
     return init
 
 
-def _place_of(run: Path, stored: object) -> Path | None:
+def _place_of(run: Path, stored: object) -> Location | None:
     if not isinstance(stored, str) or not stored or "\0" in stored:
+        return None
+    if "://" in stored:
+        with contextlib.suppress(UsageError):  # somebody else's
+            return location(stored)
         return None
     return short_path(config_folder(run).resolve() / stored)

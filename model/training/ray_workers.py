@@ -21,6 +21,7 @@ from typing import Any, Final
 from rich.progress import Progress
 
 from common.errors import UserError, counted, printable
+from common.location import Location
 from common.output import print_message
 from common.ray_cluster import ClusterError, connection, package_versions, refuse_other_node
 from model.config import TrainConfig
@@ -49,7 +50,7 @@ class _WorkerLostError(Exception):
 class _Call:
     """What each rank calls `train` with."""
 
-    index: Path
+    index: Location
     run: Path
     config: TrainConfig
     init: Path | None
@@ -141,7 +142,7 @@ class _Worker:
 def train_on_cluster(
     workers: int,
     address: str,
-    index: Path,
+    index: Location,
     run: Path,
     config: TrainConfig,
     listeners: Sequence[Listener] = (),

@@ -17,6 +17,7 @@ import torch
 
 from common import Skipped, UserError
 from common.interrupts import stop_signals
+from common.location import Location, location
 from common.versions import TOOLKIT
 from dataset import Samples
 from dataset.picture_spec import PictureSpec
@@ -67,7 +68,7 @@ class Trained:
 
 
 def train(
-    index: Path | str,
+    index: Location | str,
     run: Path | str,
     config: TrainConfig | None = None,
     listeners: Sequence[Listener] = (),
@@ -95,7 +96,7 @@ def train(
     Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges,
     if what it goes on with is damaged, if its network cannot be trained, or if the disk is full.
     """
-    index, run, init = Path(index), Path(run), None if init is None else Path(init)
+    index, run, init = location(index), Path(run), None if init is None else Path(init)
     stored = load_config(run) if resume else {}
     if resume:
         config = resumed_settings(run, stored, config)

@@ -22,6 +22,7 @@ from typing import Final
 
 from common.closeable import Closeable
 from common.errors import UsageError
+from common.users_cache import users_cache
 
 _DEFAULT_GB: Final = 100.0
 _STAYS_FREE: Final = 10**9  # bytes of the disk
@@ -150,16 +151,4 @@ def default_cache() -> ChunkCache:
         most_gb = -1.0
     if not 0 <= most_gb < 1e9:
         raise UsageError(f"BC_CACHE_GB={given}: a number of gigabytes was expected")
-    return ChunkCache(_folder() / "chunks", int(most_gb * 1e9))
-
-
-def _folder() -> Path:
-    if given := os.environ.get("BC_CACHE"):
-        return Path(given)
-    if sys.platform == "win32":
-        above = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        above = Path.home() / "Library" / "Caches"
-    else:
-        above = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return above / "behavioural-cloning-toolkit"
+    return ChunkCache(users_cache() / "chunks", int(most_gb * 1e9))

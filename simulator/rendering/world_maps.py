@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from common.users_cache import users_cache
 from simulator.rendering.ground_texture import paint_ground
 from simulator.rendering.noise import Field
 from simulator.rendering.props import cast_shadows, place_props
@@ -55,8 +56,8 @@ class WorldMaps:
 def build_world(track: Track, cache: bool = True) -> WorldMaps:
     """Bake a track's world, or read it back if an earlier call has.
 
-    The cache lies in ``$BC_CACHE``, else in ``behavioural-cloning-toolkit`` under ``$XDG_CACHE_HOME`` or
-    ``~/.cache``. A cache that is damaged, old or not writable costs time and nothing else.
+    What is baked is kept in the `users_cache`. A cache that is damaged, old or not writable costs time and
+    nothing else.
     """
     if not cache:
         return _bake(track)
@@ -89,14 +90,8 @@ def _bake(track: Track) -> WorldMaps:
 
 
 def _cache_file(track: Track) -> Path:
-    base = os.environ.get("BC_CACHE")
-    if base:
-        folder = Path(base)
-    else:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        folder /= "behavioural-cloning-toolkit"
     name = track.name.replace(":", "-")
-    return folder / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
+    return users_cache() / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
 
 
 def _load(path: Path) -> WorldMaps | None:

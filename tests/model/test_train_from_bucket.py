@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 
 from bucket import Bucket, serving_bucket
 from common.errors import StoreError
-from dataset import IndexConfig, build_index
+from dataset import DatasetError, IndexConfig, build_index
 from dataset.loader.loader import Loader, load
 from logs import write_log
 from model.training.trainer import train
@@ -69,6 +70,19 @@ def test_weights_are_those_of_a_training_from_the_disk_also_after_it_was_stopped
     train(store, tmp_path / "runs/half", SMALL, resume=True)
     weights = [(tmp_path / f"runs/{name}/model.safetensors").read_bytes() for name in ("disk", "half")]
     assert weights[0] == weights[1]
+
+
+def test_an_index_may_lie_in_the_store_beside_its_logs(
+    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
+) -> None:
+    beside = build_index(sorted(bucket.folder.glob("*.mcap")), bucket.folder / "index", CONFIG).path
+    (bucket.folder / "absolute").mkdir()
+    shutil.copy(indexes[1] / "samples.parquet", bucket.folder / "absolute")
+    expected = pictures(load(indexes[0], batch=7))
+    for name in (beside.name, "absolute"):
+        assert pictures(load(bucket.url(name), batch=7)) == expected
+    with pytest.raises(DatasetError, match=r"s3://logs/none/samples.parquet: no index"):
+        load("s3://logs/none")
 
 
 @pytest.mark.parametrize(("ranks", "budget_bytes"), [(1, 0), (1, 1 << 30), (2, 0), (3, 0)])
@@ -197,8 +211,6 @@ def test_damaged_pictures_are_left_out_as_on_a_disk(bucket: Bucket, indexes: tup
 
 
 def test_a_log_that_was_replaced_is_refused(bucket: Bucket, indexes: tuple[Path, Path]) -> None:
-    from dataset import DatasetError
-
     (bucket.folder / "toy.mcap").unlink()
     write_log(bucket.folder / "toy.mcap", STEERING, cameras=["center"])
     with pytest.raises(DatasetError, match=r"s3://logs/toy.mcap: has changed since it was indexed"):

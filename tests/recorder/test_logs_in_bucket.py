@@ -402,7 +402,7 @@ def test_a_recording_is_copied_when_it_is_finished(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "sessions/before.mcap", [0.1] * 5)
-    flags = ("--track", "lake", "--laps", "0.01", "--copy-to", "s3://logs/sessions")
+    flags = ("--track", "lake", "--laps", "0.003", "--copy-to", "s3://logs/sessions")
     assert call(bc_record, "now", *flags) == 0
     assert (bucket.folder / "sessions/now.mcap").read_bytes() == (tmp_path / "sessions/now.mcap").read_bytes()
     assert "not in s3://logs/sessions yet: before.mcap; `bc-log copy sessions s3://logs/sessions`" in " ".join(
@@ -415,7 +415,7 @@ def test_a_recording_that_cannot_be_copied_is_recorded_all_the_same(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
-    assert call(bc_record, "now", "--track", "lake", "--laps", "0.01", "--copy-to", "s3://logs/sessions") == 3
+    assert call(bc_record, "now", "--track", "lake", "--laps", "0.003", "--copy-to", "s3://logs/sessions") == 3
     assert check(tmp_path / "sessions/now.mcap").findings == []
     assert "AccessDenied" in capsys.readouterr().err
 

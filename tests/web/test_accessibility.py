@@ -14,6 +14,7 @@ import pytest
 import dataset.cli
 import recorder.log_cli
 from chromium import chromium
+from drives import a_drive
 from driving import PATIENCE_S, road_jpeg, untrained_run
 from histories import epoch_line, step_lines, write_lines
 from logs import write_log
@@ -69,9 +70,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     frame = {"session": "faulty", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
     shown = {**frame, "predicted_deg": 9.0, "error_deg": 8.0, "jpeg": base64.b64encode(road_jpeg(7)).decode()}
     write_lines(run / "worst.jsonl", [{"epoch": 2, "frames": [shown]}])
-    write_log(folder / "drives" / "d.mcap", [0.1] * 50, source="drive")
+    a_drive(folder / "drives" / "d.mcap", "r")
     with served(folder) as found:
         wait_until(lambda: "reading" not in found.get("/runs.rows").text)
+        wait_until(lambda: "<circle" in found.get("/drives?log=d").text)
         yield found
 
 

@@ -89,7 +89,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         found = list_sessions(bench, asked)
         folder = bench.folders.sessions
         demo = printable(shlex.join(form_of("demo").words({}, bench.folders)))
-        return {"found": found, "has_folder": folder.is_dir(), "folder": printable(str(folder)), "demo": demo}
+        return {"found": found, "folder": printable(str(folder)), "demo": demo}
 
     return [
         Route("/", front),

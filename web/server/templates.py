@@ -27,16 +27,22 @@ def _minutes(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{whole % 60:02}" if hours else f"{minutes}:{whole % 60:02}"
 
 
-def _two(number: float) -> str:
-    """With two places; "-" for what does not exist."""
-    return "-" if math.isnan(number) else f"{number:.2f}"
+def _places(number: float | str | None, places: int) -> str:
+    """With so many places behind the point; "-" for what does not exist. A log's text that is no number stays."""
+    if number is None:
+        return "-"
+    try:
+        value = float(number)
+    except ValueError:
+        return str(number)
+    return f"{value:,.{places}f}" if math.isfinite(value) else "-"
 
 
 _environment = Environment(
     loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _environment.globals.update(menu=PAGES, version=version_of())
-_environment.filters.update(minutes=_minutes, counted=counted, two=_two)
+_environment.filters.update(minutes=_minutes, counted=counted, places=_places)
 
 
 def render(template: str, /, **values: Any) -> str:
