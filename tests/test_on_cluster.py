@@ -22,6 +22,7 @@ import pytest
 import yaml
 from safetensors.numpy import load_file
 
+from bucket import serving_bucket
 from clusters import ray_cluster
 from common.ray_cluster import cluster_tasks
 from dataset import build_index
@@ -229,3 +230,17 @@ def test_a_training_on_a_cluster_that_is_stopped_keeps_what_it_has_learnt(tmp_pa
         assert training.join() == 130, training.stderr
     assert "what is learnt is kept; go on with" in " ".join(training.stderr)
     assert 1 <= read_position(tmp_path / "runs" / "stopped").epoch < 1000
+
+
+@pytest.mark.long
+def test_logs_in_a_bucket_are_indexed_by_a_cluster_of_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "a" * 64)  # else Ray would leave one in ~/.ray
+    with serving_bucket(tmp_path / "server", monkeypatch) as bucket:
+        drives(bucket.folder, sessions=3)
+        here = run("bc-index", "--sessions", bucket.url(), "--index", "here", cwd=tmp_path)
+        there = run("bc-index", "--sessions", bucket.url(), "--index", "there", "--ray", "local", cwd=tmp_path)
+    assert (here.returncode, there.returncode) == (0, 0), there.stderr
+    assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
