@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import shutil
 import signal
@@ -143,7 +144,7 @@ def test_every_command_prints_its_version(name: str) -> None:
     assert (done.returncode, done.stdout) == (0, f"{name} {behavioural_cloning_toolkit.__version__}\n")
 
 
-def test_the_version_stands_in_one_place() -> None:
+def test_the_version_stands_in_one_place_and_in_the_changelog() -> None:
     import behavioural_cloning_toolkit
 
     file = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -151,6 +152,8 @@ def test_the_version_stands_in_one_place() -> None:
     module, _, name = file["tool"]["setuptools"]["dynamic"]["version"]["attr"].rpartition(".")
     version = getattr(import_module(module), name)
     assert behavioural_cloning_toolkit.__version__ == version
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.search(rf"^## {re.escape(version)} \(\d{{4}}-\d\d-\d\d\)$", changes, re.MULTILINE)
 
 
 def test_every_room_is_typed() -> None:
