@@ -133,9 +133,9 @@ class CachedLog(Closeable):
             return False
         try:
             if sys.platform == "win32":
-                with self._lock:
-                    os.lseek(self._descriptor, offset, os.SEEK_SET)
-                    return os.write(self._descriptor, data) == len(data)
+                with self._lock, open(self._descriptor, "r+b", buffering=0, closefd=False) as stream:
+                    stream.seek(offset)
+                    return stream.write(data) == len(data)
             return os.pwrite(self._descriptor, data, offset) == len(data)
         except OSError as error:
             self._cache.tell(f"cannot be written ({error.strerror})")

@@ -9,7 +9,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -20,6 +19,7 @@ from mcap.writer import Writer as McapWriter
 
 from common import UserError
 from common.car import CAMERAS
+from common.versions import version_of
 from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, not_a_picture, write_log
 from plain_mcap import Contents, Stored, by_topic, contents, write_plain
@@ -34,7 +34,7 @@ from udacity import jpeg
 from waiting import PATIENCE_S
 
 SECOND_NS = 1_000_000_000
-VERSION = version("behavioural-cloning-toolkit")
+VERSION = version_of()
 
 
 def drive(path: Path, rows: Iterable[int], *, gap_after: int | None = None, name: str = "") -> Path:
