@@ -36,7 +36,7 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from obstore import GetOptions
+    from obstore import GetOptions, GetResult
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
 AT_ONCE: Final = 16
@@ -90,8 +90,7 @@ class ObjectFile(Closeable):
         self._pool: ThreadPoolExecutor | None = None
         with _told(url):
             try:
-                found = obstore.get(_store(url, False), url.key, options={"range": {"suffix": _END}})
-                end = found.bytes().to_bytes()
+                found, end = _got(url, {"range": {"suffix": _END}})
             except failures.BaseError as error:
                 if not _is_out_of_range(str(error)):
                     raise
@@ -188,6 +187,20 @@ class ObjectFile(Closeable):
                 self._kept.popitem(last=False)
 
 
+def _got(url: Url, options: GetOptions, max_bytes: int = _LARGEST) -> tuple[GetResult, bytes]:
+    """An answer, and the bytes of it; asked for again where it was cut off. Raises StoreError for a larger one."""
+    for attempt in range(_TRUNCATED):
+        found = obstore.get(_store(url, False), url.key, options=options)
+        if found.range[1] - found.range[0] > max_bytes:
+            raise StoreError(f"{url}: larger than {max_bytes:,} bytes")
+        try:
+            return found, found.bytes().to_bytes()
+        except failures.GenericError:
+            if attempt == _TRUNCATED - 1:
+                raise
+    raise AssertionError("unreachable")
+
+
 def list_objects(folder: Url) -> list[StoredObject]:
     """The objects right in a folder, by name. One request for a thousand names. Raises StoreError."""
     with _told(folder):
@@ -215,10 +228,7 @@ def read_object(url: Url, max_bytes: int) -> bytes | None:
     """All of a small object; None if there is none. Raises StoreError, also for one that is larger."""
     with _told(url):
         try:
-            found = obstore.get(_store(url, False), url.key)
-            if found.meta["size"] > max_bytes:
-                raise StoreError(f"{url}: larger than {max_bytes:,} bytes")
-            return found.bytes().to_bytes()
+            return _got(url, {}, max_bytes)[1]
         except FileNotFoundError as error:
             if _is_no_bucket(str(error)):
                 raise
