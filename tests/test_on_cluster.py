@@ -134,7 +134,7 @@ def test_a_node_without_the_toolkit_is_told(tmp_path: Path) -> None:
     assert done.returncode == 1
 
 
-@pytest.mark.parametrize("scheme", ["", "ray://"])
+@pytest.mark.parametrize("scheme", ["", pytest.param("ray://", marks=pytest.mark.long)])
 def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: str) -> None:
     drives(tmp_path / "sessions", sessions=1)
     with socket.create_server(("127.0.0.1", 0)) as mute:
@@ -156,6 +156,7 @@ def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
     assert "HOST:PORT, ray://HOST:PORT, auto or local was expected; names go before --ray" in one_line_of(done)
 
 
+@pytest.mark.long
 def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
     untrained_run(tmp_path / "runs" / "untrained")
     drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]

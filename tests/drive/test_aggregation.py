@@ -213,6 +213,7 @@ def simulate(port: str, *flags: object) -> Process:
     return Process(command("bc-sim", *arguments, *flags))
 
 
+@pytest.mark.long
 def test_a_simulator_that_connects_by_itself_is_waited_for_in_every_round(aggregated: Aggregated) -> None:
     """It disconnects after the first one, and is stopped by the laps that it tells in the second. The network is
     that of an aggregation before."""

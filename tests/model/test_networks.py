@@ -50,7 +50,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return toy_index(tmp_path_factory.mktemp("toy"))
 
 
-@pytest.fixture(scope="module", params=SIZES)
+@pytest.fixture(scope="module", params=["pilotnet", "small", pytest.param("resnet18", marks=pytest.mark.long)])
 def run(request: pytest.FixtureRequest, index: Path) -> Path:
     """Trained for an epoch, and then for another."""
     run: Path = index.parent / "runs" / request.param
