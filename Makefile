@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator web tests benchmarks docs examples
 
 # several tests at once (tests/conftest.py says how many); those of one file share what they have made
-PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 # compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
 test test-long coverage: export PYTHONDONTWRITEBYTECODE :=

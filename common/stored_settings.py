@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import msgspec
 
+from common.errors import did_you_mean
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -24,8 +26,10 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
     A whole number stays one where a float is wanted: it is printed and written again as it was stored. Raises
     ValueError for names or values that `kind` does not have.
     """
-    if isinstance(stored, dict) and (unknown := stored.keys() - {field.name for field in fields(kind)}):
-        raise ValueError(f"unknown settings: {', '.join(sorted(map(str, unknown)))}")
+    names = {field.name for field in fields(kind)}
+    if isinstance(stored, dict) and (unknown := sorted(map(str, stored.keys() - names))):
+        meant = did_you_mean(unknown[0], names)
+        raise ValueError(f"unknown settings: {', '.join(unknown)}{f'; {meant}' if meant else ''}")
     try:
         settings = msgspec.convert(_with_earlier(kind, stored), kind)
     except msgspec.ValidationError as error:

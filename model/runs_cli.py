@@ -89,7 +89,9 @@ def _print_json(runs: Sequence[RunSummary]) -> None:
 def _table(runs: Sequence[RunSummary]) -> Table:
     title = "held-out frames: errors as shares of those of always predicting the mean"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"):
+    has_driven = any(run.drives for run in runs)
+    headings = ("run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r")
+    for heading in (*headings, *(("interventions",) if has_driven else ())):
         is_text = heading in ("run", "network", "recipe", "interventions")
         table.add_column(heading, justify="left" if is_text else "right", overflow="fold")
     for run in runs:
@@ -102,7 +104,7 @@ def _table(runs: Sequence[RunSummary]) -> Table:
             _number(run.rmse_share),
             _number(run.balanced_rmse_share),
             _number(run.correlation),
-            escape(printable(driven_words(run.drives))),
+            *([escape(printable(driven_words(run.drives)))] if has_driven else []),
         )
     return table
 

@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
 from hypothesis import settings
@@ -28,12 +28,21 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", os.defpath)])
 
 
+_FOLDERS: Final = ("web", "drive", "tests", "model", "viz", "common", "simulator", "recorder", "dataset")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts what is in the background like that
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files of few and long tests first: at the end no process waits for another one's minute."""
+    place = {folder: number for number, folder in enumerate(_FOLDERS)}
+    items.sort(key=lambda item: place.get(item.path.parent.name, 0))
 
 
 def pytest_collection_finish() -> None:

@@ -75,7 +75,17 @@ def refuse_shared_pictures(
                     raise DatasetError(
                         f"{one} and {two}: the same picture in both (rows {other_row} and {row}); index only one"
                         " of them, or tag the rows `exclude` in one: `bc-log tag`"
+                        f"{_why_alike(opened[other].driven, opened[number].driven)}"
                     )
+
+
+def _why_alike(one: Mapping[str, str], two: Mapping[str, str]) -> str:
+    """A hint where the built-in simulator was driven twice with one seed: nothing differs but the length."""
+    names = ("track_fingerprint", "driver", "drive.seed")
+    is_one_drive = "drive.seed" in one and all(one.get(name) == two.get(name) for name in names)
+    if any(name.endswith("_from") for name in (*one, *two)):  # trimmed, recovered: one is made of the other
+        return ""
+    return ". Both were driven with one seed: `bc-record --seed N` drives otherwise" if is_one_drive else ""
 
 
 class UnreadablePictureError(LogError):
@@ -92,6 +102,7 @@ class _Session:
     def __init__(self, log: Log, frames: Path) -> None:
         table = read_frames(frames, ("row", "offset", "length", "chunk"))
         self._log = log
+        self.driven = log.metadata
         self._columns = [table[name].to_numpy() for name in ("row", "offset", "length", "chunk")]
 
     def picture(self, position: int) -> tuple[int, bytes]:

@@ -324,6 +324,21 @@ def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
         build_index(logs, tmp_path / "index", BLOCKS)
 
 
+@pytest.mark.parametrize(("second", "is_hinted"), [({}, True), ({"drive.seed": "1"}, False)])
+def test_a_track_that_was_driven_twice_with_one_seed_is_said_to_be(
+    tmp_path: Path, second: dict[str, str], is_hinted: bool
+) -> None:
+    driven = {"track_fingerprint": "f", "driver": "expert", "drive.seed": "0"}
+    for name, metadata in (("a", driven), ("b", {**driven, **second})):
+        with LogWriter(tmp_path / f"{name}.mcap", metadata) as writer:
+            for row in range(5):
+                writer.picture("center", 10**18 + row * 10**8, row, b"%05d" % row)
+                writer.vehicle(10**18 + row * 10**8, row, VehicleState(steering=0.1))
+    with pytest.raises(DatasetError, match="the same picture in both") as refused:
+        build_index(find_logs((), tmp_path), tmp_path / "index", BLOCKS)
+    assert ("`bc-record --seed N` drives otherwise" in str(refused.value)) == is_hinted
+
+
 def test_no_sessions_is_an_error_with_the_next_command(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="bc-record"):
         find_logs((), tmp_path)

@@ -66,7 +66,7 @@ def test_each_setting_is_trained_with_each_seed_and_driven_and_failures_stand_ap
     ("content", "told"),
     [
         ("seeds = [", "not a sweep"),
-        ("[grid]\nrates = [1]", "unknown settings: rates"),
+        ("[grid]\nrates = [1]", "unknown settings: rates; did you mean rate?"),
         ("[grid]\nrate = []", "not a sweep"),
         ("[train]\nseed = 1", "seeds = [...]"),
         ("[grid]\nrate = [1]\n[[trainings]]\nrate = 2", "give one of both"),
