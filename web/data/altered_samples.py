@@ -55,12 +55,7 @@ def altered_samples(index: Path, others: int, cache: CacheFolder) -> AlteredSamp
     """`SHOWN` of them; each number `others` shows others. Raises UserError where the index or its logs cannot be
     read."""
     key = f"altered 2 {index.resolve()} {version_of(index / SAMPLES_NAME)} {others}"
-    data = cache.get(key, lambda: msgspec.json.encode(_read(index, others)))
-    try:
-        return msgspec.json.decode(data, type=AlteredSamples)
-    except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
-        cache.forget(key)
-        return _read(index, others)
+    return cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
 
 def _read(index: Path, others: int) -> AlteredSamples:

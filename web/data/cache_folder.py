@@ -8,9 +8,12 @@ import hashlib
 import secrets
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
+import msgspec
 from platformdirs import user_cache_path
+
+Kept = TypeVar("Kept")
 
 _MOST_BYTES: Final = 512 << 20
 _KEPT_SHARE: Final = 0.8  # when it is too large, so that this is seldom
@@ -34,6 +37,15 @@ class CacheFolder:
         data = make()
         self.keep(key, data)
         return data
+
+    def struct(self, key: str, kind: type[Kept], make: Callable[[], Kept]) -> Kept:
+        """The same of a value that msgspec writes; made anew where the file is damaged."""
+        data = self.get(key, lambda: msgspec.json.encode(make()))
+        try:
+            return msgspec.json.decode(data, type=kind)
+        except (msgspec.MsgspecError, UnicodeError):
+            self.forget(key)
+            return make()
 
     def find(self, key: str) -> bytes | None:
         """What is kept under that key, if anything is."""

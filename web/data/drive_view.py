@@ -73,12 +73,7 @@ class DriveViews:
 
     def _view(self, log: Path, version: str) -> DriveView:
         key = f"drive 2 {log.resolve()} {version}"
-        data = self._cache.get(key, lambda: msgspec.json.encode(_read(log)))
-        try:
-            return msgspec.json.decode(data, type=DriveView)
-        except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
-            self._cache.forget(key)
-            return _read(log)
+        return self._cache.struct(key, DriveView, lambda: _read(log))
 
 
 def _read(path: Path) -> DriveView:

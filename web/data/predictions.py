@@ -8,7 +8,6 @@ import hashlib
 import json
 import os
 import subprocess
-import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -20,19 +19,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-import behavioural_cloning_toolkit
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from web.data.file_versions import version_of
+from web.data.own_process import own_process
 from web.data.project_folders import RUN_CONFIG
 from web.data.run_networks import WEIGHTS
 from web.errors import WebError
 
 _FORMAT: Final = 1  # of the files that are kept
-_ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
-_START: Final = (
-    "import sys; sys.path.append(sys.argv.pop(1)); from web.data.prediction_process import main; main()"
-)
 
 
 class WorstMoment(msgspec.Struct, frozen=True):
@@ -168,7 +163,7 @@ class Predictions:
                 if self._is_closed:
                     return
                 self._process = process = subprocess.Popen(
-                    [sys.executable, "-P", "-c", _START, _ROOT, *words],
+                    own_process("web.data.prediction_process", *words),
                     stdin=subprocess.PIPE,  # it ends with this process
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,

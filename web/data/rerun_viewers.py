@@ -20,11 +20,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-import behavioural_cloning_toolkit
 from common.command import FAILED
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from common.versions import version_of
+from web.data.own_process import own_process
 from web.errors import WebError
 
 MOST: Final = 2
@@ -38,8 +38,6 @@ _GRACE_S: Final = 3.0  # for a process to end by itself
 _MOST_NOTES: Final = 20
 _PREFIX: Final = "bc-play: "
 _HINT: Final = "; Ctrl-C ends"  # where to open it, which is done here
-_ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
-_START: Final = "import sys; sys.path.append(sys.argv.pop(1)); from web.data.rerun_process import main; main()"
 
 
 class RerunViewer:
@@ -54,7 +52,7 @@ class RerunViewer:
         self.notes: list[str] = []
         """What bc-play has said, such as what it had to leave out; an error last."""
         words = [str(log.absolute()), "--web", f"--web-port={self.web_port}", f"--port={self.data_port}"]
-        line = [sys.executable, "-P", "-c", _START, _ROOT, *words, *(["--follow"] if is_growing else [])]
+        line = own_process("web.data.rerun_process", *words, *(["--follow"] if is_growing else []))
         environment = {**os.environ, "COLUMNS": "400", "NO_COLOR": "1"}
         try:
             # its stdin ends with this process, and then it does; a group of its own, so that nothing of it stays

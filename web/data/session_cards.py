@@ -169,12 +169,7 @@ class SessionCards:
 
     def _glance(self, path: Path, version: str) -> Glance:
         key = f"glance 1 {path.resolve()} {version}"
-        data = self._cache.get(key, lambda: msgspec.json.encode(_read_glance(path)))
-        try:
-            return msgspec.json.decode(data, type=Glance)
-        except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
-            self._cache.forget(key)
-            return _read_glance(path)
+        return self._cache.struct(key, Glance, lambda: _read_glance(path))
 
     def _in_index(self, path: Path, state: BuildState, share: dict[str, int] | UserError | None) -> InIndex:
         session = session_name(path)
@@ -193,12 +188,7 @@ class SessionCards:
 
     def _share(self, path: Path, version: str) -> dict[str, int]:
         key = f"split 1 {path.resolve()} {version}"
-        data = self._cache.get(key, lambda: msgspec.json.encode(_read_share(path)))
-        try:
-            return msgspec.json.decode(data, type=dict[str, int])
-        except (msgspec.MsgspecError, UnicodeError):
-            self._cache.forget(key)
-            return _read_share(path)
+        return self._cache.struct(key, dict[str, int], lambda: _read_share(path))
 
 
 def glance_version(path: Path) -> str:
