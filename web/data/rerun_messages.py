@@ -65,7 +65,8 @@ async def _body(connection: h11.Connection, stream: SocketStream) -> AsyncIterat
                 yield bytes(event.data)
 
 
-async def _next_event(connection: h11.Connection, stream: SocketStream) -> h11.Event | type[h11.PAUSED]:
+async def _next_event(connection: h11.Connection, stream: SocketStream) -> object:
+    """One of h11's, once enough of it has come."""
     while (event := connection.next_event()) is h11.NEED_DATA:
         try:
             data = await stream.receive(_AT_ONCE)
