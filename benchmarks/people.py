@@ -1,12 +1,14 @@
 """What learns from people: recipes on recordings of people, on road and in recordings that no network has seen.
 
 python benchmarks/people.py FOLDER sessions/lake.mcap sessions/jungle.mcap ... [--across lake:other_lake ...]
-    [--recipes original people ...] [--seeds 0 1 2] [--epochs 6]
+    [--recipes original people ...] [--seeds 0 1 2] [--epochs 6] [--other-blocks] [--validation-share 0.2]
 
 For each recipe and seed: a network of all the logs' training blocks, measured on the blocks held out of each; and
 for each pair of --across, a network of the first session alone, measured on all of the second, and the other way
 round. Errors are shares of those of always predicting the mean of the very frames; with several seeds, their mean
-(least to most). FOLDER is kept: what it has already is not made again.
+(least to most). "Best by a scale" is the least RMSE that any scale and offset of the same answers would have had,
+sqrt(1 - correlation^2). --other-blocks holds out other blocks for each seed, so that chance in what is held out
+averages out, too; --validation-share says how much. FOLDER is kept: what it has already is not made again.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from model.metrics import Measures
 
 ORIGINAL: Final = IndexConfig.of("original"), TrainConfig.of("original")
 PEOPLE: Final = IndexConfig(), TrainConfig()
+HALF_BALANCED: Final = replace(PEOPLE[0], per_bin=1000, max_uses=1)
 
 RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
     "original": ORIGINAL,
@@ -38,9 +41,11 @@ RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
     "original + keep last": (ORIGINAL[0], replace(ORIGINAL[1], keep="last")),
     "people": PEOPLE,
     "people, as learnt": (PEOPLE[0], replace(PEOPLE[1], answers="as-learnt")),
-    "people, half balanced": (replace(PEOPLE[0], per_bin=1000, max_uses=1), PEOPLE[1]),
+    "people, half balanced": (HALF_BALANCED, PEOPLE[1]),
     "people, dropout 0.7": (PEOPLE[0], replace(PEOPLE[1], dropout=0.7)),
     "people, small": (PEOPLE[0], replace(PEOPLE[1], network="small")),
+    "people, half balanced, small": (HALF_BALANCED, replace(PEOPLE[1], network="small")),
+    "people, not balanced, small": (replace(PEOPLE[0], balance=False), replace(PEOPLE[1], network="small")),
     "people, pilotnet": (PEOPLE[0], replace(PEOPLE[1], network="pilotnet")),
     "people, resnet18": (PEOPLE[0], replace(PEOPLE[1], network="resnet18")),
     "people, as recorded": (replace(PEOPLE[0], labels="as-recorded"), PEOPLE[1]),
@@ -55,6 +60,7 @@ MEASURED: Final[Mapping[str, Callable[[Measures], float]]] = {
     "RMSE": lambda found: found.network.rmse_deg / found.mean.rmse_deg,
     "error on turns": lambda found: found.network.turning_mae_deg / found.mean.turning_mae_deg,
     "correlation": lambda found: found.network.correlation,
+    "best by a scale": lambda found: math.sqrt(1 - max(0.0, found.network.correlation) ** 2),
 }
 
 
@@ -66,6 +72,8 @@ def main() -> None:
     parser.add_argument("--recipes", nargs="+", default=["original", "people"], choices=RECIPES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--epochs", type=int, default=6)
+    parser.add_argument("--other-blocks", action="store_true")
+    parser.add_argument("--validation-share", type=float, default=IndexConfig().validation_share)
     arguments = parser.parse_args()
     logs: dict[str, Path] = {log.stem: log.resolve() for log in arguments.logs}
     pairs = [(here, there) for here, _, there in (pair.partition(":") for pair in arguments.across)]
@@ -77,6 +85,8 @@ def main() -> None:
     found: dict[str, dict[str, list[dict[str, float]]]] = {}
     for seed in arguments.seeds:
         for part in parts:
+            if arguments.other_blocks and not part.unseen:
+                part = replace(part, block_seed=seed, validation_share=arguments.validation_share)
             for recipe in arguments.recipes:
                 measured = measures(arguments.folder, recipe, seed, arguments.epochs, part)
                 for session, values in measured.items():
@@ -91,17 +101,22 @@ class Part:
     heading: str
     learnt: tuple[Path, ...]
     unseen: tuple[Path, ...] = ()
+    block_seed: int = 0
+    validation_share: float = IndexConfig().validation_share
 
 
 def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> dict[str, dict[str, float]]:
     """Train, and measure; by session."""
     learnt, unseen = part.learnt, part.unseen
     of_index, of_training = RECIPES[recipe]
-    name = "-".join([slug(recipe), *sorted(log.stem for log in learnt)])
+    other = part.block_seed or part.validation_share != IndexConfig().validation_share
+    blocks = [f"blocks{part.block_seed}", f"{part.validation_share:g}"] if other else []
+    name = "-".join([slug(recipe), *sorted(log.stem for log in learnt), *blocks])
     result = folder / "results" / f"{name}-{epochs}-{seed}.json"
     if not result.exists():
-        if unseen:  # nothing of the others is needed to choose an epoch, but something has to be held out
-            of_index = replace(of_index, validation_share=0.1)
+        # where others are unseen nothing is needed to choose an epoch, but something has to be held out
+        share = 0.1 if unseen else part.validation_share
+        of_index = replace(of_index, validation_share=share, seed=part.block_seed)
         index = build_index(list(learnt), folder / f"index-{name}", of_index).path
         run = folder / "runs" / f"{name}-{epochs}-{seed}"
         print(run.name, file=sys.stderr, flush=True)
