@@ -49,7 +49,8 @@ class Index:
     index: Path = Path("index")
     """Where the index is written."""
     look: bool = False
-    """Decode every picture once, on all cores, and flag those that do not decode, and frozen ones."""
+    """Decode every picture once, on all cores, and flag those that do not decode, frozen ones, and steering that
+    contradicts them."""
     report: bool = False
     """List every stretch of odd frames: gaps, stuck steering, standing still and so on, with their times."""
     check: bool = False

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from common.car import CAMERAS, Camera
 from common.location import Location
 from common.progress import progress_bar
-from common.stretches import consecutive
+from common.stretches import consecutive, stretches
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
@@ -36,10 +36,13 @@ _MOST_BYTES: Final = 1 << 26
 
 
 def check_images(log: Log, on_decoded: Callable[[int], object] = lambda count: None) -> ImageFindings:
-    """Decode every camera picture of a log, on all cores and with bounded memory.
+    """Decode every camera picture of a log, on all cores and with bounded memory, and compare the centre camera's
+    with the steering.
 
-    `on_decoded` is told how many more are done. Raises LogError if the log is damaged.
+    `on_decoded` is told how many more are decoded. Raises LogError if the log is damaged.
     """
+    from recorder.log.steering_against_pictures import against_pictures  # OpenCV
+
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         check = ImageCheck(pool, on_decoded)
@@ -61,6 +64,7 @@ def check_images(log: Log, on_decoded: Callable[[int], object] = lambda count: N
         check.decoded,
         {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
+        tuple(stretches(against_pictures(log, lambda count: on_decoded(0)))),
     )
 
 
@@ -76,7 +80,8 @@ def check_all_images(
     pictures: dict[str, int] = {}
     for session, path in logs.items():
         with contextlib.suppress(*unreadable), Log(path) as log:
-            if read_image_check(index, session, log.fingerprint) is None:
+            found = read_image_check(index, session, log.fingerprint)
+            if found is None or found.against is None:
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
     checked = []
@@ -84,8 +89,8 @@ def check_all_images(
         task = progress.add_task("looking at pictures", total=sum(pictures.values()), note="")
         for session in pictures:
             with contextlib.suppress(*unreadable), Log(logs[session]) as log:
-                found = check_images(log, partial(progress.advance, task))
-                write_image_check(index, session, log.fingerprint, found)
+                looked = check_images(log, partial(progress.advance, task))
+                write_image_check(index, session, log.fingerprint, looked)
                 checked.append(session)
     return checked
 
@@ -96,12 +101,13 @@ class _Stored(msgspec.Struct):
     pictures: Position
     broken: dict[str, Stretches]
     frozen: dict[str, Stretches]
+    against: Stretches | None = None
 
 
 def write_image_check(index: Path, session: str, fingerprint: str, found: ImageFindings) -> None:
     """Keep what was found in the log with this fingerprint."""
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
-    stored = _Stored(1, fingerprint, found.pictures, broken, frozen)
+    stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against)
     write_findings(image_check_path(index, session), stored)
 
 
@@ -110,10 +116,11 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     stored = read_findings(image_check_path(index, session), _Stored, _MOST_BYTES)
     if stored is None:
         return None
-    stretches = itertools.chain(stored.broken.values(), stored.frozen.values())
-    if stored.fingerprint != fingerprint or not all(map(_are_ascending, stretches)):
+    of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])
+    if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
         return None
-    return ImageFindings(stored.pictures, _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen))
+    broken, frozen = _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen)
+    return ImageFindings(stored.pictures, broken, frozen, stored.against)
 
 
 def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:
