@@ -87,7 +87,7 @@ def test_an_index_may_lie_in_the_store_beside_its_logs(
     expected = pictures(load(indexes[0], batch=7))
     for name in (beside.name, "absolute"):
         assert pictures(load(bucket.url(name), batch=7)) == expected
-    with pytest.raises(DatasetError, match=r"s3://logs/none/samples.parquet: no index"):
+    with pytest.raises(DatasetError, match=r"s3://logs/none: no index"):
         load("s3://logs/none")
 
 

@@ -74,8 +74,15 @@ def test_a_url_of_another_kind_is_refused(text: str, capsys: pytest.CaptureFixtu
 
 
 def test_what_works_on_this_machine_only_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(main, "trim", "s3://bucket/a.mcap", "--to", "b.mcap") == 2
-    assert "bc-log copy" in one_line_in(capsys)
+    for command in (
+        ("trim", "s3://bucket/a.mcap", "--to", "b.mcap"),
+        ("trim", "s3://bucket/a.mcap"),  # without --to, which is not what is wrong
+        ("merge", "s3://bucket/a.mcap", "b.mcap"),
+        ("tag", "s3://bucket/a.mcap", "exclude"),
+        ("export", "s3://bucket/a.mcap"),
+    ):
+        assert call(main, *command) == 2
+        assert "bc-log copy s3://bucket/a.mcap FOLDER" in one_line_in(capsys)
 
 
 def test_a_place_is_named_relative_to_a_folder_that_can_be_moved_with_it(tmp_path: Path) -> None:
