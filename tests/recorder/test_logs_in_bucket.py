@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import localbucket
 import pytest
 
 from bucket import Answer, Bucket, serving_bucket
@@ -77,8 +76,15 @@ def test_a_url_of_another_kind_is_refused(text: str, capsys: pytest.CaptureFixtu
 
 
 def test_what_works_on_this_machine_only_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(main, "trim", "s3://bucket/a.mcap", "--to", "b.mcap") == 2
-    assert "bc-log copy" in one_line_in(capsys)
+    for command in (
+        ("trim", "s3://bucket/a.mcap", "--to", "b.mcap"),
+        ("trim", "s3://bucket/a.mcap"),  # without --to, which is not what is wrong
+        ("merge", "s3://bucket/a.mcap", "b.mcap"),
+        ("tag", "s3://bucket/a.mcap", "exclude"),
+        ("export", "s3://bucket/a.mcap"),
+    ):
+        assert call(main, *command) == 2
+        assert "bc-log copy s3://bucket/a.mcap FOLDER" in one_line_in(capsys)
 
 
 def test_a_place_is_named_relative_to_a_folder_that_can_be_moved_with_it(tmp_path: Path) -> None:
@@ -235,49 +241,6 @@ def test_an_object_that_is_replaced_while_it_is_read_is_named(bucket: Bucket) ->
 
 
 # a store that fails
-
-
-def test_a_store_that_stumbles_is_asked_again(bucket: Bucket, log: Path) -> None:
-    with Log(log) as opened:
-        expected = opened.vehicle()
-    failing = iter([503, 500, "cut", 503, "cut"] * 2)
-
-    def stumble(handler: Any) -> bool:
-        match next(failing, None):
-            case None:
-                return False
-            case "cut":
-                return bool(handler.cut()) if handler.command == "GET" else False
-            case status:
-                return bool(handler.fail(status, "SlowDown"))
-
-    with Log(bucket.url("b.mcap")) as opened:
-        bucket.answer = stumble
-        bucket.requests.clear()
-        assert opened.vehicle().equals(expected)
-
-
-def test_an_answer_that_is_cut_off_at_once_is_asked_for_again(bucket: Bucket, log: Path) -> None:
-    cuts = iter([True, True])
-
-    def cut(handler: Any) -> bool:
-        if handler.command != "GET" or not next(cuts, False):
-            return False
-        size, etag = log.stat().st_size, localbucket.object_etag(log)
-        begin = max(0, size - (1 << 17))
-        handler.send_response(206)
-        handler.send_header("Content-Length", str(size - begin))
-        handler.send_header("Content-Range", f"bytes {begin}-{size - 1}/{size}")
-        handler.send_header("Last-Modified", "Mon, 23 Nov 2026 00:00:00 GMT")
-        handler.send_header("ETag", f'"{etag}"')
-        handler.end_headers()
-        handler.wfile.write(b"some bytes")
-        handler.close_connection = True
-        return True
-
-    bucket.answer = cut
-    with Log(bucket.url("b.mcap")) as opened:
-        assert len(opened.vehicle()) == ROWS
 
 
 def refused(status: int, code: str) -> Answer:
