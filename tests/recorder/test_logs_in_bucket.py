@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import localbucket
 import pytest
 
 from bucket import Answer, Bucket, serving_bucket
