@@ -32,6 +32,7 @@ _FOLDERS: Final = ("web", "drive", "tests", "model", "viz", "common", "simulator
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # a tenth of the collection, which makes no garbage to speak of
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
@@ -46,6 +47,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
+    gc.enable()
     gc.freeze()  # what is loaded by now stays: else each collection of garbage looks through PyTorch again
 
 

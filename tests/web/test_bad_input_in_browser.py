@@ -4,8 +4,8 @@ with thousands of tags, and replaced by another one while it is shown."""
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from chromium import chromium
 from driving import road_jpeg
 from logs import write_log
 from pages import drag, open_session, opened_page, press
@@ -14,12 +14,15 @@ from recorder.log.tags import Tag, add_tags, read_tags
 from waiting import wait_until
 from workbench import served
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
 AWKWARD = "<img src=x onerror=alert(1)> & \"b\" 'c' 100%?#é\n;"
 ROWS = 400
 TAGS = 20_000
 
 
-def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(tmp_path: Path) -> None:
+def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(browser: Browser, tmp_path: Path) -> None:
     log = write_log(
         tmp_path / "sessions" / f"{AWKWARD}.mcap",
         [0.01 * (row % 40) for row in range(ROWS)],
@@ -30,7 +33,7 @@ def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(tmp_path: Path) 
         fingerprint = found.fingerprint
     many = [Tag(at % ROWS, min(at % ROWS + at // 400, ROWS - 1), f"n{at % 97}") for at in range(TAGS)]
     add_tags(log, fingerprint, many)
-    with chromium() as browser, served(tmp_path) as bench, opened_page(browser, bench.address) as page:
+    with served(tmp_path) as bench, opened_page(browser, bench.address) as page:
         page.locator(".session .name").click()
         open_session(page)
         assert page.inner_text("h1") == AWKWARD.replace("\n", "\\n")

@@ -8,18 +8,20 @@ import json
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import psutil  # type: ignore[import-untyped]
 
-from chromium import chromium
 from common.car import Camera
 from driving import PATIENCE_S
 from logs import write_log
 from waiting import wait_until
 from workbench import Served, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 ROWS = 40
 RED, GREEN = (0, 0, 255), (0, 255, 0)
@@ -102,9 +104,9 @@ def test_only_files_of_the_viewer_are_given_out(tmp_path: Path) -> None:
         assert bench.ask("POST", "/sessions/x/rerun", b"", Sec_Fetch_Site="cross-site").status == 403
 
 
-def test_rerun_shows_the_moment_of_the_curves_inside_the_page(tmp_path: Path) -> None:
+def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, tmp_path: Path) -> None:
     write_colored(tmp_path / "sessions" / "colored.mcap")
-    with served(tmp_path) as bench, chromium() as browser:
+    with served(tmp_path) as bench:
         page = browser.new_page(viewport={"width": 800, "height": 1000})
         page.set_default_timeout(4 * PATIENCE_S * 1000)  # it draws in software
         page.goto(f"{bench.address}/sessions/colored#row=30")
