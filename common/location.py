@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import posixpath
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final, TypeAlias
@@ -106,10 +107,18 @@ def local_path(place: Location) -> Path:
 
 def refuse_collapsed(path: Path) -> None:
     """Raise UsageError for a path that was made of a URL: what it is asked for has to lie on this machine."""
-    if _COLLAPSED.match(os.fspath(path)):
-        raise UsageError(
-            f"{path}: a place of this machine is expected here, no URL; `bc-log copy URL FOLDER` brings a log here"
-        )
+    if _COLLAPSED.match(text := os.fspath(path)):
+        refuse_urls([text.replace(":/", ":///" if text.startswith("file:") else "://", 1)])
+
+
+def refuse_urls(words: Sequence[str]) -> None:
+    """Raise UsageError for a URL among the words of a command that takes none."""
+    for word in words:
+        if (found := _URL.fullmatch(word)) and found[1].lower() in (*SCHEMES, "file"):
+            raise UsageError(
+                f"{word}: a place of this machine is expected here, no URL; `bc-log copy {word} FOLDER` brings a"
+                " log here, `bc-log copy LOG URL` takes one there"
+            )
 
 
 def relative_to(place: Location, folder: Location) -> str:

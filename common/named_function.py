@@ -39,7 +39,8 @@ def in_one_line(error: BaseException) -> str:
 
 def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise UserError(f"{flag} {name}: there is no file {path}")
+        meant = did_you_mean(str(path), [str(path.with_name(each.name)) for each in path.parent.glob("*.py")])
+        raise UserError(f"{flag} {name}: there is no file {path}; {meant or f'give its path from {Path.cwd()}'}")
     try:
         return runpy.run_path(str(path))
     except (Exception, SystemExit) as error:

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
-from common.errors import UsageError, UserError, counted, printable
+from common.errors import UsageError, counted, printable
 from common.output import print_message, print_result, print_table
 from common.progress import track
 from common.tasks import RayAddress, tasks_of
@@ -30,8 +30,13 @@ if TYPE_CHECKING:
 class Sweep:
     """Train with many settings, each with several seeds, and let each drive; one table at the end.
 
-    FILE.toml names the settings (docs/scale.md). The runs are runs/FILE-SETTINGS-seedN; `bc-runs` lists them, too.
-    What is done is not done again: after Ctrl-C, a kill or a failure the same command goes on.
+    The runs are runs/FILE-SETTINGS-seedN; `bc-runs` lists them, too. What is done is not done again: after Ctrl-C,
+    a kill or a failure the same command goes on. FILE.toml names the settings (docs/scale.md), such as
+
+    seeds = [0, 1, 2]
+    train = { epochs = 5 }
+    grid = { rate = [1e-4, 3e-4], network = ["original", "pilotnet"] }
+    drive = { simulator = ["lake"], speed = [10], laps = 1 }
 
     bc-sweep rates.toml
     bc-sweep rates.toml --ray --cpus 4
@@ -62,13 +67,14 @@ def sweep(config: Sweep) -> int:
     if not (0 < config.cpus < math.inf and 0 <= config.gpus < math.inf):
         raise UsageError("--cpus: a number above 0 was expected; --gpus: 0 or more")
 
+    from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME
     from drive.evaluation.sweep import run_sweep
     from drive.evaluation.sweep_plan import read_sweep
 
     plan = read_sweep(config.file)
     if not (config.index / SAMPLES_NAME).exists():
-        raise UserError(f"{config.index}: no index yet; build it with `bc-index`")
+        raise missing_index(config.index)
     print_message(
         f"bc-sweep: {counted(len(plan.trainings), 'training')}, each with {counted(len(plan.drives), 'drive')}"
     )

@@ -40,9 +40,9 @@ _MOST_WORKERS: Final = 10_000
 class Train:
     """Train the network on the index; the run is kept in runs/NAME/.
 
-    The index is built from all sessions if there is none yet. Ctrl-C stops after the current batch, and --resume
-    goes on from there. `bc-train export RUN --onnx` gives a trained network to other programs, --hub FOLDER to
-    the Hugging Face hub.
+    The index is built from all sessions if there is none yet, and --index names no other folder. Ctrl-C stops
+    after the current batch, and --resume goes on from there. `bc-train export RUN --onnx` gives a trained network
+    to other programs, --hub FOLDER to the Hugging Face hub.
     """
 
     name: str = ""
@@ -271,6 +271,7 @@ def _run_of(config: Train) -> Path:
 def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
     """The index to train on, built if need be, and the exit code of what had to be printed about it."""
     from dataset import sessions_not_indexed
+    from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME
 
     is_built = is_there(config.index / SAMPLES_NAME)
@@ -288,6 +289,8 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
 
         return index_of_run(find_any_run(name, config.runs), config.index, config.sessions, on_notice), max(codes)
     if not is_built:
+        if not _is_built_unasked(config.index):
+            raise missing_index(config.index)
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
@@ -298,6 +301,11 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )
     return config.index, DONE
+
+
+def _is_built_unasked(index: Location) -> bool:
+    """True for a folder of the default's name in one that is there: another name may be misspelt."""
+    return isinstance(index, Path) and index.name == Train.index.name and index.parent.is_dir()
 
 
 def _build_index(config: Train) -> int:

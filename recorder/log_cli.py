@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Final, TypeVar
 
 import tyro
 
@@ -15,7 +16,7 @@ from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
 from common.errors import UsageError, counted, printable
 from common.files import final_path
-from common.location import Location
+from common.location import Location, refuse_urls
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from recorder.log.check import check, is_whole
@@ -220,6 +221,9 @@ class Split:
         return max(code, *map(print_written, parts))
 
 
+MAKES_LOGS: Final = ("recover", "trim", "merge", "rewrite", "split", "tag", "export")
+"""Those whose logs have to lie on this machine."""
+
 AnyLocation = TypeVar("AnyLocation", bound=Location)
 
 Command = (
@@ -283,5 +287,11 @@ Nothing edits a log in place.
 """
 
 
+def _refuse_urls() -> None:
+    """Raise UsageError for a URL given to what makes new logs of logs here, which is no missing --to."""
+    if sys.argv[1:2] and sys.argv[1] in MAKES_LOGS:
+        refuse_urls(sys.argv[2:])
+
+
 def main() -> None:
-    run_command("bc-log", Command, lambda command: command.run(), ABOUT)  # type: ignore[arg-type]
+    run_command("bc-log", Command, lambda command: command.run(), ABOUT, check=_refuse_urls)  # type: ignore[arg-type]

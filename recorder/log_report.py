@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+import json
+from typing import Any, Final
 
 from rich.markup import escape
 from rich.table import Table
@@ -20,6 +21,8 @@ from recorder.log.topics import VEHICLE
 
 MOST_PLACES: Final = 6
 """So many are named of a kind; --json names all."""
+_LONG_VALUE: Final = 400  # characters
+_LONG_LIST: Final = 4
 
 
 def print_info(info: LogInfo) -> None:
@@ -31,7 +34,7 @@ def print_info(info: LogInfo) -> None:
         table.add_row(_plain(topic.topic), _plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:,.1f}")
     print_table(table)
     for name, value in sorted(info.session.items()):
-        print_table(f"  {_plain(name)}: {_plain(value)}")
+        print_table(f"  {_plain(name)}: {_plain(_in_short(value))}")
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
         print_table(f"  {steering_line(info.steering, info.lag)}", f"  labels: {info.labels}")
@@ -89,6 +92,23 @@ def _print_drives(info: LogInfo) -> None:
 
 def _has_rows(info: LogInfo) -> bool:
     return any(topic.topic == VEHICLE and topic.messages for topic in info.topics)
+
+
+def _in_short(value: str) -> str:
+    """A value of a session as it is; of JSON, such as a car's, long lists by how much they hold."""
+    if len(value) <= _LONG_VALUE:
+        return value
+    try:
+        stored = json.loads(value)
+    except (ValueError, RecursionError):
+        return value
+    return f"{json.dumps(_without_long_lists(stored))} (--json has all)" if isinstance(stored, dict) else value
+
+
+def _without_long_lists(stored: Any) -> Any:
+    if isinstance(stored, dict):
+        return {name: _without_long_lists(value) for name, value in stored.items()}
+    return f"{len(stored):,} entries" if isinstance(stored, list) and len(stored) > _LONG_LIST else stored
 
 
 def _plain(text: str) -> str:

@@ -7,7 +7,6 @@ which can be read give.
 
 from __future__ import annotations
 
-import contextlib
 import filecmp
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -54,6 +53,7 @@ from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictu
 from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
 from dataset.index.sessions import name_problem
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
+from dataset.missing_index import refuse_file
 from dataset.parquet_file import read_metadata, write_table
 from dataset.samples.filter import Condition
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
@@ -62,7 +62,17 @@ from recorder import Log, LogError
 from recorder.errors import RecordingError
 from recorder.log.log_info import driven_by, first_picture_sizes, set_speeds_mph
 from recorder.log.mcap_file import WITHOUT_CRCS
-from recorder.log.session_car import CAR_KEY, Car, car_of, max_steering_deg_of, metadata_of, told_car
+from recorder.log.session_car import (
+    CAR_KEY,
+    UDACITY,
+    Car,
+    car_in,
+    car_of,
+    max_steering_deg_of,
+    metadata_of,
+    named_car,
+    told_car,
+)
 from recorder.log.tags import read_tags
 from recorder.log.topics import QUALITY_METADATA, camera_topic
 from recorder.pictures.picture_size import width_and_height
@@ -119,14 +129,11 @@ def build_index(
     by_name = dict(sorted((session_name(log), log) for log in map(location, logs)))
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
-        cars = _cars_to_warp(by_name) if config.viewpoints else {}
         finish_interrupted_build(index)
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
-                return _build(
-                    by_name, index, config, state, leave_out_unreadable, passed_over, damaged, cars, tasks
-                )
+                return _build(by_name, index, config, state, leave_out_unreadable, passed_over, damaged, tasks)
             except _StaleStateError:
                 state = BuildState.nothing()
             except UnreadablePictureError as error:  # nobody else looks at pictures here
@@ -144,6 +151,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
         raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
+    refuse_file(index)
     for folder in (index / FRAMES_FOLDER, index / IMAGE_CHECKS_FOLDER, index / LAGS_FOLDER):
         # what is written and deleted in a link would be somebody else's
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -152,22 +160,39 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
         Condition(config.where).check(FRAMES_SCHEMA.empty_table())
 
 
-def _cars_to_warp(by_name: Mapping[str, Location]) -> dict[str, Car]:
-    """The car of each session. Raises DatasetError for one whose pictures cannot be warped: nothing tells where
-    its cameras stand, or how much their crops show to either side."""
-    cars: dict[str, Car] = {}
-    for name, path in by_name.items():
-        with contextlib.suppress(LogError), Log(path) as log:  # what cannot be read is told where it is read
+def _car_to_warp(path: Location, entry: BuiltLog) -> Car:
+    """The car of a session; its log is opened again only where nothing is known of it. Raises DatasetError for one
+    whose pictures cannot be warped: nothing tells where its cameras stand, or how much their crops show to either
+    side."""
+    has_several_sizes = entry.has_several_sizes
+    car = car_in({CAR_KEY: entry.car}, path) if entry.car else None
+    if car is None and entry.implied_car:
+        car = named_car(entry.implied_car)
+    if car is None or has_several_sizes is None:
+        with Log(path) as log:
+            has_several_sizes = _has_several_sizes(log)
             try:
-                cars[name] = car_of(log)
+                car = car or car_of(log)
             except RecordingError as error:
                 raise DatasetError(f"--viewpoints: {error}") from None
-            if "picture_sizes" in log.read_metadata(QUALITY_METADATA):
-                raise DatasetError(
-                    f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from"
-                    " pictures of one (`bc-log trim`, `bc-log split`)"
-                )
-    return cars
+    if has_several_sizes:
+        raise DatasetError(
+            f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from pictures"
+            " of one (`bc-log trim`, `bc-log split`)"
+        )
+    return car
+
+
+def _implied_car(log: Log) -> str:
+    """The name of the car that a log which tells none is of; empty if nobody knows."""
+    try:
+        return "udacity" if car_of(log) == UDACITY else "built-in"
+    except RecordingError:
+        return ""
+
+
+def _has_several_sizes(log: Log) -> bool:
+    return "picture_sizes" in log.read_metadata(QUALITY_METADATA)
 
 
 def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
@@ -190,11 +215,9 @@ def _build(
     leave_out_unreadable: bool,
     passed_over: Sequence[str],
     damaged: Mapping[str, str],
-    cars: Mapping[str, Car],
     tasks: Tasks,
 ) -> Indexed:
-    """`damaged`: what was found of logs that look sound while their pictures are not read. `cars`: of the sessions
-    that views are taken of."""
+    """`damaged`: what was found of logs that look sound while their pictures are not read."""
     entries: dict[str, BuiltLog] = {}
     with staged(index) as stage:
         found = _entries(by_name, index, config, state, damaged, stage, tasks)
@@ -211,6 +234,9 @@ def _build(
         if not held:
             raise LogError("; ".join(notices))
         _refuse_different_steering(held)
+        cars: dict[str, Car] = {}  # of the sessions that views are taken of
+        if config.viewpoints:
+            cars = {name: _car_to_warp(by_name[name], entry) for name, entry in held.items()}
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         places = {
             name: {
@@ -335,6 +361,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
         tags = read_tags(path, log.fingerprint)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
+        car = told_car(log)
         entry = BuiltLog(
             sources,
             log.fingerprint,
@@ -345,7 +372,9 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
             set_speeds_mph=set_speeds_mph(log),
             sizes_px=_sizes_px(log),
             max_steering_deg=max_steering_deg_of(log),
-            car=metadata_of(told_car(log)).get(CAR_KEY, ""),
+            car=metadata_of(car).get(CAR_KEY, ""),
+            implied_car=_implied_car(log) if car is None else "",
+            has_several_sizes=_has_several_sizes(log),
             is_mixed=isinstance(path, Url) and log.is_mixed,
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"

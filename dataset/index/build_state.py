@@ -41,6 +41,8 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
     max_steering_deg: float = MAX_STEERING_DEG  # of its wheels, at steering 1
     car: str = ""  # as the log tells it, in JSON
+    implied_car: str = ""  # its name, where the log tells none and it is known from where the session comes
+    has_several_sizes: bool | None = None  # of pictures, one camera; None in what earlier versions have written
     is_mixed: bool = False  # in a store, with its rows among its pictures: all of it was moved
 
 

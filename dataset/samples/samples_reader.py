@@ -29,6 +29,7 @@ from common.stored_settings import settings_from
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
+from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
@@ -99,8 +100,8 @@ class Samples(Closeable):
                 for session, source in self.metadata["logs"].items()
             }
             version = self.metadata["format"]
-        except FileNotFoundError:
-            raise DatasetError(f"{self.path}: no index; build it with `bc-index`") from None
+        except (FileNotFoundError, NotADirectoryError):
+            raise missing_index(index) from None
         except _UNREADABLE as error:
             raise self._damaged(error) from None
         if version not in READABLE_FORMATS:
@@ -269,7 +270,7 @@ def _fetched(url: Url) -> bytes:
     """All of an index in a store, which is small beside its pictures."""
     data = read_bytes(url, _MOST_BYTES)
     if data is None:
-        raise DatasetError(f"{url}: no index; build one with `bc-index`, and copy its folder there")
+        raise missing_index(url.parent)
     return data
 
 

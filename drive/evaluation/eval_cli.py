@@ -24,7 +24,7 @@ from common.command import (
     warn_skipped,
 )
 from common.errors import UsageError, counted
-from common.location import Location
+from common.location import Location, absolute
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.progress import track
@@ -276,6 +276,8 @@ def _compare(config: Eval, runs: tuple[str, str]) -> int:
 
     a, b = _found_runs(config, *runs)
     names = run_name(a), run_name(b)
+    if absolute(a) == absolute(b):
+        warn(f"{names[0]}: A and B are the same run, which is never worse than itself; give another one as B")
     compare = _compare_on_frames if config.simulator is None else _compare_by_driving
     verdict, code = compare(config, a, b, names)
     if verdict == "worse":

@@ -28,13 +28,14 @@ from typing import Annotated, Any, Final
 
 import msgspec
 
-from common.errors import UserError, printable
+from common.errors import UserError, did_you_mean, printable
 from common.stored_settings import settings_from
 from common.untrusted import read_bounded
 from drive.config import DriveConfig
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model.config import TrainConfig
 
+_EXPECTED: Final = "a file of settings was expected, as `bc-sweep --help` shows one"
 _MOST_BYTES: Final = 1 << 20
 _MOST_TRAININGS: Final = 10_000
 _MOST_NAME: Final = 100
@@ -76,9 +77,11 @@ def read_sweep(path: Path) -> SweepPlan:
     try:
         stored = msgspec.convert(tomllib.loads(read_bounded(path, _MOST_BYTES).decode()), _File)
     except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
+        meant = did_you_mean(str(path), map(str, path.parent.glob("*.toml")))
+        raise UserError(f"{path}: cannot be read ({error.strerror}); {meant or _EXPECTED}") from None
     except ValueError as error:  # also those of tomllib, msgspec and UTF-8
-        raise UserError(f"{path}: not a sweep ({printable(' '.join(str(error).split()))})") from None
+        why = printable(" ".join(str(error).split()))
+        raise UserError(f"{path}: not a sweep ({why}); {_EXPECTED}") from None
     if stored.grid and stored.trainings:
         raise UserError(f"{path}: [grid] has every combination, [[trainings]] is a list of them: give one of both")
     name = _NOT_IN_NAMES.sub("_", path.stem)

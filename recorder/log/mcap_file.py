@@ -117,7 +117,9 @@ class McapFile(Closeable):
         self.grow()
         if self.size < len(MAGIC) or self.read(0, len(MAGIC)) != MAGIC:
             self.close()
-            raise LogError(f"{path}: not an MCAP log (it does not start with MCAP's magic bytes)")
+            raise LogError(
+                f"{path}: not an MCAP log (it does not start with MCAP's magic bytes); `bc-log ls` lists logs"
+            )
 
     def close(self) -> None:
         self._bytes.close()

@@ -20,7 +20,8 @@ from udacity import call
 
 def trained(folder: Path, *flags: object) -> dict[str, Any]:
     """The settings of a training, and of the index that it has built."""
-    places = ["--index", folder / "new", "--sessions", folder, "--runs", folder / "runs"]
+    (folder / "new").mkdir(exist_ok=True)
+    places = ["--index", folder / "new" / "index", "--sessions", folder, "--runs", folder / "runs"]
     assert call(
         bc_train, "--name", "run", "--network", "small", "--epochs", 1, "--threads", 1, *flags, *places
     ) in (0, 3)
@@ -74,7 +75,7 @@ def test_an_unknown_recipe_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.usefixtures("without_figures")
 def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_index(tmp_path)
-    flags = ["--sessions", tmp_path, "--index", tmp_path / "new"]
+    flags = ["--sessions", tmp_path, "--index", tmp_path / "new" / "index"]
     assert call(bc_index, *flags, "--recipe", "original") in (0, 3)
     trained(tmp_path)
     assert "built by the recipe original, trained by people" in capsys.readouterr().err

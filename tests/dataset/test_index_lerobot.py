@@ -122,7 +122,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_what_cannot_be_exported_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="no index; build it with `bc-index`"):
+    with pytest.raises(DatasetError, match="nowhere: no index; build it with `bc-index"):
         export_index(tmp_path / "nowhere", tmp_path / "out")
     index = indexed(tmp_path)
     with pytest.raises(UserError, match="no row is used and fulfils --where 'row > 99'"):

@@ -514,5 +514,5 @@ def test_a_cut_or_garbled_index_is_refused_or_read_as_it_was(own: Path) -> None:
 
 def test_no_index_says_how_to_build_one(tmp_path: Path) -> None:
     for opened in (load, SamplesDataset):
-        with pytest.raises(DatasetError, match=r"samples\.parquet: no index; build it with `bc-index`"):
+        with pytest.raises(DatasetError, match=r"no index; .*build it with `bc-index"):
             opened(tmp_path)

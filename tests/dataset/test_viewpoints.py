@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,9 @@ OTHER_CAR = Car(
     left_m={"left": 0.4, "right": -0.4},
     bonnet={},
 )
+
+
+NARROW_CAR = replace(UDACITY, wheelbase_m=2.0)
 
 
 def png(camera: Camera, width_px: int, car: Car = UDACITY) -> bytes:
@@ -202,6 +206,27 @@ def beside(pose: Any, left_m: float, turn_rad: float) -> Pose:
     return Pose(
         at.x - left_m * math.sin(heading_rad), at.y + left_m * math.cos(heading_rad), at.z, heading_rad + turn_rad
     )
+
+
+def test_each_log_is_opened_once(tmp_path: Path) -> None:
+    opened: list[str] = []
+
+    def note(event: str, arguments: tuple[object, ...]) -> None:
+        if event == "open" and str(arguments[0]).endswith(".mcap"):
+            opened.append(Path(str(arguments[0])).name)
+
+    sys.addaudithook(note)  # stays, and hears nothing of the tests that follow
+    logs = [
+        record(tmp_path / "one.mcap", car=NARROW_CAR, rows=20),
+        record(tmp_path / "two.mcap", width_px=200, rows=20),  # tells no car
+    ]
+    opened.clear()
+    config = IndexConfig(viewpoints=1, labels="as-recorded")
+    build_index(logs, tmp_path / "index", config)
+    assert sorted(opened) == ["one.mcap", "two.mcap"]
+    opened.clear()
+    build_index(logs, tmp_path / "index", replace(config, flip=False))
+    assert opened == []  # and never where it has not changed
 
 
 def test_what_cannot_be_warped_is_refused_before_anything_is_built(tmp_path: Path) -> None:

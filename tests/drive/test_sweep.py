@@ -82,3 +82,16 @@ def test_a_file_that_is_no_sweep_is_told_before_anything_is_trained(
     assert call(main, tmp_path / "x.toml", "--runs", tmp_path / "runs") == 1
     assert told in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_file_that_is_not_there_is_told_with_what_was_meant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(main, "nothere.toml") == 1
+    assert (
+        "nothere.toml: cannot be read (No such file or directory); a file of settings" in capsys.readouterr().err
+    )
+    Path("rates.toml").write_text(SWEEP)
+    assert call(main, "rate.toml") == 1
+    assert "did you mean rates.toml?" in capsys.readouterr().err

@@ -639,7 +639,7 @@ def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: 
         (["--sessions", "sessions"], "--session"),
         (["--worst", -1], "--worst -1"),
         (["--session", "nobody"], "nobody.mcap: no such log"),
-        (["--index", "nowhere"], "build it with `bc-index`"),
+        (["--index", "nowhere"], "build it with `bc-index --index nowhere`"),
     ],
 )
 def test_flags_that_do_not_go_together_are_one_line(

@@ -24,6 +24,7 @@ from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.check import check
 from recorder.log.check_contents import Finding
+from recorder.log.session_car import built_in, metadata_of
 from recorder.log_cli import main
 from udacity import call, jpeg
 
@@ -520,3 +521,29 @@ def test_too_little_memory_is_told_in_a_line(tmp_path: Path, megabytes: int) -> 
     )
     assert "nothing wrong" in done.stdout or "\nbc-log: not enough memory" in f"\n{done.stderr}", done.stderr
     assert done.returncode in (0, 1)
+
+
+def test_the_car_of_a_log_is_a_few_lines_and_whole_in_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {"source": "simulator", **metadata_of(built_in())}) as writer:
+        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
+    assert call(main, "info", path) == 0
+    lines = capsys.readouterr().out.splitlines()
+    first = next(number for number, line in enumerate(lines) if line.startswith("  car: "))
+    last = next(number for number, line in enumerate(lines) if line.startswith("  source: "))
+    told = "".join(lines[first:last])
+    assert last - first <= 6
+    assert '"max_steering_deg": 25.0' in told
+    assert "--json" in told
+    assert call(main, "info", path, "--json") == 0
+    whole = json.loads(capsys.readouterr().out)["session"]["car"]
+    assert json.loads(whole)["bonnet"]["center"] == [list(corner) for corner in built_in().bonnet["center"]]
+
+
+def test_what_is_no_log_is_told_with_the_next_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "junk.mcap").write_text("junk")
+    assert call(main, "info", tmp_path / "junk.mcap") == 1
+    assert "`bc-log ls`" in capsys.readouterr().err

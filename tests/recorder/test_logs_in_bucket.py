@@ -19,9 +19,11 @@ from common.location import Url, location, relative_to
 from driving import one_line_in
 from layouts import mixed
 from logs import write_log
+from long_log import lengthened
 from recorder import Log, LogError
 from recorder.cli import main as bc_record
 from recorder.log.check import check
+from recorder.log.log_info import describe
 from recorder.log.tags import Tag, add_tag
 from recorder.log_cli import main
 from udacity import call, jpeg
@@ -75,8 +77,15 @@ def test_a_url_of_another_kind_is_refused(text: str, capsys: pytest.CaptureFixtu
 
 
 def test_what_works_on_this_machine_only_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(main, "trim", "s3://bucket/a.mcap", "--to", "b.mcap") == 2
-    assert "bc-log copy" in one_line_in(capsys)
+    for command in (
+        ("trim", "s3://bucket/a.mcap", "--to", "b.mcap"),
+        ("trim", "s3://bucket/a.mcap"),  # without --to, which is not what is wrong
+        ("merge", "s3://bucket/a.mcap", "b.mcap"),
+        ("tag", "s3://bucket/a.mcap", "exclude"),
+        ("export", "s3://bucket/a.mcap"),
+    ):
+        assert call(main, *command) == 2
+        assert "bc-log copy s3://bucket/a.mcap FOLDER" in one_line_in(capsys)
 
 
 def test_a_place_is_named_relative_to_a_folder_that_can_be_moved_with_it(tmp_path: Path) -> None:
@@ -135,6 +144,59 @@ def test_the_end_of_a_log_is_all_that_info_moves(
     assert bucket.count() <= 4  # its end, its start, and whether it has tags
 
 
+@pytest.fixture(scope="module")
+def longest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """8.4 GB, nearly all of it a hole, with an end of 3.4 MB."""
+    folder = tmp_path_factory.mktemp("longest")
+    return lengthened(write_log(folder / "short.mcap", [0.1] * 50), folder / "long.mcap", 32_000)
+
+
+def put(log: Path, bucket: Bucket) -> Url:
+    (bucket.folder / log.name).hardlink_to(log)
+    localbucket.remember_etag(bucket.folder / log.name, "the server need not read all of it")
+    return bucket.url(log.name)
+
+
+def test_info_of_8_gb_moves_neither_pictures_nor_the_list_of_their_chunks(
+    bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = put(longest, bucket)
+    assert call(main, "info", longest, "--json") == 0
+    here = json.loads(capsys.readouterr().out)
+    bucket.requests.clear()
+    assert call(main, "info", url, "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {**here, "path": str(url)}
+    assert here["size_bytes"] > 8e9
+    assert bucket.bytes_sent < 300_000
+    assert bucket.count() <= 6
+
+
+def test_tags_of_a_long_log_are_told_too(
+    bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = put(longest, bucket)
+    with Log(url) as log:
+        entry = {"add": "recovery", "rows": [1, 2], "log": log.fingerprint}
+    (bucket.folder / "long.tags.jsonl").write_text(json.dumps(entry) + "\n")
+    assert call(main, "info", url, "--json") == 0
+    assert [each["name"] for each in json.loads(capsys.readouterr().out)["tags"]] == ["recovery"]
+
+
+def test_a_long_log_whose_list_of_chunks_is_damaged_is_named_when_that_is_needed(
+    bucket: Bucket, longest: Path, tmp_path: Path
+) -> None:
+    damaged = lengthened(longest.with_name("short.mcap"), tmp_path / "damaged.mcap", 10_000)
+    with damaged.open("rb+") as stream:
+        stream.seek(-500_000, 2)
+        byte = stream.read(1)
+        stream.seek(-1, 1)
+        stream.write(bytes([byte[0] ^ 1]))
+    url = put(damaged, bucket)
+    assert describe(url).rows == 50
+    with Log(url, brief=True) as log, pytest.raises(LogError, match=r"list of its chunks.*bc-log copy"):
+        log.fingerprint  # noqa: B018
+
+
 def test_rows_are_read_without_pictures(bucket: Bucket) -> None:
     large_log(bucket.folder)
     bucket.requests.clear()
@@ -180,49 +242,6 @@ def test_an_object_that_is_replaced_while_it_is_read_is_named(bucket: Bucket) ->
 
 
 # a store that fails
-
-
-def test_a_store_that_stumbles_is_asked_again(bucket: Bucket, log: Path) -> None:
-    with Log(log) as opened:
-        expected = opened.vehicle()
-    failing = iter([503, 500, "cut", 503, "cut"] * 2)
-
-    def stumble(handler: Any) -> bool:
-        match next(failing, None):
-            case None:
-                return False
-            case "cut":
-                return bool(handler.cut()) if handler.command == "GET" else False
-            case status:
-                return bool(handler.fail(status, "SlowDown"))
-
-    with Log(bucket.url("b.mcap")) as opened:
-        bucket.answer = stumble
-        bucket.requests.clear()
-        assert opened.vehicle().equals(expected)
-
-
-def test_an_answer_that_is_cut_off_at_once_is_asked_for_again(bucket: Bucket, log: Path) -> None:
-    cuts = iter([True, True])
-
-    def cut(handler: Any) -> bool:
-        if handler.command != "GET" or not next(cuts, False):
-            return False
-        size, etag = log.stat().st_size, localbucket.object_etag(log)
-        begin = max(0, size - (1 << 17))
-        handler.send_response(206)
-        handler.send_header("Content-Length", str(size - begin))
-        handler.send_header("Content-Range", f"bytes {begin}-{size - 1}/{size}")
-        handler.send_header("Last-Modified", "Mon, 23 Nov 2026 00:00:00 GMT")
-        handler.send_header("ETag", f'"{etag}"')
-        handler.end_headers()
-        handler.wfile.write(b"some bytes")
-        handler.close_connection = True
-        return True
-
-    bucket.answer = cut
-    with Log(bucket.url("b.mcap")) as opened:
-        assert len(opened.vehicle()) == ROWS
 
 
 def refused(status: int, code: str) -> Answer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import psutil  # type: ignore[import-untyped]
 import pytest
 import torch
 
@@ -36,6 +38,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     write_log(folder / "sessions" / "toy.mcap", STEERING, road, cameras=["center"])
     write_log(folder / "sessions" / "blind.mcap", STEERING[:5], cameras=[])
     constant_run(folder / "runs" / "constant")
+    constant_run(folder / "runs" / "another", 0.5)
     with served(folder) as found:
         yield found
 
@@ -83,8 +86,49 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(browser: Brow
         page.goto(f"{bench.address}/sessions/toy#run=constant")
         page.reload()
         page.wait_for_selector("#session[data-run=constant]")
+        page.select_option("#run", "another")
+        page.click("#predict-stop")
+        wait_until(lambda: "stopped" in page.inner_text("#said"))
+        assert page.input_value("#run") == ""
+        assert page.locator("#predict-stop").is_hidden()
+    wait_until(lambda: predicting() == [])
     assert sorted(path.name for path in (bench.folder / "sessions").iterdir()) == ["blind.mcap", "toy.mcap"]
     assert len(list((bench.folder / "cache").rglob("predictions/*.npz"))) == 1
+
+
+def predicting() -> list[str]:
+    """The runs whose predictions processes of this one are making."""
+    found = []
+    for process in psutil.Process().children():
+        with contextlib.suppress(psutil.Error):  # it ends at this moment
+            found += [Path(word).name for word in process.cmdline() if Path(word).parent.name == "runs"]
+    return found
+
+
+def test_a_prediction_is_stopped_also_one_that_waits(bench: Served) -> None:
+    for name in ("first", "second"):
+        constant_run(bench.folder / "runs" / name, 0.1 if name == "first" else 0.2)
+    shown = bench.get("/sessions/toy/state").json["fingerprint"]
+
+    def told(run: str) -> Any:
+        return bench.get(f"/sessions/toy/predictions/{run}?log={shown}").json
+
+    def ask(run: str) -> None:
+        assert bench.ask("POST", f"/sessions/toy/predictions/{run}?log={shown}").status in (200, 204)
+
+    ask("first")
+    ask("second")
+    wait_until(lambda: predicting() == ["first"])
+    assert told("second")["is_begun"] is False
+    for run in ("second", "first"):
+        ask(f"{run}/stop")
+        assert "was stopped; choose the run again" in told(run)["problem"]
+    wait_until(lambda: predicting() == [])
+    assert told("first")["about"] is None
+    ask("second")  # begins anew
+    assert told("second")["problem"] == ""
+    ask("second/stop")
+    ask("constant/stop")  # nothing is under way
 
 
 def test_where_a_network_looks_lies_over_what_it_sees(bench: Served) -> None:

@@ -6,9 +6,11 @@ import contextlib
 import http.client
 import json
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
@@ -50,18 +52,6 @@ def opened(bench: Served, name: str) -> Iterator[Iterator[dict[str, Any]]]:
             yield (json.loads(line) for line in answer)
 
 
-def data_port(bench: Served, frame: str) -> int:
-    """Of the only address that the frame's page may reach beside the workbench."""
-    policy = bench.get(frame).headers["content-security-policy"]
-    return int(policy.partition("connect-src 'self' http://127.0.0.1:")[2].partition(";")[0])
-
-
-def is_listening(port: int) -> bool:
-    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), PATIENCE_S):
-        return True
-    return False
-
-
 def serving() -> set[str]:
     """The logs that processes of this one have open."""
     found = set()
@@ -78,8 +68,7 @@ def test_what_serves_a_log_ends_with_its_page_and_two_are_open_at_most(tmp_path:
     with served(tmp_path) as bench, contextlib.ExitStack() as still_open:
         first = still_open.enter_context(opened(bench, "a"))
         frame = next(first)["frame"]
-        port = data_port(bench, frame)
-        assert is_listening(port)
+        assert "connect-src 'self';" in bench.get(frame).headers["content-security-policy"]
         assert "WebHandle" in bench.get("/rerun/files/re_viewer.js").text
         assert "skipped pictures" in next(first)["note"]
         still_open.enter_context(opened(bench, "b"))
@@ -87,8 +76,7 @@ def test_what_serves_a_log_ends_with_its_page_and_two_are_open_at_most(tmp_path:
             assert "2 logs were opened in Rerun since" in next(first)["problem"]
         # one made room for others, the page of another was closed
         wait_until(lambda: serving() == {"b"})
-        assert not is_listening(port)
-        assert bench.get(frame).status == 404
+        assert bench.get(frame).status == bench.ask("POST", f"{frame}/messages", b"").status == 404
         logs[1].unlink()
         assert bench.ask("POST", "/sessions/b/rerun").status == 404
         others = still_open.pop_all()  # still open when bc-web ends
@@ -101,15 +89,61 @@ def test_only_files_of_the_viewer_are_given_out(tmp_path: Path) -> None:
         assert bench.get("/rerun/files/index.html").status == 404
         assert bench.get("/rerun/files/re_viewer.js").status == 503  # nothing is open
         assert bench.get("/rerun/0123456789abcdef").status == 404
-        assert bench.ask("POST", "/sessions/x/rerun", b"", Sec_Fetch_Site="cross-site").status == 403
+        for path in ("/sessions/x/rerun", "/rerun/0123456789abcdef/messages"):
+            assert bench.ask("POST", path, b"", Sec_Fetch_Site="cross-site").status == 403
+
+
+@contextlib.contextmanager
+def forwarded(port: int) -> Iterator[int]:
+    """Another port, which leads to `port` and to nothing else, as one of `ssh -L` does."""
+
+    def pass_on(source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(1 << 16):
+                target.sendall(data)
+            target.shutdown(socket.SHUT_WR)
+
+    def connect(near: socket.socket) -> None:
+        with near, socket.create_connection(("127.0.0.1", port)) as far:
+            back = threading.Thread(target=pass_on, args=(far, near))
+            back.start()
+            pass_on(near, far)
+            back.join()
+
+    def accept() -> None:
+        with contextlib.suppress(OSError):  # it is shut down
+            while True:
+                threads.append(threading.Thread(target=connect, args=(server.accept()[0],)))
+                threads[-1].start()
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threads = [threading.Thread(target=accept)]
+        threads[0].start()
+        try:
+            yield server.getsockname()[1]
+        finally:
+            server.shutdown(socket.SHUT_RDWR)
+            for thread in threads:
+                thread.join()
 
 
 def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, tmp_path: Path) -> None:
+    """From a machine that reaches one port only, and with the token."""
     write_colored(tmp_path / "sessions" / "colored.mcap")
-    with served(tmp_path) as bench:
-        page = browser.new_page(viewport={"width": 800, "height": 1000})
+    host, token = "0.0.0.0", "the-token"
+    with (
+        served(tmp_path, host, token) as bench,
+        forwarded(bench.port) as port,
+        contextlib.closing(browser.new_page(viewport={"width": 800, "height": 1000})) as page,
+    ):
         page.set_default_timeout(4 * PATIENCE_S * 1000)  # it draws in software
-        page.goto(f"{bench.address}/sessions/colored#row=30")
+        asked: set[str] = set()
+        wrong: list[str] = []
+        page.on("request", lambda request: asked.add(urlsplit(request.url).netloc))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+        page.goto(f"http://127.0.0.1:{port}/sessions/colored?token=the-token")
+        page.goto(f"http://127.0.0.1:{port}/sessions/colored#row=30")
         page.wait_for_selector("#session[data-ready]")
         page.keyboard.press("o")
         frame = page.locator("#rerun iframe")
@@ -126,4 +160,4 @@ def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, 
         wait_until(lambda: is_seen(RED))
         page.keyboard.press("o")
         frame.wait_for(state="detached")
-        page.close()
+        assert (asked, wrong) == ({f"127.0.0.1:{port}"}, [])

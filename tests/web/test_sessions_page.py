@@ -74,6 +74,16 @@ def test_each_session_is_told_as_the_commands_tell_it(bench: Served, capsys: pyt
     assert "MCAP" in found["nothing"]
 
 
+def test_what_was_tagged_and_taken_back_has_not_changed(bench: Served) -> None:
+    tags = "tag", bench.folder / "sessions" / "plain.mcap", "exclude", "--rows", 50, 60
+    assert call(recorder.log_cli.main, *tags) == 0
+    assert "changed since" in rows(bench)["plain"]
+    assert "changed since: plain" in bench.get("/index").text
+    assert call(recorder.log_cli.main, *tags, "--remove") == 0
+    assert "in the index" in rows(bench)["plain"]
+    assert "changed since: plain" not in bench.get("/index").text
+
+
 def test_names_and_sources_are_text(bench: Served) -> None:
     page = bench.get("/sessions").text
     assert "<b>a" not in page

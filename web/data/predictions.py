@@ -27,6 +27,7 @@ from web.data.project_folders import RUN_CONFIG
 from web.data.run_networks import WEIGHTS
 from web.errors import WebError
 
+STOPPED: Final = "it was stopped; choose the run again to begin anew"
 _FORMAT: Final = 1  # of the files that are kept
 
 
@@ -73,7 +74,9 @@ class Predicting:
 
     total: int  # pictures
     pictures: int = 0
+    is_begun: bool = False  # else it waits until the one before it has ended
     is_done: bool = False
+    is_stopped: bool = False
     problem: str = ""
     left_s: float | None = None
     """How long it will take; None while that cannot be told."""
@@ -99,6 +102,7 @@ class Predictions:
         self._asked: dict[str, Predicting] = {}
         self._fingerprints: dict[Path, tuple[str, str]] = {}
         self._process: subprocess.Popen[bytes] | None = None
+        self._at_work: Predicting | None = None  # what that process is for
         self._is_closed = False
 
     def key(self, log_fingerprint: str, run: Path) -> str:
@@ -140,11 +144,22 @@ class Predictions:
         """Begin with it, if it is not under way."""
         with self._lock:
             known = self._asked.get(key)
-            if known is not None and not known.is_done:
+            if known is not None and not (known.is_done or known.is_stopped):
                 return
             self._asked[key] = asked = Predicting(pictures)
         words = [str(log.absolute()), str(run.absolute()), log_fingerprint, str(self._path(key).absolute())]
         self._pool.submit(self._run, asked, words)
+
+    def stop(self, key: str) -> None:
+        """End it, for all who wait for it; what has ended stays as it is."""
+        with self._lock:
+            asked = self._asked.get(key)
+            if asked is None or asked.is_done:
+                return
+            asked.is_stopped = True
+            asked.problem = asked.problem or STOPPED
+            if self._at_work is asked and self._process is not None:
+                self._process.kill()
 
     def close(self) -> None:
         self._is_closed = True
@@ -160,8 +175,10 @@ class Predictions:
         leave_signals_to_main_thread()
         try:
             with self._lock:
-                if self._is_closed:
+                if self._is_closed or asked.is_stopped:
                     return
+                asked.is_begun = True
+                self._at_work = asked
                 self._process = process = subprocess.Popen(
                     own_process("web.data.prediction_process", *words),
                     stdin=subprocess.PIPE,  # it ends with this process
@@ -180,7 +197,7 @@ class Predictions:
             asked.problem = f"it cannot be started: {error.strerror}"
         finally:
             with self._lock:
-                self._process = None
+                self._process = self._at_work = None
             asked.is_done = True
 
 

@@ -21,7 +21,8 @@ from common.files import PART_SUFFIX
 from common.locks import is_being_written
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames, session_name
-from dataset.index.build_state import FRAMES_FOLDER, BuildState, read_state, sources_of
+from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
+from dataset.parquet_file import read_metadata
 from recorder import Log
 from recorder.log.log_info import LogInfo, describe
 from recorder.log.row_quality import ROW_FLAGS
@@ -34,11 +35,22 @@ from web.data.project_folders import PLACES, Place, ProjectFolders, key_of
 _GROWING_STEP: Final = 22  # bits: an unfinished log is read in full, so not after each of its seconds
 
 
+TagRows = tuple[str, int, int]
+"""A tag as an index keeps it: its name, its first and its last row."""
+
+
 class Glance(msgspec.Struct, frozen=True):
     """What is read of a log, and kept for the next start: not its tags, which change without it."""
 
     info: LogInfo
     fingerprint: str
+
+
+class Share(msgspec.Struct, frozen=True):
+    """What is read of a session's frames file, and kept for the next start."""
+
+    frames: dict[str, int]  # by split
+    tags: list[TagRows] | None  # that its rows had; None where the file does not tell
 
 
 @dataclass(frozen=True)
@@ -171,24 +183,37 @@ class SessionCards:
         key = f"glance 1 {path.resolve()} {version}"
         return self._cache.struct(key, Glance, lambda: _read_glance(path))
 
-    def _in_index(self, path: Path, state: BuildState, share: dict[str, int] | UserError | None) -> InIndex:
+    def _in_index(self, path: Path, state: BuildState, share: Share | UserError | None) -> InIndex:
         session = session_name(path)
         built = state.logs.get(session)
         if built is None:
             return InIndex("left out by choice" if session in state.passed_over else "not in the index")
         if built.sources[0] != str(path.resolve()):
             return InIndex("not in the index", "it has another log of that name")
-        if built.sources != sources_of(session, path, self._folders.index):
+        sources = sources_of(session, path, self._folders.index)
+        if built.sources != sources and not (
+            _but_tags(built.sources) == _but_tags(sources) and self._has_tags_of(share, path, built.fingerprint)
+        ):
             return InIndex("changed since", "`bc-index` brings it up to date")
         if not built.fingerprint:
             return InIndex("left out", printable(built.notice))
         if isinstance(share, UserError):
             return InIndex("in the index", printable(str(share)))
-        return InIndex("in the index", "", share or {})
+        return InIndex("in the index", "", share.frames if share else {})
 
-    def _share(self, path: Path, version: str) -> dict[str, int]:
-        key = f"split 1 {path.resolve()} {version}"
-        return self._cache.struct(key, dict[str, int], lambda: _read_share(path))
+    def _has_tags_of(self, share: Share | UserError | None, path: Path, fingerprint: str) -> bool:
+        """Whether the tags beside a log are those that the index has: what was tagged since was undone."""
+        if not isinstance(share, Share):
+            return False
+        try:
+            tags = self.tags(path, fingerprint).tags
+        except UserError:
+            return False
+        return share.tags == [(tag.name, tag.first_row, tag.last_row) for tag in tags]
+
+    def _share(self, path: Path, version: str) -> Share:
+        key = f"share 1 {path.resolve()} {version}"
+        return self._cache.struct(key, Share, lambda: _read_share(path))
 
 
 def glance_version(path: Path) -> str:
@@ -224,8 +249,17 @@ def _read_glance(path: Path) -> Glance:
         return Glance(info, log.fingerprint)
 
 
-def _read_share(path: Path) -> dict[str, int]:
+def _but_tags(sources: Sources) -> tuple[str, Stat, Stat]:
+    path, log, _, picture_check = sources
+    return path, log, picture_check
+
+
+def _read_share(path: Path) -> Share:
     if not path.is_file():
         raise DatasetError(f"{path}: missing; `bc-index` makes it again")
     split = read_frames(path, ["split"])["split"]
-    return {str(pair["values"]): int(pair["counts"]) for pair in pc.value_counts(split).to_pylist()}
+    frames = {str(pair["values"]): int(pair["counts"]) for pair in pc.value_counts(split).to_pylist()}
+    try:
+        return Share(frames, msgspec.convert((read_metadata(path) or {}).get("tags"), list[TagRows]))
+    except msgspec.ValidationError:
+        return Share(frames, None)

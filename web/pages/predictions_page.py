@@ -35,6 +35,13 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         with bench.logs.open(path) as opened:
             return JSONResponse(_told(bench, path, opened, log, run, is_start=request.method == "POST"))
 
+    def stop(request: Request) -> Response:
+        """End the prediction of a run over what the page shows, for all pages that wait for it."""
+        bench.folders.log(place, request.path_params["log"])
+        run = bench.folders.run(request.path_params["run"])
+        bench.predictions.stop(bench.predictions.key(request.query_params.get("log", ""), run))
+        return Response(status_code=204)
+
     def column(request: Request) -> Response:
         """The predicted steering of each row of the log, as float64; NaN where there is none."""
         path = bench.folders.log(place, request.path_params["log"])
@@ -49,6 +56,7 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
     at = f"/{place}/{{log}}/predictions"
     return [
         Route(f"{at}/{{run}}", asked, methods=["GET", "POST"]),
+        Route(f"{at}/{{run}}/stop", stop, methods=["POST"]),
         Route(f"{at}/rows/{{key}}", column),
     ]
 
@@ -80,6 +88,7 @@ def _told(
     return {
         **told,
         "problem": problem,
+        "is_begun": predicting.is_begun,
         "pictures": predicting.pictures,
         "total": predicting.total,
         "left_s": predicting.left_s,

@@ -16,14 +16,25 @@ from common import UserError
 from common.errors import printable
 from common.files import PART_SUFFIX
 from common.locks import is_being_written
-from recorder.server.allowed_hosts import is_loopback
 from web.data.project_folders import Place
-from web.data.rerun_viewers import FILES, command_of, viewer_version
+from web.data.rerun_messages import METHOD, ask_for_messages
+from web.data.rerun_viewers import FILES, viewer_version
 from web.errors import WebError
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
 _LOOK_EVERY_S: Final = 0.1
+_POLICY: Final = "; ".join(  # the viewer is a program of Rerun's: it reaches nothing but this server
+    (
+        "default-src 'none'",
+        "script-src 'self' 'wasm-unsafe-eval'",
+        "style-src 'self'",
+        "img-src 'self' blob: data:",
+        "connect-src 'self'",
+        "base-uri 'none'",
+        "frame-ancestors 'self'",
+    )
+)
 
 
 def rerun_routes(bench: Workbench) -> list[Route]:
@@ -31,9 +42,14 @@ def rerun_routes(bench: Workbench) -> list[Route]:
 
     def frame(request: Request) -> Response:
         viewer = bench.viewers.get(request.path_params["key"])
-        data = f"127.0.0.1:{viewer.data_port}"
-        page = render("rerun.html", data=f"rerun+http://{data}/proxy", rerun_version=viewer_version())
-        return HTMLResponse(page, headers={"Content-Security-Policy": _policy(f"http://{data}")})
+        page = render("rerun.html", at=f"/rerun/{viewer.key}", method=METHOD, rerun_version=viewer_version())
+        return HTMLResponse(page, headers={"Content-Security-Policy": _POLICY})
+
+    async def messages(request: Request) -> Response:
+        """The data of the log, as Rerun's viewer asks for it."""
+        viewer = bench.viewers.get(request.path_params["key"])
+        found = await ask_for_messages(viewer.data_port, request.headers, await request.body())
+        return StreamingResponse(found.body, found.status, media_type=found.media_type)
 
     def file(request: Request) -> Response:
         name = request.path_params["name"]
@@ -43,7 +59,11 @@ def rerun_routes(bench: Workbench) -> list[Route]:
         headers = {"Cache-Control": "private, max-age=31536000, immutable"} if is_kept else {}
         return Response(bench.viewers.file(name), media_type=FILES[name], headers=headers)
 
-    return [Route("/rerun/{key}", frame), Route("/rerun/files/{name}", file)]
+    return [
+        Route("/rerun/{key}", frame),
+        Route("/rerun/{key}/messages", messages, methods=["POST"]),
+        Route("/rerun/files/{name}", file),
+    ]
 
 
 def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
@@ -51,9 +71,6 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
         """Lines of JSON: where the viewer is, as soon as it can be opened, what is said of the log, and what ends
         it. It lives as long as somebody reads them."""
         path = bench.folders.log(place, request.path_params["log"])
-        if request.client is not None and not is_loopback(request.client.host):
-            why = "Rerun gets its data on the machine that bc-web runs on, and there only"
-            raise WebError(f"{why}; there: {command_of(path)} --web", 409)
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
         with bench.logs.open(path) as opened:
             late_s = 1e-9 * (opened.first_time_ns - opened.log.time_range_ns[0])
@@ -84,18 +101,3 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
 
 def _line(**values: object) -> str:
     return json.dumps(values) + "\n"
-
-
-def _policy(data: str) -> str:
-    """The viewer is a program of Rerun's: it reaches nothing but this server and the data of its log."""
-    return "; ".join(
-        (
-            "default-src 'none'",
-            "script-src 'self' 'wasm-unsafe-eval'",
-            "style-src 'self'",
-            "img-src 'self' blob: data:",
-            f"connect-src 'self' {data}",
-            "base-uri 'none'",
-            "frame-ancestors 'self'",
-        )
-    )

@@ -1,14 +1,17 @@
 // Rerun's viewer in this frame. The page around it tells the moment that it shows, by messages {at_s}; it is told
 // {shown_s} when that is shown, and {problem} when something goes wrong.
 
+import { fetchHere } from "./fetch_here.js";
 import { moment } from "./time_cursor.js";
 
 const TIMELINE = "since start"; // as bc-play names it
 const AGAIN_MS = 200; // the moment's data is still on its way
 const LOOK_EVERY_MS = 1000;
-const { source, program } = document.body.dataset;
+const SOURCE = "rerun+http://localhost:80/proxy"; // any: what is asked of it is asked of the page's own server
+const { at, method, program } = document.body.dataset;
 const told = document.getElementById("told");
 console.debug = () => {}; // it tells tens of thousands of lines about its shaders
+globalThis.fetch = fetchHere({ [method]: `${at}/messages` });
 let wanted = null;
 let isBusy = false;
 
@@ -42,7 +45,7 @@ function fail(why) {
 async function start() {
   await wasm_bindgen({ module_or_path: fetch(program) });
   const viewer = new wasm_bindgen.WebHandle({
-    url: [source],
+    url: [SOURCE],
     hide_welcome_screen: true,
     enable_history: false,
     notebook: false,

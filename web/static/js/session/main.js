@@ -152,8 +152,11 @@ function setSpeed(speed) {
 function showPredicted() {
   by("predicted").textContent = predictions.told;
   by("predicted").className = predictions.problem ? "problem" : "dim";
-  attention.use(predictions.run);
-  by("attention").disabled = !predictions.run;
+  const run = predictions.problem ? "" : predictions.run; // then it can be chosen again
+  by("run").value = run;
+  by("predict-stop").hidden = !predictions.isWaiting;
+  attention.use(run);
+  by("attention").disabled = !run;
   by("worst-next").disabled = !predictions.worst.length;
   by("worst-part").hidden = !predictions.about;
   listWorst(by("worst"), predictions.worst, goToMoment);
@@ -259,6 +262,14 @@ by("look").addEventListener("click", look);
 by("run").addEventListener("change", () => {
   predictions.choose(by("run").value);
   by("run").blur(); // its keys are the page's again
+});
+by("predict-stop").addEventListener("click", async () => {
+  try {
+    await predictions.stop();
+    say("stopped: the network looks at no more pictures");
+  } catch (error) {
+    say(error.message);
+  }
 });
 by("attention").addEventListener("click", toggleAttention);
 by("worst-next").addEventListener("click", () => goToWorst(1));

@@ -18,6 +18,20 @@ export class Predictions {
     delete this.data.columns.predicted;
   }
 
+  /** Whether it is still being made. */
+  get isWaiting() {
+    return Boolean(this.run) && !this.about && !this.problem;
+  }
+
+  /** End what is being made; no run is chosen then. */
+  async stop() {
+    if (!this.isWaiting) return;
+    const { run } = this;
+    this.clear("");
+    this.onChange();
+    await ask(this.address(`${run}/stop`), { method: "POST" });
+  }
+
   async choose(run) {
     this.clear(run);
     this.onChange();
@@ -45,7 +59,11 @@ export class Predictions {
   }
 
   async asked(run, options) {
-    return (await ask(`${this.data.address}/predictions/${run}?log=${this.data.state.fingerprint}`, options)).json();
+    return (await ask(this.address(run), options)).json();
+  }
+
+  address(path) {
+    return `${this.data.address}/predictions/${path}?log=${this.data.state.fingerprint}`;
   }
 
   show({ name, about }) {
@@ -76,7 +94,8 @@ export class Predictions {
   }
 }
 
-function waiting({ pictures, total, left_s: leftS }) {
+function waiting({ is_begun: isBegun, pictures, total, left_s: leftS }) {
+  if (isBegun === false) return "waits until the prediction before it has ended";
   if (!pictures) return "the network is loaded";
   const left = leftS === null ? "" : `, ${clock(leftS)} left`;
   return `${pictures.toLocaleString("en")} of ${total.toLocaleString("en")} pictures${left}`;

@@ -1,0 +1,42 @@
+"""What to say where an index was expected and none is: a name that was misspelt, or a file."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Final
+
+from common.errors import did_you_mean
+from common.location import Location, Url
+from dataset.errors import DatasetError
+from dataset.samples.samples_format import SAMPLES_NAME
+
+DEFAULT_INDEX: Final = Path("index")
+_MOST_NAMED: Final = 5
+
+
+def missing_index(index: Location) -> DatasetError:
+    """The error for a folder without an index: it names the indexes beside it, and the command that builds one.
+
+    Raises DatasetError where not even a folder can be.
+    """
+    if isinstance(index, Url):
+        return DatasetError(f"{index}: no index; build one with `bc-index`, and copy its folder there")
+    refuse_file(index)
+    folder = index.parent if index.parent.is_dir() else Path()
+    beside = [str(found.parent) for found in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
+    hint = did_you_mean(str(index), beside)
+    if beside and not hint:
+        more = " and others" if len(beside) > _MOST_NAMED else ""
+        hint = f"these are: {', '.join(beside[:_MOST_NAMED])}{more};"
+    flag = "" if index == DEFAULT_INDEX else f" --index {shlex.quote(str(index))}"
+    return DatasetError(f"{index}: no index; {f'{hint} ' if hint else ''}build it with `bc-index{flag}`")
+
+
+def refuse_file(index: Path) -> None:
+    """Raise DatasetError for the path of a file: an index is a folder."""
+    for place in (index, *index.parents):
+        if place.is_file():
+            raise DatasetError(
+                f"{place}: a file; a folder was expected, of an index: `bc-index --index FOLDER` builds one"
+            )

@@ -1,0 +1,53 @@
+"""An index that is not there, or a file in its place, is told by what was expected and the next command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dataset.cli import main as bc_index
+from drive.sweep_cli import main as bc_sweep
+from model.cli import main as bc_train
+from toy import toy_index
+from udacity import call
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    toy_index(tmp_path)
+    Path("plain").write_text("no index")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("index", "told"),
+    [
+        ("indx", "bc-train: indx: no index; did you mean index? build it with `bc-index --index indx`"),
+        ("of people", "of people: no index; these are: index; build it with `bc-index --index 'of people'`"),
+        ("plain", "plain: a file; a folder was expected, of an index: `bc-index --index FOLDER` builds one"),
+        ("plain/index", "plain: a file; a folder was expected"),
+        ("none/index", "none/index: no index; did you mean index? build it with `bc-index --index none/index`"),
+    ],
+)
+def test_training_builds_no_index_of_a_misspelt_name(
+    here: Path, capsys: pytest.CaptureFixture[str], index: str, told: str
+) -> None:
+    before = sorted(here.iterdir())
+    assert call(bc_train, "--index", index, "--network", "small", "--epochs", 1, "--threads", 1) == 1
+    said = capsys.readouterr()
+    assert (told in said.err, said.out) == (True, "")
+    assert sorted(here.iterdir()) == before
+
+
+def test_a_file_is_no_place_for_an_index(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_index, "--sessions", here, "--index", "plain") == 1
+    assert "plain: a file; a folder was expected" in capsys.readouterr().err
+    assert Path("plain").read_text() == "no index"
+
+
+def test_a_sweep_names_the_indexes_that_there_are(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("x.toml").write_text("[grid]\nrate = [1e-4]")
+    assert call(bc_sweep, "x.toml", "--index", "nowhere") == 1
+    assert "nowhere: no index; these are: index; build it with" in capsys.readouterr().err
