@@ -39,8 +39,8 @@ _MOST_BYTES: Final = 1 << 26
 def check_images(
     log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
 ) -> ImageFindings:
-    """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and compare
-    those of the centre camera with the steering.
+    """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and
+    compare those of the centre camera with the steering.
 
     `on_decoded` is told how many more are decoded. Raises LogError if the log is damaged.
     """
