@@ -70,8 +70,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     if look and has_rows and isinstance(path, Path):
         findings += _against_pictures(path)
-    messages = sum(contents.counts.values())
-    return Checked(path, messages, contents.pictures, findings, has_crcs, contents.meant_gaps)
+    count = sum(contents.counts.values())
+    return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps)
 
 
 def _against_pictures(path: Path) -> Iterator[Finding]:
