@@ -38,9 +38,9 @@ def serving_bucket(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bu
     """Serve a bucket from `folder`; s3:// leads there as long as it runs, in this process and its children."""
     bucket = Bucket(folder)
     handler = type("Handler", (_Handler,), {"data_root": folder})
-    with serving(handler) as server_port, bucket.before(server_port) as port:
+    with serving(handler) as server_port, bucket.before(server_port):
         for name, value in {
-            "AWS_ENDPOINT_URL_S3": f"http://127.0.0.1:{port}",
+            "AWS_ENDPOINT_URL_S3": bucket.endpoint,
             "AWS_ACCESS_KEY_ID": "test",
             "AWS_SECRET_ACCESS_KEY": "test",
             "AWS_REGION": "us-east-1",
