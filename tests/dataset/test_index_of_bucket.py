@@ -110,13 +110,6 @@ def test_sessions_are_named_as_on_a_disk(bucket: Bucket, capsys: pytest.CaptureF
     assert "did you mean lake?" in capsys.readouterr().err
 
 
-def test_a_damaged_log_is_left_out_and_named(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
-    drive(bucket.folder / "good.mcap")
-    (bucket.folder / "bad.mcap").write_bytes(b"no log")
-    assert index_of(bucket.url(), "store") == 3
-    assert "s3://logs/bad.mcap: not an MCAP log" in capsys.readouterr().err
-
-
 def test_a_store_that_does_not_answer_changes_no_index(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
     drive(bucket.folder / "0.mcap")
     assert index_of(bucket.url(), "store") == 0

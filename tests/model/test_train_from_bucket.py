@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from bucket import Bucket, serving_bucket
@@ -90,17 +89,6 @@ def test_an_index_may_lie_in_the_store_beside_its_logs(
         assert pictures(load(bucket.url(name), batch=7)) == expected
     with pytest.raises(DatasetError, match=r"s3://logs/none: no index"):
         load("s3://logs/none")
-
-
-@pytest.mark.parametrize(("ranks", "budget_bytes"), [(1, 0), (1, 1 << 30), (2, 0), (3, 0)])
-def test_every_rank_sees_what_it_sees_from_the_disk(
-    bucket: Bucket, indexes: tuple[Path, Path], ranks: int, budget_bytes: int
-) -> None:
-    for rank in range(ranks):
-        here, there = (
-            pictures(load(index, batch=7, rank=rank, ranks=ranks, budget_bytes=budget_bytes)) for index in indexes
-        )
-        assert here == there
 
 
 def test_a_picture_comes_once_and_neighbours_together(
@@ -195,18 +183,6 @@ def test_a_store_that_fails_for_good_ends_it_and_nothing_is_left_out(
         with pytest.raises(StoreError, match=r"s3://logs/\w+.mcap: .*ExpiredToken"):
             list(loader.epoch(1))
         assert len(loader.skipped) == 0
-
-
-def test_damaged_pictures_are_left_out_as_on_a_disk(bucket: Bucket, indexes: tuple[Path, Path]) -> None:
-    path = bucket.folder / "toy.mcap"
-    data = bytearray(path.read_bytes())
-    with load(indexes[0], batch=7) as loader:
-        at = int(loader.rows.offset[np.flatnonzero(loader.rows.session == loader.rows.sessions.index("toy"))[0]])
-    data[at + 30] ^= 1
-    path.write_bytes(data)
-    here, there = (load(index, batch=7, budget_bytes=0) for index in indexes)
-    assert pictures(here) == pictures(there)
-    assert len(here.skipped) == len(there.skipped) > 0
 
 
 def test_a_log_that_was_replaced_is_refused(bucket: Bucket, indexes: tuple[Path, Path]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -99,23 +98,6 @@ def test_a_place_is_named_relative_to_a_folder_that_can_be_moved_with_it(tmp_pat
 
 
 # reading
-
-
-def test_a_log_says_the_same_wherever_it_lies(
-    bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    tag(log, "recovery")
-    told = []
-    for place in (log, bucket.url("b.mcap")):
-        assert call(main, "info", place, "--json") == 0
-        told.append({**json.loads(capsys.readouterr().out), "path": ""})
-        assert call(main, "check", place) == 0
-        assert (
-            capsys.readouterr().out
-            == f"{place}: {4 * ROWS} messages, {3 * ROWS} pictures decoded: nothing wrong\n"
-        )
-    assert told[0] == told[1]
-    assert told[0]["tags"] == [{"first_row": 1, "last_row": 2, "name": "recovery"}]
 
 
 @pytest.mark.parametrize("layout", ["two kinds of chunks", "mixed", "unfinished"])
