@@ -49,7 +49,8 @@ class Index:
     index: Path = Path("index")
     """Where the index is written."""
     look: bool = False
-    """Decode every picture once, on all cores, and flag those that do not decode, and frozen ones."""
+    """Decode every picture once, on all cores (with --ray, of the cluster), and flag those that do not decode, and
+    frozen ones."""
     report: bool = False
     """List every stretch of odd frames: gaps, stuck steering, standing still and so on, with their times."""
     check: bool = False
@@ -74,10 +75,11 @@ def index(config: Index) -> int:
         check_figures(config.figures, config.force)
     # named by nobody, one damaged log must not keep all the others from being indexed
     is_any = not config.sessions
-    if config.look:
-        check_all_images({session_name(log): log for log in logs}, config.index, leave_out_unreadable=is_any)
     others = [] if is_any else sessions_beside(logs, config.folder)
     with tasks_of(config.ray) as tasks:
+        if config.look:
+            by_name = {session_name(log): log for log in logs}
+            check_all_images(by_name, config.index, leave_out_unreadable=is_any, tasks=tasks)
         indexed = build_index(
             logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -12,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import localbucket
 import pytest
 
 from bucket import Answer, Bucket, serving_bucket
@@ -21,10 +23,12 @@ from driving import one_line_in
 from faulty_proxy import Passing
 from layouts import mixed
 from logs import write_log
+from long_log import lengthened
 from recorder import Log, LogError
 from recorder.cli import main as bc_record
 from recorder.log.check import check
 from recorder.log.copy_log import copy_log
+from recorder.log.log_info import describe
 from recorder.log.tags import Tag, add_tag
 from recorder.log_cli import main
 from udacity import call, jpeg
@@ -126,6 +130,59 @@ def test_the_end_of_a_log_is_all_that_info_moves(
     assert size > 19e6
     assert bucket.bytes_sent < 300_000
     assert bucket.count() <= 4  # its end, its start, and whether it has tags
+
+
+@pytest.fixture(scope="module")
+def longest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """8.4 GB, nearly all of it a hole, with an end of 3.4 MB."""
+    folder = tmp_path_factory.mktemp("longest")
+    return lengthened(write_log(folder / "short.mcap", [0.1] * 50), folder / "long.mcap", 32_000)
+
+
+def put(log: Path, bucket: Bucket) -> Url:
+    (bucket.folder / log.name).hardlink_to(log)
+    localbucket.remember_etag(bucket.folder / log.name, "the server need not read all of it")
+    return bucket.url(log.name)
+
+
+def test_info_of_8_gb_moves_neither_pictures_nor_the_list_of_their_chunks(
+    bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = put(longest, bucket)
+    assert call(main, "info", longest, "--json") == 0
+    here = json.loads(capsys.readouterr().out)
+    bucket.requests.clear()
+    assert call(main, "info", url, "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {**here, "path": str(url)}
+    assert here["size_bytes"] > 8e9
+    assert bucket.bytes_sent < 300_000
+    assert bucket.count() <= 6
+
+
+def test_tags_of_a_long_log_are_told_too(
+    bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = put(longest, bucket)
+    with Log(url) as log:
+        entry = {"add": "recovery", "rows": [1, 2], "log": log.fingerprint}
+    (bucket.folder / "long.tags.jsonl").write_text(json.dumps(entry) + "\n")
+    assert call(main, "info", url, "--json") == 0
+    assert [each["name"] for each in json.loads(capsys.readouterr().out)["tags"]] == ["recovery"]
+
+
+def test_a_long_log_whose_list_of_chunks_is_damaged_is_named_when_that_is_needed(
+    bucket: Bucket, longest: Path, tmp_path: Path
+) -> None:
+    damaged = lengthened(longest.with_name("short.mcap"), tmp_path / "damaged.mcap", 10_000)
+    with damaged.open("rb+") as stream:
+        stream.seek(-500_000, 2)
+        byte = stream.read(1)
+        stream.seek(-1, 1)
+        stream.write(bytes([byte[0] ^ 1]))
+    url = put(damaged, bucket)
+    assert describe(url).rows == 50
+    with Log(url, brief=True) as log, pytest.raises(LogError, match=r"list of its chunks.*bc-log copy"):
+        log.fingerprint  # noqa: B018
 
 
 def test_rows_are_read_without_pictures(bucket: Bucket) -> None:
