@@ -9,13 +9,17 @@ import sys
 import sysconfig
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 from hypothesis import settings
 
+from chromium import chromium
 from places import Place, as_bucket, url_within
 from repository import ROOT
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=50)
@@ -33,6 +37,7 @@ _FOLDERS: Final = ("web", "drive", "tests", "model", "viz", "common", "simulator
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # a tenth of the collection, which makes no garbage to speak of
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
@@ -47,6 +52,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
+    gc.enable()
     gc.freeze()  # what is loaded by now stays: else each collection of garbage looks through PyTorch again
 
 
@@ -76,6 +82,13 @@ def recordings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real recordings were not tried: there is no {folder}; BC_RECORDINGS names another folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """One for all pages: each window of it has cookies, a cache and storage of its own."""
+    with chromium() as found:
+        yield found
 
 
 @pytest.fixture
