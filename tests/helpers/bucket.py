@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import localbucket
 import pytest
@@ -31,6 +32,14 @@ class _Handler(localbucket.S3Handler):  # type: ignore[misc]
     disable_nagle_algorithm = True
 
     def log_message(self, *arguments: object) -> None: ...
+
+    def _write_object(self, bucket: str, key: str, write: Callable[[Any], str]) -> str:
+        path: Path = self._object_path(bucket, key)
+        expected = self.headers.get("If-Match")  # which localbucket knows only where it is read
+        if expected is not None and not localbucket.etag_matches(expected, localbucket.object_etag(path)):
+            raise self._precondition_failed_error()
+        etag: str = super()._write_object(bucket, key, write)
+        return etag
 
 
 @contextlib.contextmanager
