@@ -55,6 +55,25 @@ _KEPT: Final = 16  # stretches of a file that were read
 _END: Final = 1 << 17  # of a file, read at once: a log of ours says there what is in it
 _CUT_OFF: Final = 4  # times that is asked for what comes incomplete; obstore asks again for what does not come
 
+# What is said where nobody gave any, and no role of the machine has answered either.
+_NO_CREDENTIALS: Final = re.compile(
+    r"169\.254\.169\.254|/latest/(api/token|meta-data)|metadata\.google\.internal|credential"
+    r"|account must be specified|invalid access key",
+    re.IGNORECASE,
+)
+_CREDENTIALS: Final = {
+    "s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY (AWS_SKIP_SIGNATURE=true for a public bucket)",
+    "gs": "GOOGLE_APPLICATION_CREDENTIALS to the file of a key (GOOGLE_SKIP_SIGNATURE=true for a public bucket)",
+    "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY (AZURE_SKIP_SIGNATURE=true for a public one)",
+}
+_NO_RIGHT: Final = ("", " (AccessDenied)", " (AuthorizationPermissionMismatch)")
+_RIGHTS: Final = {
+    "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
+    " s3:PutObject and s3:DeleteObject, too",
+    "gs": "the role Storage Object User",
+    "az": "the role Storage Blob Data Contributor",
+}
+
 _asked_by = 0  # the process that has asked a store first
 
 # The first request of a process to a bucket shall fail within seconds; those of a training that has run for hours
@@ -485,17 +504,15 @@ def _as_told(url: Url, error: Exception, text: str) -> StoreError:
         return StoreError(f"{url}: the store has given the upload up{_endpoint()}; give the command again")
     if isinstance(error, FileNotFoundError):
         return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists what is there")
-    if "169.254.169.254" in text or "metadata.google.internal" in text or "credential" in text.lower():
-        names = {"s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY", "gs": "GOOGLE_APPLICATION_CREDENTIALS"}
-        wanted = names.get(url.scheme, "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY")
-        public = "; AWS_SKIP_SIGNATURE=true for a public bucket" if url.scheme == "s3" else ""
-        return StoreError(f"{bucket}: no credentials: set {wanted}{public}")
+    if _NO_CREDENTIALS.search(text):
+        return StoreError(f"{bucket}: no credentials that can be used: set {_CREDENTIALS[url.scheme]}")
     if "redirect" in text.lower() or "AuthorizationHeaderMalformed" in text or "IncorrectEndpoint" in text:
         return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
     if "RequestTimeTooSkewed" in text:
         return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
     if isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError) or "AccessDenied" in text:
-        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}")
+        rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
+        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, failures.NotSupportedError) or "NotImplemented" in text:
         return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
     return StoreError(f"{url}: {_reason(text)}{_endpoint()}")

@@ -52,8 +52,8 @@ class Index:
     index: LocationFlag = Path("index")
     """Where the index is written: a folder, or the URL of one in a store, for logs in stores."""
     look: bool = False
-    """Decode every picture once, on all cores (with --ray, of the cluster), and flag those that do not decode, and
-    frozen ones."""
+    """Decode every picture once, on all cores (with --ray, of the cluster), and flag those that do not decode,
+    frozen ones, and steering that contradicts them."""
     report: bool = False
     """List every stretch of odd frames: gaps, stuck steering, standing still and so on, with their times."""
     check: bool = False
