@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import configparser
 import contextlib
+import itertools
 import os
 import re
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
 from common.closeable import Closeable
 from common.errors import NoSuchObjectError, ObjectChangedError, ObjectExistsError, StoreError, UserError
@@ -36,8 +37,13 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from obstore import GetOptions, GetResult
+    from obstore import GetOptions, ObjectMeta, PutMode, SuffixRange
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
+
+T = TypeVar("T")
+
+MOST_IN_ONE_REQUEST: Final = 5 << 30
+"""Bytes that S3 takes, or gives another name, in one request, and so on a condition."""
 
 AT_ONCE: Final = 16
 """Requests that wait for their answers at a time: at 50 ms each, and 256 KB, some 80 MB/s."""
@@ -47,7 +53,26 @@ _LARGEST: Final = 1 << 23  # read ahead of who reads a file through
 _KEPT_BYTES: Final = 1 << 26
 _KEPT: Final = 16  # stretches of a file that were read
 _END: Final = 1 << 17  # of a file, read at once: a log of ours says there what is in it
-_TRUNCATED: Final = 4  # times that an answer is asked for again that has ended early
+_CUT_OFF: Final = 4  # times that is asked for what comes incomplete; obstore asks again for what does not come
+
+# What is said where nobody gave any, and no role of the machine has answered either.
+_NO_CREDENTIALS: Final = re.compile(
+    r"169\.254\.169\.254|/latest/(api/token|meta-data)|metadata\.google\.internal|credential"
+    r"|account must be specified|invalid access key",
+    re.IGNORECASE,
+)
+_CREDENTIALS: Final = {
+    "s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY (AWS_SKIP_SIGNATURE=true for a public bucket)",
+    "gs": "GOOGLE_APPLICATION_CREDENTIALS to the file of a key (GOOGLE_SKIP_SIGNATURE=true for a public bucket)",
+    "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY (AZURE_SKIP_SIGNATURE=true for a public one)",
+}
+_NO_RIGHT: Final = ("", " (AccessDenied)", " (AuthorizationPermissionMismatch)")
+_RIGHTS: Final = {
+    "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
+    " s3:PutObject and s3:DeleteObject, too",
+    "gs": "the role Storage Object User",
+    "az": "the role Storage Blob Data Contributor",
+}
 
 _asked_by = 0  # the process that has asked a store first
 
@@ -71,7 +96,20 @@ class StoredObject:
 
     url: Url
     size: int  # bytes
-    version: str  # ETag
+    version: str  # ETag, without its quotation marks
+
+
+@dataclass(frozen=True)
+class Seen:
+    """By which an object is told from what takes its name later."""
+
+    e_tag: str  # as the store writes it
+    version: str | None = None  # of stores that go by that
+
+    @property
+    def name(self) -> str:
+        """As in `StoredObject.version`."""
+        return self.e_tag.strip('"')
 
 
 class ObjectFile(Closeable):
@@ -81,7 +119,8 @@ class ObjectFile(Closeable):
     is_remote = True
 
     def __init__(self, url: Url) -> None:
-        """Raises NoSuchObjectError, or another StoreError. Reads the end of the object: one request."""
+        """Raises NoSuchObjectError, or another StoreError. Reads the end of the object: one request, of Azure two,
+        which is not asked for so many bytes from the end."""
         self.url = url
         self._lock = threading.Lock()
         self._kept: OrderedDict[int, bytes] = OrderedDict()  # by where they begin
@@ -90,15 +129,18 @@ class ObjectFile(Closeable):
         self._pool: ThreadPoolExecutor | None = None
         with _told(url):
             try:
-                found, end = _got(url, {"range": {"suffix": _END}})
-            except failures.BaseError as error:
-                if not _is_out_of_range(str(error)):
-                    raise
-                found = obstore.get(_store(url, False), url.key)  # an empty one has no end
-                end = b""
-        self.size: int = found.meta["size"]
-        self.version: str = found.meta["e_tag"] or ""
-        self._keep(self.size - len(end), end)
+                found, data = _got(url, {"suffix": _END})
+                is_end = True
+            except failures.NotSupportedError:
+                found, data = _got(url, (0, _SMALL))
+                is_end = len(data) == found["size"]
+        self.size: int = found["size"]
+        self.version: str = found["e_tag"] or ""
+        self.seen = Seen(self.version, found["version"])
+        self._keep(self.size - len(data) if is_end else 0, data)
+        if not is_end:
+            last = min(_END, self.size)
+            self._keep(self.size - last, self._fetched(self.size - last, last))
 
     def close(self) -> None:
         self._kept.clear()
@@ -141,7 +183,7 @@ class ObjectFile(Closeable):
         if length == 0:
             return b""
         with _told(self.url):
-            for attempt in range(_TRUNCATED):
+            for attempt in range(_CUT_OFF):
                 try:
                     answer = obstore.get(
                         _store(self.url, True),
@@ -158,12 +200,12 @@ class ObjectFile(Closeable):
                 except failures.GenericError as error:
                     if _is_out_of_range(str(error)):  # but it was within the object's size
                         self._changed()
-                    if attempt == _TRUNCATED - 1:
+                    if attempt == _CUT_OFF - 1 or not _is_cut_off(str(error)):
                         raise
                     continue
                 if len(data) == length:
                     return data
-        raise StoreError(f"{self.url}: bytes {offset:,} to {offset + length:,} came incomplete {_TRUNCATED} times")
+        raise StoreError(f"{self.url}: bytes {offset:,} to {offset + length:,} came incomplete {_CUT_OFF} times")
 
     def _changed(self) -> NoReturn:
         raise ObjectChangedError(
@@ -187,29 +229,47 @@ class ObjectFile(Closeable):
                 self._kept.popitem(last=False)
 
 
-def _got(url: Url, options: GetOptions, max_bytes: int = _LARGEST) -> tuple[GetResult, bytes]:
-    """An answer, and the bytes of it; asked for again where it was cut off. Raises StoreError for a larger one."""
-    for attempt in range(_TRUNCATED):
-        found = obstore.get(_store(url, False), url.key, options=options)
-        if found.range[1] - found.range[0] > max_bytes:
-            raise StoreError(f"{url}: larger than {max_bytes:,} bytes")
+def _got(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta, bytes]:
+    """What a store tells of an object, and the bytes of a part of it, which may reach over its end. They are asked
+    for again where they were cut off, or are fewer than the answer says."""
+    for attempt in range(_CUT_OFF):
         try:
-            return found, found.bytes().to_bytes()
-        except failures.GenericError:
-            if attempt == _TRUNCATED - 1:
+            found = obstore.get(_store(url, False), url.key, options={"range": part})
+            data = found.bytes().to_bytes()
+        except failures.GenericError as error:
+            if _is_out_of_range(str(error)):  # nothing is in it
+                return obstore.head(_store(url, False), url.key), b""
+            if attempt == _CUT_OFF - 1 or not _is_cut_off(str(error)):
                 raise
-    raise AssertionError("unreachable")
+            continue
+        if len(data) == found.range[1] - found.range[0]:
+            return found.meta, data
+    raise StoreError(f"{url}: came incomplete {_CUT_OFF} times")
 
 
 def list_objects(folder: Url) -> list[StoredObject]:
     """The objects right in a folder, by name. One request for a thousand names. Raises StoreError."""
     with _told(folder):
-        found = obstore.list_with_delimiter(_store(folder, False), folder.key or None)["objects"]
+        found = _again_if_cut_off(
+            lambda: obstore.list_with_delimiter(_store(folder, False), folder.key or None)["objects"]
+        )
     objects = (
-        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], each["e_tag"] or "")
+        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], _version(each))
         for each in found
     )
     return sorted(objects)
+
+
+def list_below(folder: Url) -> list[StoredObject]:
+    """The objects in a folder and in those within it, by name. Raises StoreError."""
+    with _told(folder):
+        found = _again_if_cut_off(
+            lambda: list(itertools.chain.from_iterable(obstore.list(_store(folder, False), folder.key or None)))
+        )
+    return sorted(
+        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], _version(each))
+        for each in found
+    )
 
 
 def find_object(url: Url) -> StoredObject | None:
@@ -221,18 +281,26 @@ def find_object(url: Url) -> StoredObject | None:
             if _is_no_bucket(str(error)):
                 raise
             return None
-    return StoredObject(url, found["size"], found["e_tag"] or "")
+    return StoredObject(url, found["size"], _version(found))
+
+
+def _version(found: ObjectMeta) -> str:
+    """An object's ETag, without the quotation marks, which Azure leaves out in listings."""
+    return (found["e_tag"] or "").strip('"')
 
 
 def read_object(url: Url, max_bytes: int) -> bytes | None:
     """All of a small object; None if there is none. Raises StoreError, also for one that is larger."""
     with _told(url):
         try:
-            return _got(url, {}, max_bytes)[1]
+            found, data = _got(url, (0, max_bytes))
         except FileNotFoundError as error:
             if _is_no_bucket(str(error)):
                 raise
             return None
+    if found["size"] > max_bytes:
+        raise StoreError(f"{url}: larger than {max_bytes:,} bytes")
+    return data
 
 
 def put_new(url: Url, data: bytes) -> None:
@@ -247,27 +315,74 @@ def put_over(url: Url, data: bytes) -> None:
         obstore.put(_store(url, True), url.key, data)
 
 
+def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
+    """Write a file, whole or not at all, over the object that was `seen` last; None: where there is none.
+
+    Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
+    5 GB, and where it was written and the answer to that was lost.
+    """
+    if (size := file.stat().st_size) > MOST_IN_ONE_REQUEST:
+        raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
+    there = find_object(url) if seen is not None else None  # not every store knows the condition
+    with _told(url):
+        try:
+            mode: PutMode = "create"
+            if seen is not None:
+                if there is None or there.version != seen.name:
+                    raise failures.PreconditionError
+                mode = {"e_tag": seen.e_tag}
+                if seen.version is not None:
+                    mode["version"] = seen.version
+            made = obstore.put(_store(url, True), url.key, file, mode=mode, use_multipart=False)
+        except (failures.PreconditionError, failures.AlreadyExistsError):
+            raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
+    return Seen(made["e_tag"] or "", made["version"])
+
+
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
     """Write an object of `size` bytes in parts, several at once; it appears whole or not at all, over whatever had
-    its name. Raises StoreError."""
+    its name. Raises StoreError, also where it has appeared and the answer to that was lost."""
     part_bytes = max(_LARGEST, -(-size // 9000))  # a store takes 10,000 parts
-    with _told(url):
+    has_begun = False
+
+    def given() -> Iterator[bytes]:
+        nonlocal has_begun
+        has_begun = True
+        yield from parts
+
+    def put() -> None:
         obstore.put(
-            _store(url, True), url.key, iter(parts), use_multipart=True, chunk_size=part_bytes, max_concurrency=4
+            _store(url, True), url.key, given(), use_multipart=True, chunk_size=part_bytes, max_concurrency=4
         )
+
+    with _told(url):
+        _again_if_cut_off(put, lambda: not has_begun)
 
 
 def name_new(made: Url, url: Url) -> None:
     """Give an object another name in its bucket, in the store itself. Raises ObjectExistsError where that is
-    taken: then, and where anything else is raised, it keeps the one it has."""
+    taken, also by this very call if the answer was lost: then, and where anything else is raised, it keeps the one
+    it has."""
     with _told(url):
-        obstore.copy(_store(url, True), made.key, url.key, overwrite=False)
-        obstore.delete(_store(url, True), made.key)
+        _again_if_cut_off(lambda: obstore.copy(_store(url, True), made.key, url.key, overwrite=False))
+    remove(made)
 
 
 def remove(url: Url) -> None:
-    with _told(url):
+    """See to it that there is no such object. Raises StoreError."""
+    with _told(url), contextlib.suppress(FileNotFoundError):
         obstore.delete(_store(url, True), url.key)
+
+
+def _again_if_cut_off(ask: Callable[[], T], may_ask: Callable[[], bool] = lambda: True) -> T:
+    """What a store answers; asked again where the answer came incomplete, as long as that makes no difference."""
+    for _ in range(_CUT_OFF - 1):
+        try:
+            return ask()
+        except failures.GenericError as error:
+            if not (_is_cut_off(str(error)) and may_ask()):
+                raise
+    return ask()
 
 
 def _range_of(offset: int, length: int, version: str) -> GetOptions:
@@ -306,11 +421,10 @@ def _note_process() -> None:
 @cache
 def _bucket(scheme: str, bucket: str, is_patient: bool) -> ObjectStore:
     config: dict[str, Any] = _s3_config() if scheme == "s3" else {}
-    endpoint = str(config.get("endpoint", os.environ.get("AZURE_STORAGE_ENDPOINT", "")))
     client: ClientConfig = {
         "timeout": timedelta(minutes=5),
         "connect_timeout": timedelta(seconds=5),
-        "allow_http": endpoint.startswith("http://") or os.environ.get("AWS_ALLOW_HTTP") == "true",
+        "allow_http": True,  # as the endpoint that a person names has it; those of the three are https://
     }
     store: ObjectStore = from_url(
         f"{scheme}://{bucket}",
@@ -372,6 +486,10 @@ def _is_out_of_range(text: str) -> bool:
     return "416 Range Not Satisfiable" in text or "InvalidRange" in text
 
 
+def _is_cut_off(text: str) -> bool:
+    return "response body" in text or "invalid list response" in text or "invalid multipart response" in text
+
+
 def _is_no_bucket(text: str) -> bool:
     return "NoSuchBucket" in text or "ContainerNotFound" in text or "specified bucket does not exist" in text
 
@@ -382,19 +500,19 @@ def _as_told(url: Url, error: Exception, text: str) -> StoreError:
         return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if _is_no_bucket(text):
         return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint()}; give the name of one that is there")
+    if "NoSuchUpload" in text:
+        return StoreError(f"{url}: the store has given the upload up{_endpoint()}; give the command again")
     if isinstance(error, FileNotFoundError):
         return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists what is there")
-    if "169.254.169.254" in text or "metadata.google.internal" in text or "credential" in text.lower():
-        names = {"s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY", "gs": "GOOGLE_APPLICATION_CREDENTIALS"}
-        wanted = names.get(url.scheme, "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY")
-        public = "; AWS_SKIP_SIGNATURE=true for a public bucket" if url.scheme == "s3" else ""
-        return StoreError(f"{bucket}: no credentials: set {wanted}{public}")
+    if _NO_CREDENTIALS.search(text):
+        return StoreError(f"{bucket}: no credentials that can be used: set {_CREDENTIALS[url.scheme]}")
     if "redirect" in text.lower() or "AuthorizationHeaderMalformed" in text or "IncorrectEndpoint" in text:
         return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
     if "RequestTimeTooSkewed" in text:
         return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
     if isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError) or "AccessDenied" in text:
-        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}")
+        rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
+        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, failures.NotSupportedError) or "NotImplemented" in text:
         return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
     return StoreError(f"{url}: {_reason(text)}{_endpoint()}")
@@ -416,5 +534,7 @@ def _reason(text: str) -> str:
         return f"the store answers {status[1]}{_code(text)}"
     if "onnect" in text and ("refused" in text or "error trying to connect" in text or "dns" in text.lower()):
         return "the store cannot be reached"
+    if _is_cut_off(text):
+        return "the connection to the store was cut, again and again; give the command again"
     plain = text.partition(" Debug source:")[0]
     return f"the store does not answer as it should: {plain[:300]}"

@@ -112,6 +112,8 @@ def connection(address: str) -> Iterator[Any]:
     os.environ.setdefault(
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0"
     )  # its way from 2.55 on, of which it warns else
+    if address == "local":  # nobody else's cluster: its tasks are what the command is there for, and as important
+        os.environ.setdefault("RAY_worker_niceness", "0")
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
     try:
         with warnings.catch_warnings(action="ignore"):

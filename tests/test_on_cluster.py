@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import jsonschema
 import numpy as np
 import pytest
@@ -24,10 +25,11 @@ from safetensors.numpy import load_file
 
 from bucket import serving_bucket
 from clusters import ray_cluster
+from common.car import Camera
 from common.ray_cluster import cluster_tasks
 from dataset import build_index
 from driving import Process, command, one_line_of, run, run_code, untrained_run
-from logs import write_log
+from logs import not_a_picture, write_log
 from model.runs.checkpoint import read_position
 from repository import ROOT
 from toy import toy_index
@@ -40,13 +42,26 @@ def cluster() -> Iterator[Any]:
         yield started
 
 
-def drives(folder: Path, sessions: int = 4) -> list[Path]:
+def drives(folder: Path, sessions: int = 4, picture: Callable[[Camera, int], bytes] = not_a_picture) -> list[Path]:
     """Logs of a car that winds along, each at a time of its own."""
     rows = np.arange(120)
     return [
-        write_log(folder / f"drive {n}.mcap", np.sin(rows / (5 + n)).tolist(), start_ns=10**18 + n * 10**15)
+        write_log(
+            folder / f"drive {n}.mcap", np.sin(rows / (5 + n)).tolist(), picture, start_ns=10**18 + n * 10**15
+        )
         for n in range(sessions)
     ]
+
+
+def tiny_picture(camera: Camera, row: int) -> bytes:
+    """A JPEG; row 7's is none."""
+    pixels = np.random.default_rng((row, len(camera))).integers(0, 256, (8, 8, 3), np.uint8)
+    return b"no picture" if row == 7 else cv2.imencode(".jpg", pixels)[1].tobytes()
+
+
+def messages(stderr: str) -> list[str]:
+    """Without how far it is, which is told where something takes long."""
+    return [line for line in stderr.splitlines() if " %" not in line]
 
 
 def index_files(index: Path) -> dict[str, bytes]:
@@ -58,16 +73,22 @@ def index_files(index: Path) -> dict[str, bytes]:
 def test_the_index_has_the_same_bytes_and_a_damaged_log_is_left_out_as_on_one_machine(
     tmp_path: Path, cluster: Any
 ) -> None:
-    drives(tmp_path / "sessions")
+    drives(tmp_path / "sessions", picture=tiny_picture)
     (tmp_path / "sessions" / "damaged.mcap").write_bytes(b"this is no log")
-    here = run("bc-index", "--index", "here", cwd=tmp_path)
-    there = run("bc-index", "--index", "there", "--ray", cluster.address, cwd=tmp_path)
+    here = run("bc-index", "--look", "--index", "here", cwd=tmp_path)
+    there = run("bc-index", "--look", "--index", "there", "--ray", cluster.address, cwd=tmp_path)
     assert (here.returncode, there.returncode) == (3, 3), there.stderr
-    assert there.stderr == here.stderr
+    assert messages(there.stderr) == messages(here.stderr)
     assert "sessions/damaged.mcap: not an MCAP log" in there.stderr
     assert there.stdout == here.stdout.replace("here:", "there:")
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
     assert len(index_files(tmp_path / "there")) == 5
+    looks = [
+        {path.name: path.read_bytes() for path in (tmp_path / index / "looks").iterdir()}
+        for index in ("here", "there")
+    ]
+    assert looks[0] == looks[1]
+    assert json.loads(looks[0]["drive 0.json"])["broken"]["left"] == [[7, 7]]
 
 
 @pytest.mark.long

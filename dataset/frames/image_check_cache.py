@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from common.car import CAMERAS, Camera
 from common.location import Location
 from common.progress import progress_bar
-from common.stretches import consecutive
+from common.stretches import consecutive, stretches
+from common.tasks import Tasks, one_by_one
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
@@ -35,13 +36,18 @@ IMAGE_CHECKS_FOLDER: Final = "looks"
 _MOST_BYTES: Final = 1 << 26
 
 
-def check_images(log: Log, on_decoded: Callable[[int], object] = lambda count: None) -> ImageFindings:
-    """Decode every camera picture of a log, on all cores and with bounded memory.
+def check_images(
+    log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
+) -> ImageFindings:
+    """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and
+    compare those of the centre camera with the steering.
 
-    `on_decoded` is told how many more are done. Raises LogError if the log is damaged.
+    `on_decoded` is told how many more are decoded. Raises LogError if the log is damaged.
     """
+    from recorder.log.steering_against_pictures import against_pictures  # OpenCV
+
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         check = ImageCheck(pool, on_decoded)
         for camera, row, time_ns, offset, length, chunk in _in_order_of_the_file(log):
             check.add(topics[camera], row, time_ns, log.read(offset, length, chunk))
@@ -61,33 +67,55 @@ def check_images(log: Log, on_decoded: Callable[[int], object] = lambda count: N
         check.decoded,
         {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
+        tuple(stretches(against_pictures(log, lambda count: on_decoded(0)))),
     )
 
 
 def check_all_images(
-    logs: Mapping[str, Location], index: Path, *, leave_out_unreadable: bool = False
+    logs: Mapping[str, Location], index: Path, *, leave_out_unreadable: bool = False, tasks: Tasks = one_by_one
 ) -> list[str]:
     """Check the pictures of the logs (by session) whose findings `index` does not have; the sessions checked now.
 
     Each one that is done stays done, also if the work is then stopped. Raises LogError for a damaged log
-    (`leave_out_unreadable`: it is left out, as it will be when the index is built).
+    (`leave_out_unreadable`: it is left out, as it will be when the index is built). `tasks`: here each log has all
+    cores, one after the other; on a cluster each is a task.
     """
     unreadable = (LogError,) if leave_out_unreadable else ()
     pictures: dict[str, int] = {}
     for session, path in logs.items():
         with contextlib.suppress(*unreadable), Log(path) as log:
-            if read_image_check(index, session, log.fingerprint) is None:
+            found = read_image_check(index, session, log.fingerprint)
+            if found is None or found.against is None:
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
-    checked = []
+    names, checked = list(pictures), []
     with progress_bar() as progress:
-        task = progress.add_task("looking at pictures", total=sum(pictures.values()), note="")
-        for session in pictures:
-            with contextlib.suppress(*unreadable), Log(logs[session]) as log:
-                found = check_images(log, partial(progress.advance, task))
-                write_image_check(index, session, log.fingerprint, found)
-                checked.append(session)
-    return checked
+        bar = progress.add_task("looking at pictures", total=sum(pictures.values()), note="")
+        how = (None, partial(progress.advance, bar)) if tasks is one_by_one else (1,)
+        for number, error in tasks(_check_log, [(name, logs[name], index, *how) for name in names]):
+            if error is None:
+                checked.append(names[number])
+            elif not unreadable:
+                raise error
+            if tasks is not one_by_one:
+                progress.advance(bar, pictures[names[number]])
+    return sorted(checked)
+
+
+def _check_log(
+    session: str,
+    path: Location,
+    index: Path,
+    threads: int | None,
+    on_decoded: Callable[[int], object] = lambda count: None,
+) -> LogError | None:
+    """Keep what is found in a log's pictures; or why it cannot be read."""
+    try:
+        with Log(path) as log:
+            write_image_check(index, session, log.fingerprint, check_images(log, on_decoded, threads))
+    except LogError as error:
+        return error
+    return None
 
 
 class _Stored(msgspec.Struct):
@@ -96,12 +124,13 @@ class _Stored(msgspec.Struct):
     pictures: Position
     broken: dict[str, Stretches]
     frozen: dict[str, Stretches]
+    against: Stretches | None = None
 
 
 def write_image_check(index: Path, session: str, fingerprint: str, found: ImageFindings) -> None:
     """Keep what was found in the log with this fingerprint."""
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
-    stored = _Stored(1, fingerprint, found.pictures, broken, frozen)
+    stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against)
     write_findings(image_check_path(index, session), stored)
 
 
@@ -110,10 +139,11 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     stored = read_findings(image_check_path(index, session), _Stored, _MOST_BYTES)
     if stored is None:
         return None
-    stretches = itertools.chain(stored.broken.values(), stored.frozen.values())
-    if stored.fingerprint != fingerprint or not all(map(_are_ascending, stretches)):
+    of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])
+    if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
         return None
-    return ImageFindings(stored.pictures, _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen))
+    broken, frozen = _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen)
+    return ImageFindings(stored.pictures, broken, frozen, stored.against)
 
 
 def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:

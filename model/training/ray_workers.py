@@ -221,7 +221,9 @@ def _place(ray: Any, ranks: Sequence[Any]) -> tuple[str, int]:
     began_s, is_said = time.monotonic(), False
     while len(ray.wait(asked, num_returns=len(asked), timeout=_LOOK_EVERY_S)[0]) < len(asked):
         if not is_said and time.monotonic() - began_s > _SAY_WAITING_S:
-            print_message(f"bc-train: waiting for room on the cluster for {counted(len(ranks), 'worker')}")
+            print_message(
+                f"bc-train: waiting for {counted(len(ranks), 'worker')}, who start, or for room for them"
+            )
             is_said = True
     place: tuple[str, int] = ray.get(asked)[0]
     return place

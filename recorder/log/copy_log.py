@@ -7,6 +7,7 @@ ETag, so that a copy which was stopped goes on where it was; every CRC in it is 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import secrets
 from collections.abc import Callable, Iterator
@@ -15,12 +16,13 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from common import UserError
-from common.errors import ObjectExistsError
+from common.errors import ObjectExistsError, StoreError
 from common.files import PART_SUFFIX, atomic_file, make_folder, publish, refuse_existing
 from common.interrupts import uninterrupted
 from common.location import Location, Url
 from common.locks import try_lock
 from common.object_store import (
+    MOST_IN_ONE_REQUEST,
     ObjectFile,
     find_object,
     name_new,
@@ -36,9 +38,6 @@ from recorder.log.reader import Log
 from recorder.log.tags import MOST_BYTES, tags_path
 
 _PART_BYTES: Final = 1 << 23
-_MOST_NAMED_IN_STORE: Final = 5 << 30
-"""Bytes that S3 gives another name in one request; more than that is written under its own name at once."""
-
 OnBytes: TypeAlias = Callable[[int], object]
 """Is told how many bytes more are copied."""
 
@@ -81,20 +80,35 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
         raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
-    is_small = size <= _MOST_NAMED_IN_STORE
+    is_small = size <= MOST_IN_ONE_REQUEST  # what is more is written under its own name at once
     made = url.with_name(f"{url.name}.{secrets.token_hex(3)}{PART_SUFFIX}") if is_small and not overwrite else url
     try:
-        put_parts(made, _parts(log, on_bytes, None if overwrite or is_small else url), size)
+        try:
+            put_parts(made, _parts(log, on_bytes, None if overwrite or is_small else url), size)
+        except StoreError:  # it is there all the same, if nothing but the answer was lost
+            if not _is_there(made, size, fingerprint):
+                raise
         if _fingerprint(made) != fingerprint:
             raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
         if made != url:
-            name_new(made, url)
+            try:
+                name_new(made, url)
+            except StoreError:
+                if not _is_there(url, size, fingerprint):
+                    raise
+                remove(made)
     except BaseException:
         if made != url:
-            with uninterrupted():
+            with uninterrupted(), contextlib.suppress(StoreError):  # what was raised first says more
                 remove(made)
         raise
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
+
+
+def _is_there(url: Url, size: int, fingerprint: str) -> bool:
+    """True if this log is there, whole."""
+    found = find_object(url)
+    return found is not None and found.size == size and _fingerprint(url) == fingerprint
 
 
 def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
