@@ -77,7 +77,6 @@ class Shown:
 
     def keep(self, page: Page, name: str, selector: str = "") -> None:
         """All of the window, or an element of it; once all its pictures are there."""
-        page.wait_for_load_state("networkidle")
         page.wait_for_function("[...document.images].every(each => each.complete || each.loading === 'lazy')")
         time.sleep(1)
         data = page.locator(selector).screenshot() if selector else page.screenshot()
