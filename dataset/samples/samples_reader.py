@@ -33,7 +33,7 @@ from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
-from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Parts
 from recorder import Log, LogError
 from recorder.log.chunk_cache import default_cache
 
@@ -100,6 +100,7 @@ class Samples(Closeable):
                 for session, source in self.metadata["logs"].items()
             }
             version = self.metadata["format"]
+            self._parts = Parts.of(self.metadata)
         except (FileNotFoundError, NotADirectoryError):
             raise missing_index(index) from None
         except _UNREADABLE as error:
@@ -251,7 +252,7 @@ class Samples(Closeable):
             raise self._damaged(error) from None
 
     def _groups(self, columns: Sequence[str] | None) -> Iterator[pa.Table]:
-        """The file part by part, the first one empty. Raises what is `_UNREADABLE`.
+        """The samples part by part, the first one empty. Raises what is `_UNREADABLE`.
 
         Row group by row group: read_table(filters=...) was seen to wait forever on a damaged file.
         """
@@ -260,6 +261,15 @@ class Samples(Closeable):
             yield file.schema_arrow.empty_table().select(columns or file.schema_arrow.names)
             for group in range(file.num_row_groups):
                 yield file.read_row_group(group, columns)
+        if self._parts is None:
+            return
+        for place in self._parts.places(self.path.parent):
+            part = place if isinstance(place, Path) else pa.BufferReader(_fetched(place))
+            with pq.ParquetFile(part, read_dictionary=words, page_checksum_verification=True) as file:
+                if json.loads(file.schema_arrow.metadata[METADATA_KEY])["digest"] != self._parts.digest:
+                    raise ValueError(f"{place} is not of it")
+                for group in range(file.num_row_groups):
+                    yield file.read_row_group(group, columns)
 
     def _damaged(self, error: Exception) -> DatasetError:
         why = " ".join(str(error).split())
