@@ -29,6 +29,7 @@ from safetensors.numpy import load_file
 from bucket import serving_bucket
 from clusters import ray_cluster
 from common.car import Camera
+from common.errors import UserError
 from common.ray_cluster import ClusterError, cluster_tasks, package_versions, refuse_other_node
 from dataset import build_index
 from driving import Process, command, one_line_of, run, run_code, untrained_run
@@ -153,6 +154,20 @@ def test_a_cluster_of_another_version_is_told(tmp_path: Path, cluster: Any) -> N
     assert f"the cluster has Ray {ray.__version__} and Python" in one_line_of(done)
     assert "this machine Ray 2.0.0" in one_line_of(done)
     assert not (tmp_path / "index").exists()
+
+
+@pytest.mark.long
+def test_so_many_calls_that_several_are_a_task_have_their_results_and_the_error_of_one(cluster: Any) -> None:
+    def half(number: int) -> int:
+        if number % 2:
+            raise UserError(f"{number}: an even number was expected")
+        return number // 2
+
+    with cluster_tasks(cluster.address) as tasks:
+        found = dict(tasks(half, [(2 * number,) for number in range(10_001)]))
+        with pytest.raises(UserError, match="17: an even number was expected"):
+            list(tasks(half, [(2 * number + (number == 8),) for number in range(10_001)]))
+    assert found == {number: number for number in range(10_001)}
 
 
 @pytest.mark.long

@@ -146,9 +146,10 @@ def extent_of(path: Path) -> Extent:
     except (OSError, pa.ArrowException) as error:
         raise _damaged(path, error) from None
     paths = [about.schema.column(number).path for number in range(about.num_columns)]
-    at = paths.index("log_time_ns") if "log_time_ns" in paths else None
-    groups = [about.row_group(group) for group in range(about.num_row_groups)]
-    told = [None if at is None else group.column(at).statistics for group in groups]
+    told: list[Any] = []
+    if "log_time_ns" in paths:
+        at = paths.index("log_time_ns")
+        told = [about.row_group(group).column(at).statistics for group in range(about.num_row_groups)]
     if not told or any(each is None or not each.has_min_max for each in told):  # another program wrote it anew
         return Extent(about.num_rows, *_ALWAYS_NS)
     return Extent(about.num_rows, min(each.min for each in told), max(each.max for each in told))
