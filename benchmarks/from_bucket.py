@@ -2,6 +2,7 @@
 
 python benchmarks/from_bucket.py SESSIONS libraries    # obstore and pyarrow.fs: requests, MB/s
 python benchmarks/from_bucket.py SESSIONS logs         # bc-log info and bc-index: requests, bytes
+python benchmarks/from_bucket.py SESSIONS long         # bc-log info of one of them, made 8.4 GB long by a hole
 python benchmarks/from_bucket.py SESSIONS loading      # epochs of pictures alone, nothing learnt of them
 python benchmarks/from_bucket.py SESSIONS training     # epochs of bc-train
 
@@ -37,12 +38,13 @@ import obstore
 from pyarrow.fs import S3FileSystem
 
 from common.location import Location, Url
-from common.object_store import forget_stores
+from common.object_store import find_object, forget_stores
 from dataset import IndexConfig, build_index
 from dataset.loader.loader import load
 from model.config import TrainConfig
 from model.runs.training_progress import Epoch, Step
 from model.training.trainer import train
+from recorder import Log
 from recorder.log.log_info import describe
 
 BUCKET: Final = "logs"
@@ -102,8 +104,9 @@ def serve(folder: str, delay_ms: float, mb_s: float) -> None:
 class Server:
     """A server in a process of its own."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, folder: Path) -> None:
         self.address = f"127.0.0.1:{port}"
+        self.folder = folder  # the bucket's
 
     def counts(self) -> tuple[int, int]:
         """Requests for objects, and the bytes of them, until now."""
@@ -122,7 +125,7 @@ def serving(sessions: Path, delay_ms: float, mb_s: float) -> Iterator[Server]:
         line = [sys.executable, __file__, folder, "serve", "--delay-ms", str(delay_ms), "--mb-s", str(mb_s)]
         with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None  # noqa: S101
-            server = Server(int(process.stdout.readline()))
+            server = Server(int(process.stdout.readline()), Path(folder) / BUCKET)
             keys = {
                 "AWS_ACCESS_KEY_ID": "benchmark",
                 "AWS_SECRET_ACCESS_KEY": "benchmark",
@@ -194,6 +197,32 @@ def print_logs(sessions: Path, server: Server) -> None:
             logs = [Url("s3", BUCKET, log.name) for log in sorted(sessions.glob("*.mcap"))]
             build_index(logs, Path(folder) / "index", IndexConfig(labels="as-recorded"))
             _print_moved(what, total, server, before)
+
+
+def print_long(sessions: Path, server: Server) -> None:
+    """32,000 chunks more, with nothing in them."""
+    sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+    from long_log import lengthened
+
+    short = min(sessions.glob("*.mcap"), key=lambda log: log.stat().st_size)
+    url = Url("s3", BUCKET, "long.mcap")
+    path = lengthened(short, server.folder / url.name, 32_000)
+    find_object(url)  # the server reads all of it, for its ETag
+    print("| | MB | requests | MB moved |\n|---|---|---|---|")
+    before = server.counts()
+    describe(url)
+    _print_moved("`bc-log info`", path.stat().st_size, server, before)
+    before = server.counts()
+    with Log(url) as log:
+        log.fingerprint  # noqa: B018
+    _print_moved("its fingerprint", path.stat().st_size, server, before)
+    for place in (path, url):
+        seconds = []
+        for _ in range(5):
+            begin = time.process_time()
+            describe(place)
+            seconds.append(time.process_time() - begin)
+        print(f"{place}: {1000 * min(seconds):.0f} ms of the processor")
 
 
 def _print_moved(what: str, size: int, server: Server, before: tuple[int, int]) -> None:
@@ -269,7 +298,7 @@ def _trained(index: Path, run: Path, epochs: int, network: str) -> list[float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sessions", type=Path)
-    parser.add_argument("what", choices=["libraries", "logs", "loading", "training", "serve"])
+    parser.add_argument("what", choices=["libraries", "logs", "long", "loading", "training", "serve"])
     parser.add_argument("--delay-ms", type=float, default=50)
     parser.add_argument("--mb-s", type=float, default=100)
     parser.add_argument("--repeats", type=int, default=3)
@@ -285,6 +314,8 @@ def main() -> None:
                 print_libraries(given.sessions, server)
             case "logs":
                 print_logs(given.sessions, server)
+            case "long":
+                print_long(given.sessions, server)
             case "loading":
                 print_epochs(given.sessions, server, given.repeats, given.epochs)
             case _:

@@ -5,7 +5,8 @@ python benchmarks/web_pages.py [--sessions 1000] [--minutes 60] [--seconds 20] [
 The mouse moves 30 times a second along the curves of a session of an hour with three cameras. Measured is the
 time from each move until every camera shows its picture, or that of a later move. The page beside it puts the
 addresses of the same bytes, as files, into three <img>. An hour of use is as many pictures as an hour of scrubbing
-asks for, as fast as they come. On a machine that does other things too, only processor times and the ratios of
+asks for, as fast as they come. Ten windows then do so at once, of the workbench and of the page beside it; and ten
+clients ask for the pictures alone. On a machine that does other things too, only processor times and the ratios of
 what was measured in turns say something; the load is printed. Needs Playwright, Chromium, and 1.2 GB in the folder
 for temporary files.
 """
@@ -29,16 +30,17 @@ from typing import Final
 import cv2
 import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page, sync_playwright
+from web_crowd import BROWSERS, MOVES_HZ, Crowd, Scrubbed, crowd
 
 from common.car import CAMERAS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 
 RATE_HZ: Final = 10
-MOVES_HZ: Final = 30
 DIFFERENT: Final = 200  # pictures; each row has one of them
-BROWSERS: Final = 10
+PROGRAM: Final = "/usr/bin/chromium"
 PORT: Final = 8123
 WATCH: Final = """([selector, rows, pattern]) => {
   const over = document.querySelector(selector).getBoundingClientRect();
@@ -197,7 +199,7 @@ def scrub(page: Page, selector: str, rows: int, pattern: str, seconds: float) ->
     return waits
 
 
-def crowd(rows: int, seconds: float) -> list[float]:
+def clients(rows: int, seconds: float) -> list[float]:
     """Milliseconds for a picture, of ten who each ask for thirty a second."""
     waits: list[float] = []
 
@@ -235,6 +237,29 @@ def hours_of_use(server: psutil.Process, rows: int, hours: float) -> None:
     )
 
 
+def of_session(rows: int) -> Scrubbed:
+    over = "#curves .u-over"
+    asked = [over, rows, r"pictures/\w+/(\d+)"]
+    return Scrubbed(f"http://127.0.0.1:{PORT}/sessions/hour", "#session[data-ready]", over, WATCH, asked)
+
+
+def of_static_page(rows: int) -> Scrubbed:
+    return Scrubbed(f"http://127.0.0.1:{PORT}/", "#over", "#over", WATCH, ["#over", rows, r"\.(\d+)$"])
+
+
+def crowded(server: psutil.Process, page: Scrubbed, flags: list[str], seconds: float) -> NDArray[np.float64]:
+    """Median and p95 of ten windows, in milliseconds."""
+    used_s = cpu_s(server)
+    found: Crowd = crowd(PROGRAM, flags, page, seconds)
+    print(
+        f"{BROWSERS} windows at once, {page.address}: {percentiles(found.waits_ms)};"
+        f" {found.moves / found.seconds / BROWSERS:.1f} moves a second in each,"
+        f" {len(found.waits_ms) / found.moves:.0%} of them followed by their pictures;"
+        f" {(cpu_s(server) - used_s) / found.seconds:.2f} of a processor for the server; {load()}"
+    )
+    return np.percentile(found.waits_ms, [50, 95])
+
+
 def percentiles(waits: list[float]) -> str:
     median, p95, p99 = np.percentile(waits, [50, 95, 99])
     return f"{median:.1f} ms, p95 {p95:.1f}, p99 {p99:.1f}"
@@ -251,7 +276,7 @@ def main() -> None:
     flags = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         folder = Path(name)
-        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=flags)
+        browser = playwright.chromium.launch(executable_path=PROGRAM, args=flags)
         write_session(folder / "short.mcap", 0.5, jpegs)
         many = folder / "many"
         (many / "sessions").mkdir(parents=True)
@@ -282,9 +307,10 @@ def main() -> None:
                     f" {(cpu_s(server) - used_s) / asked.seconds:.2f} of a processor; {load()}"
                 )
                 page.close()
-                waits = crowd(rows, asked.seconds / 2)
+                waits = clients(rows, asked.seconds / 2)
+                print(f"{BROWSERS} clients at once: a picture in {percentiles(waits)}; {load()}")
+                of_workbench_crowd = crowded(server, of_session(rows), flags, asked.seconds)
                 memory_mb.append(server.memory_info().rss / 1e6)
-                print(f"{BROWSERS} at once: a picture in {percentiles(waits)}")
                 if turn:
                     hours_of_use(server, rows, asked.hours_of_use)
                 print("memory when opened, scrubbed, crowded:", ", ".join(f"{each:.0f} MB" for each in memory_mb))
@@ -300,6 +326,8 @@ def main() -> None:
                     f" the workbench takes {ratios[0]:.1f} times as long, p95 {ratios[1]:.1f}"
                 )
                 page.close()
+                ratios = of_workbench_crowd / crowded(server, of_static_page(rows), flags, asked.seconds)
+                print(f"  the workbench takes {ratios[0]:.1f} times as long, p95 {ratios[1]:.1f}")
         browser.close()
 
 

@@ -99,7 +99,7 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
 def describe(path: Location, *, look: bool = False, with_tags: bool = True) -> LogInfo:
     """`look`: also at some pictures, for the lag of the steering. Raises LogError if the log cannot be read or,
     `with_tags`, its tags."""
-    with Log(path) as log:
+    with Log(path, brief=True) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas

@@ -34,7 +34,7 @@ from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_m
 from recorder.log.number_fields import decode_numbers
 from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.log.salvage import salvage
-from recorder.log.scan import read_structure
+from recorder.log.scan import is_complete, read_structure, read_summary
 from recorder.log.topics import camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
@@ -76,6 +76,7 @@ class Log(Closeable):
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first asked for.
     `cache`: keeps the chunks of a log in a store that pictures are read from.
+    `brief`: what lies where is read when it is first asked for: of a long log in a store, that is most of its end.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
@@ -86,14 +87,15 @@ class Log(Closeable):
         salvages: bool = False,
         shows_progress: bool = False,
         cache: ChunkCache | None = None,
+        brief: bool = False,
     ) -> None:
         self.path = location(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
         try:
-            self._structure = read_structure(self._file)
-            self._as_found = replace(self._structure, chunks=list(self._structure.chunks))
+            self._structure = self._as_found = read_structure(self._file, without_chunks=brief)
             if salvages:
+                self._as_found = replace(self._structure, chunks=list(self.chunks))
                 salvage(self._file, self._structure)
         except BaseException:
             self._file.close()
@@ -105,11 +107,9 @@ class Log(Closeable):
         self.lost = self._structure.lost
         """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
         unless it `salvages`."""
-        self.chunks = self._structure.chunks
         self.channels = self._structure.channels
         self.fetched = self._fetched_chunks(cache)
         """What is here of a log in a store, if it has a cache."""
-        self._chunk_reader = ChunkReader(self._file, self.chunks, self.fetched)
         self._copied_from: set[int] = set()
         self._copied = 0
         self._is_mixed = False
@@ -119,6 +119,21 @@ class Log(Closeable):
         self._file.close()
         if self.fetched is not None:
             self.fetched.close()
+
+    @property
+    def chunks(self) -> list[Chunk]:
+        """The chunks, in the order of the file. Raises LogError where the list of a log that was opened `brief`
+        is damaged."""
+        if not self._structure.has_chunks:
+            whole = read_summary(self._file)  # walking through it would bring all of it here
+            if whole is None or not is_complete(whole):
+                raise self._file.damaged("the list of its chunks")
+            self._structure.chunks, self._structure.has_chunks = whole.chunks, True
+        return self._structure.chunks
+
+    @cached_property
+    def _chunk_reader(self) -> ChunkReader:
+        return ChunkReader(self._file, self.chunks, self.fetched)
 
     def _fetched_chunks(self, cache: ChunkCache | None) -> FetchedChunks | None:
         if cache is None or not self._file.is_remote:
@@ -241,7 +256,8 @@ class Log(Closeable):
     @cached_property
     def _chunk_headers(self) -> list[bytes]:
         """The header of each chunk, from the end of a log of ours; else they are read, some 50 bytes a chunk."""
-        chunks = self._as_found.chunks  # also of a salvaged one, whose tags are of this fingerprint
+        # also of a salvaged one, whose tags are of this fingerprint
+        chunks = self.chunks if self._as_found is self._structure else self._as_found.chunks
         crcs = read_chunk_crcs(self._file, self._as_found) if self.is_ours else None
         if crcs is not None:
             return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(chunks, crcs, strict=True)]
@@ -363,8 +379,8 @@ class Log(Closeable):
 
     @cached_property
     def _index(self) -> NDArray[np.void]:
-        places = read_places(self._file, self._structure) if self.is_ours else None
         read = self.chunks
+        places = read_places(self._file, self._structure) if self.is_ours else None
         if places is not None:
             images = self._structure.image_channels
             read = [chunk for chunk in read if not is_of_pictures(chunk, images)]

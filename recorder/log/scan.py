@@ -33,6 +33,7 @@ from recorder.log.mcap_file import (
     McapFile,
     prefixed,
 )
+from recorder.log.summary_groups import read_without_chunks
 from recorder.log.topics import QUALITY_METADATA
 
 GOES_ON: Final = "unfinished: its recording is still going on"
@@ -69,6 +70,7 @@ class Structure:
     attachment_names: dict[int, str] = field(default_factory=dict)  # by their offsets; by the summary
     has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
     lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
+    has_chunks: bool = True  # False: `chunks` was left out
 
     @property
     def image_channels(self) -> set[int]:
@@ -85,29 +87,34 @@ class Structure:
         return is_protobuf_channel(self.schemas.get(known.schema_id), known, schema)
 
 
-def read_structure(file: McapFile) -> Structure:
-    """The structure of the file: from its end if that is sound, else by walking through it."""
+def read_structure(file: McapFile, *, without_chunks: bool = False) -> Structure:
+    """The structure of the file: from its end if that is sound, else by walking through it. `without_chunks`: of
+    a long file in a store, its chunks may be left out."""
+    if without_chunks and file.is_remote:
+        found = read_summary(file, without_chunks=True)
+        if found is not None and is_complete(found):
+            return found
     found = read_summary(file)
     if found is None:
         return _walk(file)
-    if _is_complete(found):
+    if is_complete(found):
         return found
     # other programs may leave out of the summary what can be found by walking; the file is a finished one
     walked = _walk(file)
     return replace(walked, problem="") if walked.has_end and not walked.lost else walked
 
 
-def _is_complete(summary: Structure) -> bool:
+def is_complete(summary: Structure) -> bool:
     """True if a summary lists all that it counts."""
     statistics = summary.statistics
     return (
         statistics is not None
-        and len(summary.chunks) == statistics.chunk_count
+        and (len(summary.chunks) == statistics.chunk_count or not summary.has_chunks)
         and len(summary.channels) >= statistics.channel_count
         and len(summary.schemas) >= statistics.schema_count
         and len(summary.metadata_at) == statistics.metadata_count
         and len(summary.attachments_at) == statistics.attachment_count
-        and (summary.chunks != [] or not statistics.message_count)
+        and (summary.chunks != [] or not statistics.message_count or not summary.has_chunks)
     )
 
 
@@ -145,20 +152,25 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
     return position, False
 
 
-def read_summary(file: McapFile) -> Structure | None:
-    """The structure as the summary at the file's end lists it; None if that is not sound."""
+def read_summary(file: McapFile, *, without_chunks: bool = False) -> Structure | None:
+    """The structure as the summary at the file's end lists it; None if that is not sound. `without_chunks`: the
+    chunks of a long one are left out."""
     tail = _FOOTER.size + len(MAGIC)
     if file.size < 2 * len(MAGIC) + _FOOTER.size:
         return None
     footer = file.read(file.size - tail, tail)
-    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
+    opcode, length, start, offsets_start, crc = _FOOTER.unpack_from(footer)
     is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
     if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
         return None
-    summary = file.read(start, file.size - start)
-    if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
-        return None
     found = Structure(data_end=start - _DATA_END_BYTES)
+    summary = read_without_chunks(file, start, offsets_start, file.size - tail) if without_chunks else None
+    if summary is not None:
+        found.has_chunks = False
+    else:
+        summary = file.read(start, file.size - start)
+        if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
+            return None
     try:
         others = _take_chunk_indexes(summary, found.chunks)
         for record in StreamReader(

@@ -132,6 +132,7 @@ class FaultyProxy:
         self.delay_s = 0.0
         self.answer: Answer = lambda passing: False
         self.server_port = 0
+        self.endpoint = ""  # the proxy's own, for clients
         self.lock = threading.Lock()
 
     def count(self, method: str = "") -> int:
@@ -167,11 +168,12 @@ class FaultyProxy:
         self.answer = lambda passing: False
 
     @contextlib.contextmanager
-    def before(self, server_port: int) -> Iterator[int]:
-        """Stand before a server of this machine; gives the port of the proxy."""
+    def before(self, server_port: int) -> Iterator[None]:
+        """Stand before a server of this machine."""
         self.server_port = server_port
         with serving(type("Passing", (Passing,), {"proxy": self})) as port:
-            yield port
+            self.endpoint = f"http://127.0.0.1:{port}"
+            yield
 
 
 class _Server(ThreadingHTTPServer):

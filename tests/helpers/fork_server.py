@@ -20,9 +20,11 @@ import warnings
 from typing import Any, NoReturn
 
 LOADED = (
-    *("torch", "cv2", "pyarrow.compute", "pyarrow.parquet", "tyro", "rich.progress"),
+    *("torch", "cv2", "pyarrow.compute", "pyarrow.parquet", "rich.progress"),
+    *("tyro._backends._tyro_backend", "typeguard"),
     *("model.cli", "model.pilot", "model.training.trainer", "dataset.cli", "drive.cli"),
-    *("recorder.cli", "recorder.log_cli"),
+    *("recorder.cli", "recorder.log_cli", "recorder.server.eventlet_host", "recorder.server.threaded_host"),
+    *("drive.evaluation.eval_cli", "drive.evaluation.closed_loop", "simulator.protocol.client"),
 )
 LOADED_IF_INSTALLED = ("pandas", "matplotlib.figure", "matplotlib.backends.backend_agg")  # by pyarrow; for figures
 

@@ -1,25 +1,59 @@
 """What a page makes of a log that nobody would want to look at: oddly named, with pictures that do not decode,
-with thousands of tags, and replaced by another one while it is shown."""
+with thousands of tags, with a disk that is full, growing, and replaced by another one while it is shown."""
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from chromium import chromium
+from disk import files_of_at_most
 from driving import road_jpeg
-from logs import write_log
+from logs import START_NS, write_log
 from pages import drag, open_session, opened_page, press
-from recorder import Log
-from recorder.log.tags import Tag, add_tags, read_tags
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.tags import Tag, add_tags, read_tags, tags_path
 from waiting import wait_until
 from workbench import served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 AWKWARD = "<img src=x onerror=alert(1)> & \"b\" 'c' 100%?#é\n;"
 ROWS = 400
 TAGS = 20_000
 
 
-def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(tmp_path: Path) -> None:
+def test_a_log_that_is_being_recorded_grows_in_its_page(browser: Browser, tmp_path: Path) -> None:
+    with served(tmp_path) as bench, LogWriter(tmp_path / "sessions" / "new.mcap", {}, live=True) as writer:
+        rows = itertools.count()
+
+        def record_until(is_seen: Callable[[], object]) -> None:
+            """What is written is brought to the disk every second."""
+
+            def write_and_look() -> object:
+                row = next(rows)
+                writer.vehicle(START_NS + row * 100_000_000, row, VehicleState(steering=0.1))
+                return is_seen()
+
+            wait_until(write_and_look)
+
+        (part,) = (tmp_path / "sessions").glob("*.part")
+        at = f"/sessions/{part.name}"
+        record_until(lambda: bench.get(f"{at}/state").json.get("rows"))
+        with opened_page(browser, f"{bench.address}{at}") as page:
+            open_session(page)
+            first = int(page.get_attribute("#curves", "aria-valuemax") or 0)
+            record_until(lambda: int(page.get_attribute("#curves", "aria-valuemax") or 0) > first)
+            page.keyboard.press("[")
+            page.keyboard.press("x")
+            wait_until(lambda: "unfinished" in page.inner_text("#said"))
+    assert not list((tmp_path / "sessions").glob("*.jsonl"))
+
+
+def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(browser: Browser, tmp_path: Path) -> None:
     log = write_log(
         tmp_path / "sessions" / f"{AWKWARD}.mcap",
         [0.01 * (row % 40) for row in range(ROWS)],
@@ -30,7 +64,7 @@ def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(tmp_path: Path) 
         fingerprint = found.fingerprint
     many = [Tag(at % ROWS, min(at % ROWS + at // 400, ROWS - 1), f"n{at % 97}") for at in range(TAGS)]
     add_tags(log, fingerprint, many)
-    with chromium() as browser, served(tmp_path) as bench, opened_page(browser, bench.address) as page:
+    with served(tmp_path) as bench, opened_page(browser, bench.address) as page:
         page.locator(".session .name").click()
         open_session(page)
         assert page.inner_text("h1") == AWKWARD.replace("\n", "\\n")
@@ -44,6 +78,11 @@ def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(tmp_path: Path) 
         assert Tag(*rows, "exclude") in read_tags(log, fingerprint)
         press(page, "u", shown)
         assert Tag(*rows, "exclude") not in read_tags(log, fingerprint)
+        before = tags_path(log).read_bytes()
+        with files_of_at_most(len(before) + 10):
+            page.keyboard.press("x")
+            wait_until(lambda: "cannot be written" in page.inner_text("#said"))
+        assert tags_path(log).read_bytes() == before
 
         write_log(tmp_path / "other.mcap", [0.5, 0.6]).replace(log)
         wait_until(lambda: "replaced by another" in page.inner_text("#problem"))

@@ -9,19 +9,21 @@ import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
 import psutil  # type: ignore[import-untyped]
 
-from chromium import chromium
 from common.car import Camera
 from driving import PATIENCE_S
 from logs import write_log
 from waiting import wait_until
 from workbench import Served, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 ROWS = 40
 RED, GREEN = (0, 0, 255), (0, 255, 0)
@@ -125,12 +127,15 @@ def forwarded(port: int) -> Iterator[int]:
                 thread.join()
 
 
-def test_rerun_shows_the_moment_of_the_curves_inside_the_page(tmp_path: Path) -> None:
+def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, tmp_path: Path) -> None:
     """From a machine that reaches one port only, and with the token."""
     write_colored(tmp_path / "sessions" / "colored.mcap")
     host, token = "0.0.0.0", "the-token"
-    with served(tmp_path, host, token) as bench, forwarded(bench.port) as port, chromium() as browser:
-        page = browser.new_page(viewport={"width": 800, "height": 1000})
+    with (
+        served(tmp_path, host, token) as bench,
+        forwarded(bench.port) as port,
+        contextlib.closing(browser.new_page(viewport={"width": 800, "height": 1000})) as page,
+    ):
         page.set_default_timeout(4 * PATIENCE_S * 1000)  # it draws in software
         asked: set[str] = set()
         wrong: list[str] = []
@@ -156,4 +161,3 @@ def test_rerun_shows_the_moment_of_the_curves_inside_the_page(tmp_path: Path) ->
         page.keyboard.press("o")
         frame.wait_for(state="detached")
         assert (asked, wrong) == ({f"127.0.0.1:{port}"}, [])
-        page.close()

@@ -98,6 +98,12 @@ class SessionCard:
             return "recording"
         return "reading" if self.info is None else "unfinished" if self.info.notice else ""
 
+    @property
+    def why(self) -> str:
+        """Why it is damaged or unfinished, and what helps; without its path, as its name stands beside it."""
+        told = self.problem or (self.info.notice if self.info else "")
+        return told.removeprefix(f"{printable(str(self.path))}: ")
+
     @cached_property
     def flags(self) -> dict[str, int]:
         """Rows of each flag that any row has."""

@@ -5,17 +5,23 @@ import uPlot from "../../vendor/uPlot.esm.js";
 import { drawBands } from "./bands.js";
 import { clock } from "./clock.js";
 
+const LEAST_WINDOW = 800; // pixels
 const LEAST_ROWS = 10; // across, zoomed in as far as it goes
 const AXIS_WIDTH = 46;
 const PLOTS = [
-  { height: 190, scales: { y: [-1.05, 1.05] }, lines: [["steering", "y", "--steering"], ["predicted", "y", "--predicted"]] },
+  { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [["steering", "y", "--steering"], ["predicted", "y", "--predicted"]] },
   {
-    height: 130,
+    share: 0.16,
     scales: { pedal: [0, 1.05], mph: null },
     lines: [["throttle", "pedal", "--throttle"], ["brake", "pedal", "--brake"], ["speed_mph", "mph", "--speed"]],
   },
 ];
 const NAMES = { steering: "steering (right is up)", predicted: "predicted", throttle: "throttle", brake: "brake", speed_mph: "speed, mph" };
+
+/** A plot's height in pixels: more in a higher window. */
+function heightOf(share) {
+  return Math.round(share * Math.max(innerHeight, LEAST_WINDOW));
+}
 
 export class Curves {
   /** `onMove(position)`: the mouse points there; `onSelect({first, last})`: a stretch was dragged over. */
@@ -27,6 +33,7 @@ export class Curves {
     this.view = null;
     this.position = 0;
     new ResizeObserver(() => this.resize()).observe(element);
+    addEventListener("resize", () => this.resize());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
     element.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
   }
@@ -64,7 +71,7 @@ export class Curves {
     };
   }
 
-  makePlot({ height, scales, lines: all }, x, color) {
+  makePlot({ share, scales, lines: all }, x, color) {
     const columns = this.data.columns;
     const lines = all.filter(([name]) => columns[name]); // no run is chosen: nothing is predicted
     const text = color("--text");
@@ -75,7 +82,7 @@ export class Curves {
     const plot = new uPlot(
       {
         width: this.element.clientWidth,
-        height,
+        height: heightOf(share),
         legend: { show: false },
         cursor: {
           x: false, y: false, points: { show: false }, sync: { key: "session" },
@@ -213,7 +220,7 @@ export class Curves {
   }
 
   resize() {
-    this.plots.forEach((plot, at) => plot.setSize({ width: this.element.clientWidth, height: PLOTS[at].height }));
+    this.plots.forEach((plot, at) => plot.setSize({ width: this.element.clientWidth, height: heightOf(PLOTS[at].share) }));
     this.placeMarkers();
   }
 }
