@@ -65,7 +65,7 @@ from dataset.samples.samples_format import (
     SAMPLES_FORMAT,
     SAMPLES_NAME,
     Balance,
-    Parts,
+    Division,
     SessionCounts,
     SessionLabels,
     sample_files,
@@ -480,7 +480,7 @@ def _up_to_date(
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
         is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames
-        parts = Parts.of(stored)
+        parts = Division.of(stored)
         if stored["format"] != (DIVIDED_FORMAT if is_divided else SAMPLES_FORMAT) or (parts is None) == is_divided:
             return None
         if parts is not None and {path.stem for path in (index / SAMPLES_FOLDER).iterdir()} != set(parts.sessions):

@@ -55,8 +55,8 @@ SAMPLES_SCHEMA: Final = pa.schema(
 
 
 @dataclass(frozen=True)
-class Parts:
-    """The files of divided samples."""
+class Division:
+    """How samples are divided into files."""
 
     digest: str  # SHA-256 of what all of them were made from, which each of them has, too
     sessions: tuple[str, ...]  # that have samples, in the order of these
@@ -65,7 +65,7 @@ class Parts:
         return [index / SAMPLES_FOLDER / f"{session}.parquet" for session in self.sessions]
 
     @classmethod
-    def of(cls, metadata: Mapping[str, Any]) -> Parts | None:
+    def of(cls, metadata: Mapping[str, Any]) -> Division | None:
         """None where all samples are in one file. Raises KeyError, TypeError or ValueError for what is none."""
         if "parts" not in metadata:
             return None
@@ -76,8 +76,8 @@ class Parts:
 
 
 def sample_files(index: Path) -> list[Path]:
-    """The files that hold the samples of an index, in their order. Raises what `Parts.of` does."""
-    parts = Parts.of(read_metadata(index / SAMPLES_NAME) or {})
+    """The files that hold the samples of an index, in their order. Raises what `Division.of` does."""
+    parts = Division.of(read_metadata(index / SAMPLES_NAME) or {})
     return [index / SAMPLES_NAME] if parts is None else [Path(str(place)) for place in parts.places(index)]
 
 

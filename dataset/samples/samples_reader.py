@@ -33,7 +33,7 @@ from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
-from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Parts
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Division
 from recorder import Log, LogError
 from recorder.log.chunk_cache import default_cache
 
@@ -100,7 +100,7 @@ class Samples(Closeable):
                 for session, source in self.metadata["logs"].items()
             }
             version = self.metadata["format"]
-            self._parts = Parts.of(self.metadata)
+            self._parts = Division.of(self.metadata)
         except (FileNotFoundError, NotADirectoryError):
             raise missing_index(index) from None
         except _UNREADABLE as error:
