@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import configparser
 import contextlib
+import itertools
 import os
 import re
 import threading
@@ -36,10 +37,13 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from obstore import GetOptions, ObjectMeta, SuffixRange
+    from obstore import GetOptions, ObjectMeta, PutMode, SuffixRange
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
 T = TypeVar("T")
+
+MOST_IN_ONE_REQUEST: Final = 5 << 30
+"""Bytes that S3 takes, or gives another name, in one request, and so on a condition."""
 
 AT_ONCE: Final = 16
 """Requests that wait for their answers at a time: at 50 ms each, and 256 KB, some 80 MB/s."""
@@ -95,6 +99,19 @@ class StoredObject:
     version: str  # ETag, without its quotation marks
 
 
+@dataclass(frozen=True)
+class Seen:
+    """By which an object is told from what takes its name later."""
+
+    e_tag: str  # as the store writes it
+    version: str | None = None  # of stores that go by that
+
+    @property
+    def name(self) -> str:
+        """As in `StoredObject.version`."""
+        return self.e_tag.strip('"')
+
+
 class ObjectFile(Closeable):
     """An object, open for reading at any place, from any thread. It is one content that is read: if the object is
     replaced meanwhile, ObjectChangedError is raised."""
@@ -119,6 +136,7 @@ class ObjectFile(Closeable):
                 is_end = len(data) == found["size"]
         self.size: int = found["size"]
         self.version: str = found["e_tag"] or ""
+        self.seen = Seen(self.version, found["version"])
         self._keep(self.size - len(data) if is_end else 0, data)
         if not is_end:
             last = min(_END, self.size)
@@ -242,6 +260,18 @@ def list_objects(folder: Url) -> list[StoredObject]:
     return sorted(objects)
 
 
+def list_below(folder: Url) -> list[StoredObject]:
+    """The objects in a folder and in those within it, by name. Raises StoreError."""
+    with _told(folder):
+        found = _again_if_cut_off(
+            lambda: list(itertools.chain.from_iterable(obstore.list(_store(folder, False), folder.key or None)))
+        )
+    return sorted(
+        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], _version(each))
+        for each in found
+    )
+
+
 def find_object(url: Url) -> StoredObject | None:
     """What a store tells of an object; None if there is none. Raises StoreError."""
     with _told(url):
@@ -283,6 +313,30 @@ def put_over(url: Url, data: bytes) -> None:
     """Write a small object, whole or not at all, over whatever had its name."""
     with _told(url):
         obstore.put(_store(url, True), url.key, data)
+
+
+def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
+    """Write a file, whole or not at all, over the object that was `seen` last; None: where there is none.
+
+    Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
+    5 GB, and where it was written and the answer to that was lost.
+    """
+    if (size := file.stat().st_size) > MOST_IN_ONE_REQUEST:
+        raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
+    there = find_object(url) if seen is not None else None  # not every store knows the condition
+    with _told(url):
+        try:
+            mode: PutMode = "create"
+            if seen is not None:
+                if there is None or there.version != seen.name:
+                    raise failures.PreconditionError
+                mode = {"e_tag": seen.e_tag}
+                if seen.version is not None:
+                    mode["version"] = seen.version
+            made = obstore.put(_store(url, True), url.key, file, mode=mode, use_multipart=False)
+        except (failures.PreconditionError, failures.AlreadyExistsError):
+            raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
+    return Seen(made["e_tag"] or "", made["version"])
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
