@@ -71,7 +71,7 @@ def serving_gcs(bucket: str) -> Iterator[int]:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     # by this name it is asked as obstore asks; the package itself does not say so
-    line = [program, "-scheme", "http", "-backend", "memory", "-port", str(port), "-host", "127.0.0.1"]
+    line = [str(program), "-scheme", "http", "-backend", "memory", "-port", str(port), "-host", "127.0.0.1"]
     with subprocess.Popen([*line, "-public-host", f"127.0.0.1:{port}"], stderr=subprocess.PIPE) as process:
         try:
             assert process.stderr is not None
