@@ -147,6 +147,11 @@ class FaultyProxy:
         self.requests.clear()
         self.answer = lambda passing: passing.number == number and fault(passing)
 
+    def fail_first(self, method: str, fault: Answer) -> None:
+        """Let the next request of this kind fail; only this one."""
+        first = iter([True])
+        self.answer = lambda passing: passing.command == method and next(first, False) and fault(passing)
+
     def fail_each_once(self) -> None:
         """Let each request fail the first time that it comes, by all faults in turn."""
         seen: set[tuple[str, ...]] = set()
