@@ -510,7 +510,8 @@ def _as_told(url: Url, error: Exception, text: str) -> StoreError:
         return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
     if "RequestTimeTooSkewed" in text:
         return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
-    if isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError) or "AccessDenied" in text:
+    is_refused = isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError)
+    if is_refused or "403 Forbidden" in text:  # a listing that is refused is a GenericError
         rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
         return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, failures.NotSupportedError) or "NotImplemented" in text:

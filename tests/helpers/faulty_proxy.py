@@ -86,9 +86,9 @@ class Passing(BaseHTTPRequestHandler):
 
     def _passed(self) -> tuple[int, list[tuple[str, str]], bytes]:
         """What the server answers."""
-        self._server.putrequest(self.command, self.path, skip_host=True, skip_accept_encoding=True)
+        self._server.putrequest(self.command, self.path, skip_accept_encoding=True)
         for name, value in self.headers.items():
-            if name.lower() != "connection":
+            if name.lower() not in ("connection", "host"):
                 self._server.putheader(name, value)
         self._server.endheaders(self.body)
         answer = self._server.getresponse()
