@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dataset import DatasetError, IndexConfig, Samples, build_index, load
 from dataset.index.leaks import find_leaks
+from dataset.samples.balance import PerBin, quota_of, shares
 from logs import write_log
 from web.data.index_view import session_bins_sketch, view_index
 
@@ -82,6 +85,29 @@ def candidates(indexed: Any) -> list[dict[str, Any]]:
 
 
 CORRECTIONS = {"center": 0.0, "left": CONFIG.side_correction, "right": -CONFIG.side_correction}
+
+
+@given(
+    st.lists(st.lists(st.integers(0, 40), min_size=5, max_size=5), min_size=1, max_size=6),
+    st.sampled_from(["mean", "median", 3]),
+    st.integers(1, 9),
+)
+def test_what_sessions_share_is_all_of_it_and_none_gives_more_than_it_has(
+    counts: list[list[int]], per_bin: PerBin, max_uses: int
+) -> None:
+    there = np.array(counts)
+    quota, _, _ = quota_of(there.sum(axis=0), max_uses, per_bin)
+    divided = shares(quota, there)
+    originals = np.stack([share.originals for share in divided])
+    copies = np.stack([share.copies for share in divided])
+    assert np.array_equal(originals.sum(axis=0), quota.originals)
+    assert np.array_equal(copies.sum(axis=0), quota.copies)
+    assert (originals >= 0).all()
+    assert (originals <= there).all()
+    assert (copies >= 0).all()
+    assert (copies <= originals * (max_uses - 1)).all()
+    exact = quota.originals * there / np.maximum(there.sum(axis=0), 1)
+    assert (np.abs(originals - exact) <= 1).all()
 
 
 def test_it_is_the_same_again_whatever_was_there_before_and_is_not_built_again_for_nothing(tmp_path: Path) -> None:
