@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 
 from chromium import chromium
+from places import Place, as_bucket, url_within
 from repository import ROOT
 
 if TYPE_CHECKING:
@@ -94,6 +95,26 @@ def browser() -> Iterator[Browser]:
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trainings draw no figures, as where matplotlib is not installed: it is half of a small one's time."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
+
+
+@pytest.fixture(scope="session")
+def bucket_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """An S3 server whose bucket is the folder of all temporary files; the environment that leads there."""
+    with as_bucket(tmp_path_factory.getbasetemp()) as environment:
+        yield environment
+
+
+@pytest.fixture(params=["disk", "bucket"])
+def place(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Place:
+    """For what is true on a disk and in a bucket alike: how a command is told of a file that the test has made."""
+    if request.param == "disk":
+        return lambda path: path
+    for name, value in request.getfixturevalue("bucket_of_tests").items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("BC_CACHE", str(tmp_path_factory.mktemp("cache")))
+    return url_within(tmp_path_factory.getbasetemp())
 
 
 @pytest.fixture(params=["eventlet", "threading"])

@@ -86,9 +86,9 @@ class Passing(BaseHTTPRequestHandler):
 
     def _passed(self) -> tuple[int, list[tuple[str, str]], bytes]:
         """What the server answers."""
-        self._server.putrequest(self.command, self.path, skip_host=True, skip_accept_encoding=True)
+        self._server.putrequest(self.command, self.path, skip_accept_encoding=True)
         for name, value in self.headers.items():
-            if name.lower() != "connection":
+            if name.lower() not in ("connection", "host"):
                 self._server.putheader(name, value)
         self._server.endheaders(self.body)
         answer = self._server.getresponse()
@@ -132,6 +132,7 @@ class FaultyProxy:
         self.delay_s = 0.0
         self.answer: Answer = lambda passing: False
         self.server_port = 0
+        self.endpoint = ""  # the proxy's own, for clients
         self.lock = threading.Lock()
 
     def count(self, method: str = "") -> int:
@@ -145,6 +146,11 @@ class FaultyProxy:
         """Begin to count anew, and let the request of this number fail, from 0; only this one."""
         self.requests.clear()
         self.answer = lambda passing: passing.number == number and fault(passing)
+
+    def fail_first(self, method: str, fault: Answer) -> None:
+        """Let the next request of this kind fail; only this one."""
+        first = iter([True])
+        self.answer = lambda passing: passing.command == method and next(first, False) and fault(passing)
 
     def fail_each_once(self) -> None:
         """Let each request fail the first time that it comes, by all faults in turn."""
@@ -167,11 +173,12 @@ class FaultyProxy:
         self.answer = lambda passing: False
 
     @contextlib.contextmanager
-    def before(self, server_port: int) -> Iterator[int]:
-        """Stand before a server of this machine; gives the port of the proxy."""
+    def before(self, server_port: int) -> Iterator[None]:
+        """Stand before a server of this machine."""
         self.server_port = server_port
         with serving(type("Passing", (Passing,), {"proxy": self})) as port:
-            yield port
+            self.endpoint = f"http://127.0.0.1:{port}"
+            yield
 
 
 class _Server(ThreadingHTTPServer):

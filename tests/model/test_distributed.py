@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from bucket import serving_bucket
 from common import UserError
+from dataset import IndexConfig, build_index
 from driving import Process, environment
 from model import train
 from model.cli import Train
@@ -139,6 +141,28 @@ def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path)
     train(index, tmp_path / "one", config, figures=False)
     found, expected = ([epoch["training_loss"] for epoch in epochs_of(tmp_path / name)] for name in ("run", "one"))
     assert found == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.long  # of one process: test_train_from_bucket.py
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_weights_from_a_bucket_are_those_from_the_disk(
+    tmp_path: Path, ranks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit, though each request fails the first time."""
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    with serving_bucket(tmp_path / "server", monkeypatch) as bucket:
+        disk = toy_index(bucket.folder)
+        settings = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)
+        store = build_index([bucket.url("toy.mcap")], tmp_path / "index", settings).path
+        bucket.requests.clear()
+        bucket.fail_each_once()
+        for name, index in (("disk", disk), ("store", store)):
+            places = ["--index", index, "--runs", tmp_path]
+            done = torchrun("--name", name, *FLAGS, "--epochs", 2, *places, processes=ranks)
+            assert done.returncode == 0, done.stderr
+            assert (bucket.count() > 0) == (name == "store")
+    weights = [(tmp_path / name / "model.safetensors").read_bytes() for name in ("disk", "store")]
+    assert weights[0] == weights[1]
 
 
 def test_a_run_that_exists_is_said_and_ends_all(index: Path, tmp_path: Path, script: Path) -> None:
