@@ -13,7 +13,11 @@ from unittest import mock
 @contextlib.contextmanager
 def ray_cluster(nodes: int = 2) -> Iterator[Any]:
     """A `ray.cluster_utils.Cluster`: a head that runs no task, and so many nodes with one processor each."""
-    environment = {"RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+    environment = {
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_worker_niceness": "0",
+    }
     with mock.patch.dict(os.environ, environment), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from ray.cluster_utils import Cluster
