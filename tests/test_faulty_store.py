@@ -112,7 +112,7 @@ REQUESTS: dict[Callable[[Store], None], int] = {upload: 11, download: 5, index: 
 """What is done with a store, and how many requests that is."""
 
 FAULTS_OF = {
-    upload: ("lost", "cut"),
+    upload: ("hung up", "lost", "cut"),
     download: ("cut", "truncated"),
     index: ("cut", "truncated"),
     keep: ("lost", "truncated"),
