@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import configparser
 import contextlib
+import itertools
 import os
 import re
 import threading
@@ -36,10 +37,13 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from obstore import GetOptions, ObjectMeta, SuffixRange
+    from obstore import GetOptions, ObjectMeta, PutMode, SuffixRange
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
 T = TypeVar("T")
+
+MOST_IN_ONE_REQUEST: Final = 5 << 30
+"""Bytes that S3 takes, or gives another name, in one request, and so on a condition."""
 
 AT_ONCE: Final = 16
 """Requests that wait for their answers at a time: at 50 ms each, and 256 KB, some 80 MB/s."""
@@ -50,6 +54,25 @@ _KEPT_BYTES: Final = 1 << 26
 _KEPT: Final = 16  # stretches of a file that were read
 _END: Final = 1 << 17  # of a file, read at once: a log of ours says there what is in it
 _CUT_OFF: Final = 4  # times that is asked for what comes incomplete; obstore asks again for what does not come
+
+# What is said where nobody gave any, and no role of the machine has answered either.
+_NO_CREDENTIALS: Final = re.compile(
+    r"169\.254\.169\.254|/latest/(api/token|meta-data)|metadata\.google\.internal|credential"
+    r"|account must be specified|invalid access key",
+    re.IGNORECASE,
+)
+_CREDENTIALS: Final = {
+    "s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY (AWS_SKIP_SIGNATURE=true for a public bucket)",
+    "gs": "GOOGLE_APPLICATION_CREDENTIALS to the file of a key (GOOGLE_SKIP_SIGNATURE=true for a public bucket)",
+    "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY (AZURE_SKIP_SIGNATURE=true for a public one)",
+}
+_NO_RIGHT: Final = ("", " (AccessDenied)", " (AuthorizationPermissionMismatch)")
+_RIGHTS: Final = {
+    "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
+    " s3:PutObject and s3:DeleteObject, too",
+    "gs": "the role Storage Object User",
+    "az": "the role Storage Blob Data Contributor",
+}
 
 _asked_by = 0  # the process that has asked a store first
 
@@ -76,6 +99,19 @@ class StoredObject:
     version: str  # ETag, without its quotation marks
 
 
+@dataclass(frozen=True)
+class Seen:
+    """By which an object is told from what takes its name later."""
+
+    e_tag: str  # as the store writes it
+    version: str | None = None  # of stores that go by that
+
+    @property
+    def name(self) -> str:
+        """As in `StoredObject.version`."""
+        return self.e_tag.strip('"')
+
+
 class ObjectFile(Closeable):
     """An object, open for reading at any place, from any thread. It is one content that is read: if the object is
     replaced meanwhile, ObjectChangedError is raised."""
@@ -100,6 +136,7 @@ class ObjectFile(Closeable):
                 is_end = len(data) == found["size"]
         self.size: int = found["size"]
         self.version: str = found["e_tag"] or ""
+        self.seen = Seen(self.version, found["version"])
         self._keep(self.size - len(data) if is_end else 0, data)
         if not is_end:
             last = min(_END, self.size)
@@ -223,6 +260,18 @@ def list_objects(folder: Url) -> list[StoredObject]:
     return sorted(objects)
 
 
+def list_below(folder: Url) -> list[StoredObject]:
+    """The objects in a folder and in those within it, by name. Raises StoreError."""
+    with _told(folder):
+        found = _again_if_cut_off(
+            lambda: list(itertools.chain.from_iterable(obstore.list(_store(folder, False), folder.key or None)))
+        )
+    return sorted(
+        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], _version(each))
+        for each in found
+    )
+
+
 def find_object(url: Url) -> StoredObject | None:
     """What a store tells of an object; None if there is none. Raises StoreError."""
     with _told(url):
@@ -264,6 +313,40 @@ def put_over(url: Url, data: bytes) -> None:
     """Write a small object, whole or not at all, over whatever had its name."""
     with _told(url):
         obstore.put(_store(url, True), url.key, data)
+
+
+def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
+    """Write a file, whole or not at all, over the object that was `seen` last; None: where there is none.
+
+    Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
+    5 GB.
+    """
+    if (size := file.stat().st_size) > MOST_IN_ONE_REQUEST:
+        raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
+    there = find_object(url) if seen is not None else None  # not every store knows the condition
+    with _told(url):
+        try:
+            mode: PutMode = "create"
+            if seen is not None:
+                if there is None or there.version != seen.name:
+                    raise failures.PreconditionError
+                mode = {"e_tag": seen.e_tag}
+                if seen.version is not None:
+                    mode["version"] = seen.version
+            made = obstore.put(_store(url, True), url.key, file, mode=mode, use_multipart=False)
+        except (failures.PreconditionError, failures.AlreadyExistsError):
+            if (ours := _seen_if_same(url, file)) is not None:  # by this very call, and the answer was lost
+                return ours
+            raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
+    return Seen(made["e_tag"] or "", made["version"])
+
+
+def _seen_if_same(url: Url, file: Path) -> Seen | None:
+    """Which object this is, if it has the bytes of the file. Raises StoreError."""
+    with ObjectFile(url) as there, file.open("rb") as here:
+        parts = there.read_many((at, min(_LARGEST, there.size - at)) for at in range(0, there.size, _LARGEST))
+        is_same = all(data == here.read(len(data)) for data in parts) and not here.read(1)
+        return there.seen if is_same else None
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
@@ -431,17 +514,16 @@ def _as_told(url: Url, error: Exception, text: str) -> StoreError:
         return StoreError(f"{url}: the store has given the upload up{_endpoint()}; give the command again")
     if isinstance(error, FileNotFoundError):
         return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists what is there")
-    if "169.254.169.254" in text or "metadata.google.internal" in text or "credential" in text.lower():
-        names = {"s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY", "gs": "GOOGLE_APPLICATION_CREDENTIALS"}
-        wanted = names.get(url.scheme, "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY")
-        public = "; AWS_SKIP_SIGNATURE=true for a public bucket" if url.scheme == "s3" else ""
-        return StoreError(f"{bucket}: no credentials: set {wanted}{public}")
+    if _NO_CREDENTIALS.search(text):
+        return StoreError(f"{bucket}: no credentials that can be used: set {_CREDENTIALS[url.scheme]}")
     if "redirect" in text.lower() or "AuthorizationHeaderMalformed" in text or "IncorrectEndpoint" in text:
         return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
     if "RequestTimeTooSkewed" in text:
         return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
-    if isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError) or "AccessDenied" in text:
-        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}")
+    is_refused = isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError)
+    if is_refused or "403 Forbidden" in text:  # a listing that is refused is a GenericError
+        rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
+        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, failures.NotSupportedError) or "NotImplemented" in text:
         return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
     return StoreError(f"{url}: {_reason(text)}{_endpoint()}")

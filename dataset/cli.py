@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +15,7 @@ import tyro
 
 from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
+from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result, print_table
 from common.recipe import recipe_given
@@ -26,8 +29,9 @@ from dataset.index.index_report import balance_table, labels_table, print_log_no
 from dataset.index.leaks import find_leaks
 from dataset.index.quality_report import find_flagged_frames, print_quality_report
 from dataset.index.sessions import find_logs, sessions_beside
+from dataset.index.stored_index import index_here
 from dataset.samples.filter import Condition
-from dataset.samples.samples_format import SAMPLES_NAME
+from dataset.samples.samples_format import sample_files
 
 
 @dataclass(frozen=True)
@@ -46,11 +50,11 @@ class Index:
     """Sessions by name, or logs by path; all of the folder by default. The index then holds just these."""
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
     """Where logs are kept: a folder, or the URL of one (s3://BUCKET/sessions)."""
-    index: Path = Path("index")
-    """Where the index is written."""
+    index: LocationFlag = Path("index")
+    """Where the index is written: a folder, or the URL of one in a store, for logs in stores."""
     look: bool = False
-    """Decode every picture once, on all cores (with --ray, of the cluster), and flag those that do not decode, and
-    frozen ones."""
+    """Decode every picture once, on all cores (with --ray, of the cluster), and flag those that do not decode,
+    frozen ones, and steering that contradicts them."""
     report: bool = False
     """List every stretch of odd frames: gaps, stuck steering, standing still and so on, with their times."""
     check: bool = False
@@ -67,8 +71,14 @@ class Index:
 def index(config: Index) -> int:
     _refuse_contradictions(config)
     logs = find_logs(config.sessions, config.folder)
+    with index_here(config.index, logs) as (folder, put):
+        return _index_in(folder, config, logs, put)
+
+
+def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callable[[], object]) -> int:
+    """`folder`: where the index is, until `put` brings it to its place."""
     # before anything is written, or takes long
-    check_settings(logs, config.index, config.config)
+    check_settings(logs, folder, config.config)
     if config.figures is not None:
         from dataset.index_figures import check_figures, write_figures
 
@@ -79,10 +89,11 @@ def index(config: Index) -> int:
     with tasks_of(config.ray) as tasks:
         if config.look:
             by_name = {session_name(log): log for log in logs}
-            check_all_images(by_name, config.index, leave_out_unreadable=is_any, tasks=tasks)
+            check_all_images(by_name, folder, leave_out_unreadable=is_any, tasks=tasks)
         indexed = build_index(
-            logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
+            logs, folder, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
         )
+    put()
     code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config.config):
         code = warn(notice)
@@ -94,17 +105,20 @@ def index(config: Index) -> int:
     print_table(sessions_table(indexed))
     print_table(labels_table(indexed.labels))
     print_table(balance_table(indexed.balance))
-    split = pq.read_table(config.index / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
-    counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
+    splits = Counter[str]()
+    for file in sample_files(folder):
+        split = pq.read_table(file, columns=["split"], read_dictionary=["split"])["split"]
+        splits.update({row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()})
+    counts = ", ".join(f"{count:,} {split}" for split, count in splits.items())
     frames = sum(session.frames for session in indexed.counts.values())
-    print_result(f"{indexed.path}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
+    print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(splits.total(), 'sample')} ({counts})")
     if config.figures is not None:
-        for path in write_figures(config.index, config.figures, seed=config.config.seed, overwrite=config.force):
+        for path in write_figures(folder, config.figures, seed=config.config.seed, overwrite=config.force):
             print_result(str(path))
     if config.report:
-        print_quality_report(find_flagged_frames(config.index))
+        print_quality_report(find_flagged_frames(folder))
     if config.check:
-        leaks = find_leaks(config.index)
+        leaks = find_leaks(folder)
         for leak in leaks:
             print_message(leak)
         print_result("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
@@ -116,6 +130,11 @@ def _refuse_contradictions(config: Index) -> None:
     """Raise UsageError for flags that would be passed over, and for a condition that is none."""
     if config.force and config.figures is None:
         raise UsageError("--force: only of figures: give --figures FOLDER as well")
+    if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
+        raise UsageError(
+            f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"
+            " it is built here"
+        )
     if config.config.where is not None:
         condition = Condition(config.config.where)
         with usage_errors(DatasetError):

@@ -21,7 +21,8 @@ def missing_index(index: Location) -> DatasetError:
     Raises DatasetError where not even a folder can be.
     """
     if isinstance(index, Url):
-        return DatasetError(f"{index}: no index; build one with `bc-index`, and copy its folder there")
+        sessions = index.parent / "sessions"
+        return DatasetError(f"{index}: no index; `bc-index --sessions {sessions} --index {index}` builds one")
     refuse_file(index)
     folder = index.parent if index.parent.is_dir() else Path()
     beside = [str(found.parent) for found in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]

@@ -100,9 +100,9 @@ def demo(config: Demo) -> int:
 def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
     """Raise UserError, or UsageError, for settings that a later step would refuse, after minutes."""
     if there := [name for name in _MADE if (folder / name).exists()]:
-        raise UserError(f"{folder}: has {' and '.join(there)} already; give another --folder")
+        raise UserError(f"{folder}: has {', '.join(there)} already; give another --folder")
     if folder.exists() and not folder.is_dir():
-        raise UserError(f"{folder}: no folder; give another --folder")
+        raise UserError(f"{folder}: a file, no folder to work in; give another --folder")
     if not 1 <= config.epochs <= 10**6:
         raise UsageError(f"--epochs {config.epochs}: a number from 1 to 1,000,000 was expected")
     if not 0 < config.laps <= 1000:

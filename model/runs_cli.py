@@ -54,7 +54,8 @@ def list_runs(config: Runs) -> int:
     from model.runs.run_summary import summarize_runs
 
     if not config.runs.is_dir():
-        raise UserError(f"{config.runs}: no such folder; train a run with `bc-train`, or give --runs FOLDER")
+        what = "a file, no folder of runs" if config.runs.exists() else "no such folder"
+        raise UserError(f"{config.runs}: {what}; train a run with `bc-train`, or give --runs FOLDER")
     found = list(summarize_runs(config.runs))
     if not found:
         raise UserError(f"{config.runs}: no run in it; train one with `bc-train`")

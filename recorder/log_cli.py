@@ -61,12 +61,14 @@ class ShowInfo:
 @dataclass(frozen=True)
 class Check:
     """Read logs through and say what is wrong: CRCs, indexes, order; pictures that do not decode or are frozen,
-    rows without one, gaps, stuck steering, values out of range. Exit code 3 if something was found."""
+    rows without one, gaps, stuck steering, steering that contradicts the pictures, values out of range. Exit code
+    3 if something was found."""
 
     logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to look through."""
     look: bool = True
-    """Decode every picture; --no-look leaves that out and is several times faster."""
+    """Decode every picture, and compare them with the steering; --no-look leaves that out and is several times
+    faster."""
     json: bool = False
     """One JSON object a log, with every finding."""
 
@@ -78,7 +80,8 @@ class Check:
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
             result = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            print_result(json.dumps({**result, "has_crcs": checked.has_crcs, "findings": found}))
+            more = {"has_crcs": checked.has_crcs, "meant_gaps": checked.meant_gaps, "findings": found}
+            print_result(json.dumps({**result, **more}))
         else:
             print_checked(checked)
             _remark_crcs(path, checked.has_crcs)

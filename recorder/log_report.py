@@ -53,6 +53,11 @@ def print_checked(checked: Checked) -> None:
         found.add(finding.kind, finding.where)
     for line in found.lines(MOST_PLACES):
         print_result(f"  {line}")
+    meant = Skipped()
+    for where in checked.meant_gaps:
+        meant.add("gaps in time that its events tell, so nothing is lost", where)
+    for line in meant.lines(MOST_PLACES):
+        print_result(f"  {line}")
 
 
 def print_written(written: Written) -> int:

@@ -7,14 +7,19 @@ import os
 import signal
 import sys
 import sysconfig
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 from hypothesis import settings
 
+from chromium import chromium
+from places import Place, as_bucket, url_within
 from repository import ROOT
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=50)
@@ -32,6 +37,7 @@ _FOLDERS: Final = ("web", "drive", "tests", "model", "viz", "common", "simulator
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # a tenth of the collection, which makes no garbage to speak of
     config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
@@ -46,6 +52,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
+    gc.enable()
     gc.freeze()  # what is loaded by now stays: else each collection of garbage looks through PyTorch again
 
 
@@ -77,10 +84,37 @@ def recordings() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """One for all pages: each window of it has cookies, a cache and storage of its own."""
+    with chromium() as found:
+        yield found
+
+
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trainings draw no figures, as where matplotlib is not installed: it is half of a small one's time."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
+
+
+@pytest.fixture(scope="session")
+def bucket_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """An S3 server whose bucket is the folder of all temporary files; the environment that leads there."""
+    with as_bucket(tmp_path_factory.getbasetemp()) as environment:
+        yield environment
+
+
+@pytest.fixture(params=["disk", "bucket"])
+def place(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Place:
+    """For what is true on a disk and in a bucket alike: how a command is told of a file that the test has made."""
+    if request.param == "disk":
+        return lambda path: path
+    for name, value in request.getfixturevalue("bucket_of_tests").items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("BC_CACHE", str(tmp_path_factory.mktemp("cache")))
+    return url_within(tmp_path_factory.getbasetemp())
 
 
 @pytest.fixture(params=["eventlet", "threading"])

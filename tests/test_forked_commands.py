@@ -12,7 +12,10 @@ import pytest
 from driving import PATIENCE_S, SERVER, environment
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="commands are forked so on Linux")
-BEGIN = "import os, signal, sys; print(os.getcwd(), sys.argv, os.environ['COLUMNS'], sys.stdin.read(), __name__)\n"
+BEGIN = (
+    "import os, signal, sys\n"
+    "print(os.getcwd(), sys.argv, os.environ['COLUMNS'], sys.stdin.read(), __name__, flush=True)\n"
+)
 
 
 @pytest.mark.parametrize(
@@ -33,13 +36,15 @@ BEGIN = "import os, signal, sys; print(os.getcwd(), sys.argv, os.environ['COLUMN
     ],
 )
 def test_a_fork_ends_as_a_start_does(end: str, code: int, tmp_path: Path) -> None:
-    found = environment() | {"PYTHONUNBUFFERED": "1"}
+    found = environment()
     line = [sys.executable, "-c", BEGIN + end, "a", "b c"]
     pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
     done = subprocess.run(
         line, cwd=tmp_path, env=found, stdin=nothing, stdout=pipe, stderr=pipe, text=True, check=False
     )
     fork = SERVER.start(BEGIN + end, ["a", "b c"], tmp_path, found)
+    assert fork.stdout is not None
+    assert fork.stderr is not None
     with fork.stdout, fork.stderr:
         stdout, stderr = fork.stdout.read(), fork.stderr.read()
     assert (fork.wait(PATIENCE_S), stdout) == (done.returncode, done.stdout)
@@ -49,6 +54,8 @@ def test_a_fork_ends_as_a_start_does(end: str, code: int, tmp_path: Path) -> Non
 
 def test_a_fork_is_stopped_as_a_start_is() -> None:
     fork = SERVER.start("import time; print('begun', flush=True); time.sleep(600)", [], None, environment())
+    assert fork.stdout is not None
+    assert fork.stderr is not None
     with fork.stdout, fork.stderr:
         assert fork.stdout.readline() == "begun\n"
         assert fork.poll() is None

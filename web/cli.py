@@ -39,6 +39,7 @@ class Web:
 
 def serve(config: Web) -> int:
     check_port("--port", config.port)
+    _check_folders(config)
     try:
         from web.app import workbench_app
         from web.server.request_guard import TOKEN, token_for
@@ -76,6 +77,16 @@ def serve(config: Web) -> int:
         here = printable(str(Path.cwd()))
         print_message(f"`bc-web`, begun again in {here}, shows them under Jobs, with a stop for each")
     return DONE
+
+
+def _check_folders(config: Web) -> None:
+    """Raise UserError for a file where a folder was expected; say which of those that were named are not there."""
+    for name in ("sessions", "index", "runs", "drives"):
+        folder: Path = getattr(config, name)
+        if folder.exists() and not folder.is_dir():
+            raise UserError(f"--{name} {folder}: a file; a folder was expected")
+        if not folder.exists() and folder != getattr(Web, name):
+            print_message(f"--{name} {folder}: no such folder yet; it is shown as soon as there is one")
 
 
 def main() -> None:

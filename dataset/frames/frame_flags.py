@@ -16,7 +16,7 @@ from common.car import Camera
 from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, row_flags
 from recorder.log.tags import EXCLUDE
 
-PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture"]
+PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture", "steering_against_pictures"]
 FrameFlag = RowFlag | PictureFlag
 FRAME_FLAGS: Final[tuple[FrameFlag, ...]] = (*ROW_FLAGS, *get_args(PictureFlag))
 
@@ -27,11 +27,12 @@ Stretches = tuple[tuple[Position, Position], ...]
 
 @dataclass(frozen=True)
 class ImageFindings:
-    """What decoding all pictures of a log has found, as positions among a camera's pictures (`Log.pictures`)."""
+    """What decoding all pictures of a log has found."""
 
     pictures: int  # that were checked
-    broken: Mapping[Camera, Stretches]
+    broken: Mapping[Camera, Stretches]  # positions among a camera's pictures (`Log.pictures`)
     frozen: Mapping[Camera, Stretches]
+    against: Stretches | None = None  # positions of vehicle states; None in what earlier versions have found
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: Image
     """The flags of each frame, as lists of strings, for the frames of all cameras one after the other.
 
     Those of `recorder.log.row_quality.row_flags`, and `missing_picture`: its row lacks the picture of another
-    camera that the session has. Only with `findings`: `broken_picture`, which does not decode, and
-    `frozen_picture`, one of three or more equal ones in a row from a moving car.
+    camera that the session has. Only with `findings`: `broken_picture`, which does not decode, `frozen_picture`,
+    one of three or more equal ones in a row from a moving car, and `steering_against_pictures`.
     """
     flags: dict[FrameFlag, NDArray[np.bool_]] = {
         flag: _joined(mask[paired.state] for paired in frames.values()) for flag, mask in row_flags(states).items()
@@ -63,6 +64,10 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: Image
             flags[flag] = _joined(
                 _is_within(paired.picture, stretches.get(camera, ())) for camera, paired in frames.items()
             )
+        against = findings.against or ()
+        flags["steering_against_pictures"] = _joined(
+            _is_within(paired.state, against) for paired in frames.values()
+        )
     return _lists(flags, sum(len(paired.state) for paired in frames.values()))
 
 

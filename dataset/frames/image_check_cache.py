@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from common.car import CAMERAS, Camera
 from common.location import Location
 from common.progress import progress_bar
-from common.stretches import consecutive
+from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
@@ -39,10 +39,13 @@ _MOST_BYTES: Final = 1 << 26
 def check_images(
     log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
 ) -> ImageFindings:
-    """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory.
+    """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and
+    compare those of the centre camera with the steering.
 
-    `on_decoded` is told how many more are done. Raises LogError if the log is damaged.
+    `on_decoded` is told how many more are decoded. Raises LogError if the log is damaged.
     """
+    from recorder.log.steering_against_pictures import against_pictures  # OpenCV
+
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         check = ImageCheck(pool, on_decoded)
@@ -64,6 +67,7 @@ def check_images(
         check.decoded,
         {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
+        tuple(stretches(against_pictures(log, lambda count: on_decoded(0)))),
     )
 
 
@@ -80,7 +84,8 @@ def check_all_images(
     pictures: dict[str, int] = {}
     for session, path in logs.items():
         with contextlib.suppress(*unreadable), Log(path) as log:
-            if read_image_check(index, session, log.fingerprint) is None:
+            found = read_image_check(index, session, log.fingerprint)
+            if found is None or found.against is None:
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
     names, checked = list(pictures), []
@@ -119,12 +124,13 @@ class _Stored(msgspec.Struct):
     pictures: Position
     broken: dict[str, Stretches]
     frozen: dict[str, Stretches]
+    against: Stretches | None = None
 
 
 def write_image_check(index: Path, session: str, fingerprint: str, found: ImageFindings) -> None:
     """Keep what was found in the log with this fingerprint."""
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
-    stored = _Stored(1, fingerprint, found.pictures, broken, frozen)
+    stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against)
     write_findings(image_check_path(index, session), stored)
 
 
@@ -133,10 +139,11 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     stored = read_findings(image_check_path(index, session), _Stored, _MOST_BYTES)
     if stored is None:
         return None
-    stretches = itertools.chain(stored.broken.values(), stored.frozen.values())
-    if stored.fingerprint != fingerprint or not all(map(_are_ascending, stretches)):
+    of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])
+    if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
         return None
-    return ImageFindings(stored.pictures, _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen))
+    broken, frozen = _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen)
+    return ImageFindings(stored.pictures, broken, frozen, stored.against)
 
 
 def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:

@@ -25,6 +25,8 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
     if not sessions:
         if logs := finished_logs(folder):
             return logs
+        if isinstance(folder, Path) and folder.is_file():
+            raise DatasetError(f"{folder}: a file; the folder that logs are in was expected, such as sessions")
         raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
     by_name: dict[str, Location] = {}
     listed: dict[Url, set[Url]] = {}

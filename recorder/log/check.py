@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 from common.location import Location
-from common.progress import track
-from recorder.log.check_contents import Contents, Finding
+from common.progress import progress_bar, track
+from common.stretches import stretches
+from recorder.errors import LogError
+from recorder.log.check_contents import Contents, Finding, rows_named
 from recorder.log.check_structure import sound_chunks
 from recorder.log.mcap_file import McapFile
+from recorder.log.reader import Log
 from recorder.log.scan import read_structure
+from recorder.log.topics import VEHICLE, camera_topic
 
 
 def is_whole(path: Location) -> bool:
@@ -37,6 +45,7 @@ class Checked:
     pictures: int  # decoded
     findings: list[Finding]
     has_crcs: bool  # other programs may do without: damage is then not noticed
+    meant_gaps: list[str]  # in time, as its events tell; no findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
@@ -44,7 +53,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
 
     Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that
     do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
-    of range. Raises LogError if it is no MCAP file.
+    of range; with `look`, of a log on this machine, also steering that contradicts the pictures. Raises LogError
+    if it is no MCAP file.
     """
     findings: list[Finding] = []
     with McapFile(path) as file:
@@ -57,4 +67,20 @@ def check(path: Location, *, look: bool = True) -> Checked:
                     contents.add(records, message)
             contents.finish()
         has_crcs = file.have_crcs(structure.chunks)
-    return Checked(path, sum(contents.counts.values()), contents.pictures, findings, has_crcs)
+    has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
+    if look and has_rows and isinstance(path, Path):
+        findings += _against_pictures(path)
+    count = sum(contents.counts.values())
+    return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps)
+
+
+def _against_pictures(path: Path) -> Iterator[Finding]:
+    """Where the steering contradicts the pictures, as far as the log can be read."""
+    from recorder.log.steering_against_pictures import against_pictures  # OpenCV
+
+    with contextlib.suppress(LogError), Log(path) as log, progress_bar() as bar:
+        row = log.vehicle()["row"].to_numpy()
+        task = bar.add_task("comparing steering with pictures", total=len(row), note="")
+        for first, last in stretches(against_pictures(log, partial(bar.advance, task))):
+            where = rows_named(int(row[first]), int(row[last]))
+            yield Finding("stretches of steering against the pictures", where)

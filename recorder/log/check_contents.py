@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
@@ -15,6 +15,7 @@ from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import StoredMessage
+from recorder.log.meant_gaps import are_meant, seconds_told
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags
 from recorder.log.scan import Structure
@@ -55,12 +56,14 @@ class Contents:
         }
         self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
         self._bad_telemetry: Counter[str] = Counter()
+        self._not_recorded_s: dict[int, float] = defaultdict(float)  # by log time
         self._findings = findings
         self._image_check = ImageCheck(pool)
         self._states = StatesWritten()
         self._last_row: dict[str, int] = {}
         self._sizes = PictureSizes()
         self.counts: Counter[str] = Counter()
+        self.meant_gaps: list[str] = []  # the rows behind them
 
     @property
     def pictures(self) -> int:
@@ -110,6 +113,8 @@ class Contents:
         kind, count = read_event(event.message)
         if count:
             self._bad_telemetry[kind] += count
+        if seconds := seconds_told(event.message):
+            self._not_recorded_s[message.log_time_ns] += seconds
 
     def finish(self) -> None:
         """Add the findings that need all messages."""
@@ -127,9 +132,12 @@ class Contents:
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
             self._check_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
         flags = row_flags(states)
+        meant = flags["gap"] & are_meant(states, self._not_recorded_s)
+        self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
+        flags["gap"] &= ~meant
         for flag, kind in _ROW_FINDINGS.items():
             for begin, end in stretches(flags[flag]):
-                where = _rows(int(states.row[begin]), int(states.row[end]))
+                where = rows_named(int(states.row[begin]), int(states.row[end]))
                 self._findings.append(Finding(kind, f"before {where}" if flag == "gap" else where))
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
@@ -149,12 +157,12 @@ class Contents:
             ("stretches of pictures without a row", held - speed_mph.keys() if expects_rows else set()),
         ):
             for first, last in consecutive(sorted({row for row, _ in keys})):
-                self._findings.append(Finding(kind, f"{topic} {_rows(first, last)}"))
+                self._findings.append(Finding(kind, f"{topic} {rows_named(first, last)}"))
         standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
         for first, last in pictures.frozen(standing):
-            where = _rows(pictures.rows[first], pictures.rows[last])
+            where = rows_named(pictures.rows[first], pictures.rows[last])
             self._findings.append(Finding("stretches of frozen pictures", f"{topic} {where}"))
 
 
-def _rows(first: int, last: int) -> str:
+def rows_named(first: int, last: int) -> str:
     return f"row {first}" if first == last else f"rows {first} to {last}"

@@ -132,14 +132,20 @@ class CachedLog(Closeable):
         if not self._cache.has_room(len(data)):
             return False
         try:
-            if sys.platform == "win32":
-                with self._lock, open(self._descriptor, "r+b", buffering=0, closefd=False) as stream:
-                    stream.seek(offset)
-                    return stream.write(data) == len(data)
-            return os.pwrite(self._descriptor, data, offset) == len(data)
+            written = self._write(offset, data)
         except OSError as error:
             self._cache.tell(f"cannot be written ({error.strerror})")
             return False
+        if written < len(data):
+            self._cache.tell("cannot be written (not all of a chunk fits)")
+        return written == len(data)
+
+    def _write(self, offset: int, data: bytes) -> int:
+        if sys.platform == "win32":
+            with self._lock, open(self._descriptor, "r+b", buffering=0, closefd=False) as stream:
+                stream.seek(offset)
+                return stream.write(data) or 0
+        return os.pwrite(self._descriptor, data, offset)
 
 
 def default_cache() -> ChunkCache:

@@ -22,6 +22,7 @@ from common.interrupts import uninterrupted
 from common.location import Location, Url
 from common.locks import try_lock
 from common.object_store import (
+    MOST_IN_ONE_REQUEST,
     ObjectFile,
     find_object,
     name_new,
@@ -37,9 +38,6 @@ from recorder.log.reader import Log
 from recorder.log.tags import MOST_BYTES, tags_path
 
 _PART_BYTES: Final = 1 << 23
-_MOST_NAMED_IN_STORE: Final = 5 << 30
-"""Bytes that S3 gives another name in one request; more than that is written under its own name at once."""
-
 OnBytes: TypeAlias = Callable[[int], object]
 """Is told how many bytes more are copied."""
 
@@ -82,7 +80,7 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
         raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
-    is_small = size <= _MOST_NAMED_IN_STORE
+    is_small = size <= MOST_IN_ONE_REQUEST  # what is more is written under its own name at once
     made = url.with_name(f"{url.name}.{secrets.token_hex(3)}{PART_SUFFIX}") if is_small and not overwrite else url
     try:
         try:

@@ -23,6 +23,8 @@ from recorder.log.row_quality import States, Values, elapsed_s
 
 _WINDOW_S: Final = 5.0  # in less, a person who corrects the steering on a straight looks like it
 _LEAST_PAIRS: Final = 15  # in a window
+_LEAST_S: Final = 20.0
+"""So much of the drive has to show how the car turns: of 12 s of hairpins, one in eight was found to be wrong."""
 _OPPOSED: Final = -0.3  # a correlation
 _LEAST_YAW: Final = 0.25  # of the session's mean square: so much that the car visibly turns
 _LEAST_STEERING: Final = 0.1
@@ -52,7 +54,7 @@ def against_pictures(log: Log, on_looked: Callable[[int], object] = lambda count
         on_looked(1)
     is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; beyond, it has found nothing in common
     pairs, yaw_px = pairs[is_known], yaw_px[is_known]
-    if len(pairs) < _LEAST_PAIRS:
+    if np.diff(time_s[pairs])[:, 0].sum() < _LEAST_S:
         return found
     yaw = yaw_px / np.diff(time_s[pairs])[:, 0]
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
@@ -105,6 +107,7 @@ def _windows(time_s: Values, yaw: Values) -> _Windows:
     every = _Windows(first, last, yaw)
     turns = every.sums(yaw**2) > _LEAST_YAW * np.mean(yaw**2) * (last - first)
     turns &= last - first >= _LEAST_PAIRS
+    turns &= time_s[last - 1] - time_s[first] >= 0.9 * _WINDOW_S
     return _Windows(first[turns], last[turns], yaw)
 
 

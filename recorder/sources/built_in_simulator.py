@@ -17,6 +17,7 @@ from common.files import refuse_existing
 from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.log.meant_gaps import not_recorded
 from recorder.log.pose_message import pose_message
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
@@ -84,6 +85,7 @@ def record_simulated(
     }
     length_m = len(drive.speed) * drive.laps * simulation.track.line.length_m
     rows = put_back = 0
+    last_s = 0.0
     with (
         UdacityWriter(udacity) if udacity is not None else contextlib.nullcontext() as folder,
         LogWriter(log, metadata, overwrite=overwrite) as writer,
@@ -101,6 +103,9 @@ def record_simulated(
                 steering=step.steering, throttle=step.throttle, brake=step.brake, speed_mph=step.speed_mph
             )
             writer.vehicle(time_ns, rows, state)
+            if rows and (pause_s := step.time_s - last_s - 1 / drive.rate) > 1e-3:
+                writer.event(time_ns, not_recorded(pause_s, _why_not_recorded(step, new_speed_mph)))
+            last_s = step.time_s
             writer.pose(time_ns, rows, pose_message(step.pose, time_ns))
             if folder is not None:
                 folder.row(
@@ -125,6 +130,12 @@ def record_simulated(
             " as if somebody had stopped recording to drive back"
         )
     return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), notices)
+
+
+def _why_not_recorded(step: DriveStep, new_speed_mph: float | None) -> str:
+    if new_speed_mph is not None:
+        return "the car was put back at the start"
+    return f"the car was {'pushed off' if step.recovering else 'put back on'} its line"
 
 
 def _drive_at_each_speed(

@@ -17,7 +17,8 @@ from typing import BinaryIO
 import pytest
 
 from common.streams import MAX_QUEUED, BackgroundWriter
-from driving import PATIENCE_S, command, environment, road_jpeg, run, untrained_run
+from driving import PATIENCE_S, command, environment, road_jpeg, run, started_to, untrained_run
+from forked import Forked
 from model.runs.run_folder import find_run
 from recorder import Log
 from rrd import free_ports
@@ -112,11 +113,10 @@ READERS = [Head, Stuck, StoppedTerminal, ClosedTerminal]
 @contextmanager
 def read_by(
     kind: Callable[[], Reader], line: list[str], cwd: Path | None = None, results: BinaryIO | None = None
-) -> Iterator[subprocess.Popen[bytes]]:
+) -> Iterator[Forked | subprocess.Popen[bytes]]:
     """A command that has begun, with what it says going to such a reader; its results, to a file that is given."""
     reader = kind()
-    stdout = results or reader.write
-    process = subprocess.Popen(line, env=environment(), stdout=stdout, stderr=reader.write, cwd=cwd)
+    process = started_to(results.fileno() if results else reader.write, reader.write, line, cwd)
     try:
         reader.begin()
         yield process

@@ -17,6 +17,7 @@ from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, fin
 from dataset.cli import main
 from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, write_log
+from places import Place
 from recorder import Log
 from recorder.log.edit import merge, trim
 from recorder.log.recover import recover
@@ -53,11 +54,11 @@ def compress(path: Path, to: Path, compression: CompressionType) -> Path:
     return to
 
 
-def test_excluded_rows_are_never_trained_on_and_every_tag_is_a_column(tmp_path: Path) -> None:
+def test_excluded_rows_are_never_trained_on_and_every_tag_is_a_column(tmp_path: Path, place: Place) -> None:
     path = write_log(tmp_path / "a.mcap", STEERING)
     tag(path, "exclude", 10, 19)
     tag(path, "recovery", 15, 30)
-    indexed = build_index([path], tmp_path / "index")
+    indexed = build_index([place(path)], tmp_path / "index")
     frames = pq.read_table(tmp_path / "index" / "frames" / "a.parquet")
     tags = dict(zip(frames["row"].to_pylist(), frames["tags"].to_pylist(), strict=True))
     for row in range(120):
@@ -67,33 +68,33 @@ def test_excluded_rows_are_never_trained_on_and_every_tag_is_a_column(tmp_path: 
     assert set(range(20, 31)) & rows
 
 
-def test_a_new_or_a_removed_tag_is_noticed(tmp_path: Path) -> None:
+def test_a_new_or_a_removed_tag_is_noticed(tmp_path: Path, place: Place) -> None:
     path = write_log(tmp_path / "a.mcap", STEERING)
     index = tmp_path / "index"
-    assert build_index([path], index).read == ["a"]
+    assert build_index([place(path)], index).read == ["a"]
     tag(path, "exclude", 0, 5)
-    assert build_index([path], index).read == ["a"]
-    assert build_index([path], index).read == []
+    assert build_index([place(path)], index).read == ["a"]
+    assert build_index([place(path)], index).read == []
     tag(path, "exclude", 0, 5, remove=True)
-    again = build_index([path], index)
+    again = build_index([place(path)], index)
     assert again.read == ["a"]
     assert 3 in again.samples["row"].to_pylist()
 
 
-def test_tags_of_another_recording_of_that_name_do_not_count(tmp_path: Path) -> None:
+def test_tags_of_another_recording_of_that_name_do_not_count(tmp_path: Path, place: Place) -> None:
     path = write_log(tmp_path / "a.mcap", STEERING)
     tag(path, "exclude", 0, 119)
     write_log(path, STEERING[::-1], overwrite=True)
-    assert len(build_index([path], tmp_path / "index").samples)
+    assert len(build_index([place(path)], tmp_path / "index").samples)
 
 
-def test_a_log_beside_a_part_of_it_is_refused_until_one_is_excluded(tmp_path: Path) -> None:
+def test_a_log_beside_a_part_of_it_is_refused_until_one_is_excluded(tmp_path: Path, place: Place) -> None:
     whole = write_log(tmp_path / "a.mcap", STEERING)
     part = trim(whole, tmp_path / "b.mcap", (50, 69)).path
     with pytest.raises(DatasetError, match=r"a\.mcap and .*b\.mcap: the same picture.*exclude"):
-        build_index([whole, part], tmp_path / "index")
+        build_index([place(whole), place(part)], tmp_path / "index")
     tag(whole, "exclude", 50, 69)
-    indexed = build_index([whole, part], tmp_path / "index")
+    indexed = build_index([place(whole), place(part)], tmp_path / "index")
     assert set(indexed.samples["session"].to_pylist()) == {"a", "b"}
 
 
@@ -117,7 +118,11 @@ def test_equal_times_and_lengths_alone_are_no_shared_picture(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("layout", [two_kinds, mixed])
 def test_an_unfinished_log_is_indexed_as_far_as_it_goes_and_said_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layout: Layout
+    tmp_path: Path,
+    place: Place,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    layout: Layout,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1000)  # rows are written every few of them
@@ -126,7 +131,7 @@ def test_an_unfinished_log_is_indexed_as_far_as_it_goes_and_said_so(
     cut = tmp_path / "sessions" / "lake.mcap"
     cut.write_bytes(whole.read_bytes())
     os.truncate(cut, whole.stat().st_size * 3 // 4)
-    assert call(main) == 3
+    assert call(main, "--sessions", place(tmp_path / "sessions")) == 3
     said = capsys.readouterr()
     assert "lake.mcap: unfinished" in said.err
     assert "bc-log recover" in said.err
@@ -148,18 +153,20 @@ def test_a_recording_that_was_killed_is_pointed_out(
 
 
 def test_one_log_that_cannot_be_read_is_left_out_and_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, place: Place, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "sessions" / "lake.mcap", STEERING)
     (tmp_path / "sessions" / "bad.mcap").write_bytes(b"no log")
-    assert call(main) == 3
+    assert call(main, "--sessions", place(tmp_path / "sessions")) == 3
     said = capsys.readouterr()
     assert "bad.mcap: not an MCAP log" in said.err
     assert set(pq.read_table("index/samples.parquet")["session"].to_pylist()) == {"lake"}
-    assert call(main, "lake", "bad") == 1  # asked for by name, it is an error
+    assert (
+        call(main, "lake", "bad", "--sessions", place(tmp_path / "sessions")) == 1
+    )  # asked for by name, it is an error
     (tmp_path / "sessions" / "lake.mcap").unlink()
-    assert call(main) == 1
+    assert call(main, "--sessions", place(tmp_path / "sessions")) == 1
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
@@ -179,8 +186,8 @@ def test_a_compressed_log_trains_on_the_same_pictures(tmp_path: Path, compressio
         assert (one.steering == two.steering).all()
 
 
-def test_rows_carry_the_logs_times(tmp_path: Path) -> None:
+def test_rows_carry_the_logs_times(tmp_path: Path, place: Place) -> None:
     path = write_log(tmp_path / "a.mcap", STEERING)
-    frames = build_index([path], tmp_path / "index").frames
+    frames = build_index([place(path)], tmp_path / "index").frames
     times = dict(zip(frames["row"].to_pylist(), frames["log_time_ns"].to_pylist(), strict=True))
     assert times == {row: START_NS + row * STEP_NS for row in range(120)}

@@ -47,6 +47,11 @@ def test_a_file_is_no_place_for_an_index(here: Path, capsys: pytest.CaptureFixtu
     assert Path("plain").read_text() == "no index"
 
 
+def test_a_file_is_no_folder_of_sessions(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_index, "--sessions", "plain") == 1
+    assert "plain: a file; the folder that logs are in was expected" in capsys.readouterr().err
+
+
 def test_a_sweep_names_the_indexes_that_there_are(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("x.toml").write_text("[grid]\nrate = [1e-4]")
     assert call(bc_sweep, "x.toml", "--index", "nowhere") == 1

@@ -6,13 +6,13 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-import localbucket
 import pytest
 
 from common import object_store
 from common.location import Url
 from faulty_proxy import Answer as Answer
 from faulty_proxy import FaultyProxy, serving
+from places import KEYS, Handler
 
 
 class Bucket(FaultyProxy):
@@ -27,24 +27,13 @@ class Bucket(FaultyProxy):
         return Url("s3", "logs", key)
 
 
-class _Handler(localbucket.S3Handler):  # type: ignore[misc]
-    disable_nagle_algorithm = True
-
-    def log_message(self, *arguments: object) -> None: ...
-
-
 @contextlib.contextmanager
 def serving_bucket(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
     """Serve a bucket from `folder`; s3:// leads there as long as it runs, in this process and its children."""
     bucket = Bucket(folder)
-    handler = type("Handler", (_Handler,), {"data_root": folder})
-    with serving(handler) as server_port, bucket.before(server_port) as port:
-        for name, value in {
-            "AWS_ENDPOINT_URL_S3": f"http://127.0.0.1:{port}",
-            "AWS_ACCESS_KEY_ID": "test",
-            "AWS_SECRET_ACCESS_KEY": "test",
-            "AWS_REGION": "us-east-1",
-        }.items():
+    handler = type("Handler", (Handler,), {"data_root": folder})
+    with serving(handler) as server_port, bucket.before(server_port):
+        for name, value in {"AWS_ENDPOINT_URL_S3": bucket.endpoint, **KEYS}.items():
             monkeypatch.setenv(name, value)
         object_store.forget_stores()
         try:

@@ -20,9 +20,12 @@ from typing import IO, Any, Final
 
 from repository import HELPERS
 
-# all but the first two are set for this process by what a test has called: a server, the viewer, gymnasium, polars
+# those of the first two lines are read when something is shown, the others set for this process by what a test has
+# called: a server, the viewer, gymnasium, polars
 _UNREAD: Final = (
-    *("PYTEST_CURRENT_TEST", "DISPLAY", "EVENTLET_NO_GREENDNS", "RUST_LOG"),
+    *("PYTEST_CURRENT_TEST", "DISPLAY"),
+    *("NO_COLOR", "TERM"),
+    *("EVENTLET_NO_GREENDNS", "RUST_LOG"),
     *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
 )
 _LIMITS: Final = ("RLIMIT_AS", "RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_NOFILE")
@@ -44,7 +47,27 @@ class ForkServer:
     def start(
         self, code: str, arguments: Sequence[str], cwd: Path | None, environment: Mapping[str, str]
     ) -> Forked:
-        """As `python -c code *arguments`. The server begins with the first one, and ends with this process."""
+        """As `python -c code *arguments`, with pipes for its output."""
+        read_out, out = os.pipe()
+        read_error, error = os.pipe()
+        try:
+            return self.start_to(out, error, code, arguments, cwd, environment, (read_out, read_error))
+        finally:
+            os.close(out)
+            os.close(error)
+
+    def start_to(
+        self,
+        out: int,
+        error: int,
+        code: str,
+        arguments: Sequence[str],
+        cwd: Path | None,
+        environment: Mapping[str, str],
+        read: tuple[int, int] | None = None,
+    ) -> Forked:
+        """The same, with these open files for its output; `read`: the other ends of them, where it is read here.
+        The server begins with the first one, and ends with this process."""
         asked = {
             "code": code,
             "arguments": arguments,
@@ -54,14 +77,11 @@ class ForkServer:
         with self._begins:
             if self._connection is None:
                 self._connection = self._begin()
-        read_out, out = os.pipe()
-        read_error, error = os.pipe()
         status, told = socket.socketpair()
-        files = [os.open(os.devnull, os.O_RDONLY), out, error, told.detach()]
-        socket.send_fds(self._connection, [json.dumps(asked).encode()], files)
-        for file in files:
-            os.close(file)
-        return Forked(read_out, read_error, status)
+        with told, Path(os.devnull).open("rb") as nothing:
+            files = [nothing.fileno(), out, error, told.fileno()]
+            socket.send_fds(self._connection, [json.dumps(asked).encode()], files)
+        return Forked(status, read)
 
     def _begin(self) -> socket.socket:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -81,11 +101,14 @@ class ForkServer:
 
 
 class Forked:
-    """A program that was forked: as subprocess.Popen with pipes for stdout and stderr, as far as tests need it."""
+    """A program that was forked: as subprocess.Popen, as far as tests need it."""
 
-    def __init__(self, stdout: int, stderr: int, status: socket.socket) -> None:
-        self.stdout: IO[str] = os.fdopen(stdout, encoding="utf-8")
-        self.stderr: IO[str] = os.fdopen(stderr, encoding="utf-8")
+    def __init__(self, status: socket.socket, read: tuple[int, int] | None) -> None:
+        """`read`: where its stdout and stderr are read, if they are pipes to here."""
+        self.stdout: IO[str] | None = None
+        self.stderr: IO[str] | None = None
+        if read is not None:
+            self.stdout, self.stderr = (os.fdopen(end, encoding="utf-8") for end in read)
         self._told = status.makefile("r")
         status.close()
         self.pid = int(self._told.readline())

@@ -29,10 +29,10 @@ def opened_page(browser: Browser, address: str, *, is_dark: bool = False, width:
 
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", heard)
-    page.goto(address)
-    yield page
-    assert not errors, errors
-    page.close()
+    with contextlib.closing(page):
+        page.goto(address)
+        yield page
+        assert not errors, errors
 
 
 def open_session(page: Page) -> None:

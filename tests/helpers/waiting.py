@@ -10,15 +10,17 @@ PATIENCE_S: Final = 300.0
 """For what would otherwise hang for ever. Nothing takes so long, unless it is broken: a machine may be ten times
 slower than another, and busy."""
 
-_POLL_S: Final = 0.02
+_POLL_SHARE: Final = 0.1  # of what was waited already: a long wait leaves the processor to others
+_POLL_S: Final = (0.005, 0.1)
 
 Found = TypeVar("Found")
 
 
 def wait_until(condition: Callable[[], Found]) -> Found:
     """What `condition` returns, once that is true."""
-    end_s = time.monotonic() + PATIENCE_S
+    began_s = time.monotonic()
     while not (found := condition()):
-        assert time.monotonic() < end_s, "it never came to be"
-        time.sleep(_POLL_S)
+        waited_s = time.monotonic() - began_s
+        assert waited_s < PATIENCE_S, "it never came to be"
+        time.sleep(min(max(waited_s * _POLL_SHARE, _POLL_S[0]), _POLL_S[1]))
     return found

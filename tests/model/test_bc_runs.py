@@ -133,6 +133,9 @@ def test_lines_that_are_no_results_are_left_out(
 
 
 def test_without_runs_it_says_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a file").touch()
+    assert call(bc_runs, "--runs", tmp_path / "a file") == 1
+    assert "a file, no folder of runs; train a run with `bc-train`" in capsys.readouterr().err
     for folder in (tmp_path, tmp_path / "nowhere"):
         assert call(bc_runs, "--runs", folder) == 1
         assert "bc-train" in capsys.readouterr().err

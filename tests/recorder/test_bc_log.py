@@ -16,9 +16,11 @@ import pytest
 from mcap.writer import Writer as McapWriter
 
 from common.car import Camera
+from common.location import Location
 from driving import PATIENCE_S, command, environment, run
 from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, read_messages, write_log
+from places import Place
 from plain_mcap import contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -46,20 +48,22 @@ def log_with(path: Path, rows: list[tuple[float, float, float, bytes | None]]) -
     return path
 
 
-def found_in(path: Path, **options: bool) -> list[tuple[str, str]]:
+def found_in(path: Location, **options: bool) -> list[tuple[str, str]]:
     return [(finding.kind, finding.where) for finding in check(path, **options).findings]
 
 
 # check
 
 
-def test_nothing_is_wrong_with_a_sound_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_wrong_with_a_sound_log(
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1, -0.2, 0.3], picture)
-    assert call(main, "check", path) == 0
-    assert capsys.readouterr().out == f"{path}: 12 messages, 9 pictures decoded: nothing wrong\n"
+    assert call(main, "check", place(path)) == 0
+    assert capsys.readouterr().out == f"{place(path)}: 12 messages, 9 pictures decoded: nothing wrong\n"
 
 
-def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path) -> None:
+def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path, place: Place) -> None:
     good = [jpeg(40 + row, row + 1) for row in range(120)]
     rows: list[tuple[float, float, float, bytes | None]] = [
         (row / 10, row / 200, 9.0, good[row]) for row in range(120)
@@ -73,7 +77,7 @@ def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path) -> None:
     rows[100] = (10.0, 0.5, 9.0, b"\xff\xd8\xffno picture\xff\xd9")
     rows[110:] = [(at_s + 5, *rest) for at_s, *rest in rows[110:]]  # type: ignore[misc]
     path = log_with(tmp_path / "a.mcap", rows)
-    assert sorted(found_in(path)) == [
+    assert sorted(found_in(place(path))) == [
         ("gaps in time", "before row 110"),
         ("pictures that do not decode", "/camera/center row 100"),
         ("stretches of frozen pictures", "/camera/center rows 20 to 22"),
@@ -81,7 +85,7 @@ def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path) -> None:
         ("stretches of stuck steering", "rows 50 to 89"),
         ("stretches of values out of range", "row 30"),
     ]
-    assert ("pictures that do not decode", "/camera/center row 100") not in found_in(path, look=False)
+    assert ("pictures that do not decode", "/camera/center row 100") not in found_in(place(path), look=False)
 
 
 def test_a_standing_car_may_see_the_same_and_steer_the_same(tmp_path: Path) -> None:
@@ -89,14 +93,14 @@ def test_a_standing_car_may_see_the_same_and_steer_the_same(tmp_path: Path) -> N
     assert found_in(log_with(tmp_path / "a.mcap", rows)) == []
 
 
-def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path) -> None:
+def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path, place: Place) -> None:
     path = tmp_path / "a.mcap"
     with LogWriter(path, {"source": "test"}) as writer:
         for row in (0, 3, 2, 1):  # pictures may come in any order, rows may not
             writer.picture("center", START_NS + row * STEP_NS, row, jpeg(50 + row))
             if row != 1:
                 writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(speed_mph=9))
-    assert sorted(found_in(path)) == [
+    assert sorted(found_in(place(path))) == [
         ("gaps in time", "before row 2"),
         ("rows out of order", "/vehicle row 2"),
         ("stretches of pictures without a row", "/camera/center row 1"),
@@ -119,40 +123,42 @@ def test_every_flipped_byte_is_found(tmp_path: Path) -> None:
     assert unseen == []
 
 
-def test_a_finding_ends_with_3_and_json_tells_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finding_ends_with_3_and_json_tells_each(
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1, 2.0, 0.3], picture)
-    assert call(main, "check", path) == 3
+    assert call(main, "check", place(path)) == 3
     assert capsys.readouterr().out.splitlines() == [
-        f"{path}: 12 messages, 9 pictures decoded: 1 finding",
+        f"{place(path)}: 12 messages, 9 pictures decoded: 1 finding",
         "  stretches of values out of range: 1 (row 1)",
     ]
-    assert call(main, "check", path, "--json") == 3
+    assert call(main, "check", place(path), "--json") == 3
     told = json.loads(capsys.readouterr().out)
     assert told["findings"] == [Finding("stretches of values out of range", "row 1")._asdict()]
     assert (told["messages"], told["pictures_decoded"]) == (12, 9)
 
 
 def test_an_unfinished_log_is_checked_as_far_as_it_goes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000))
     os.truncate(path, path.stat().st_size // 2)
-    assert call(main, "check", "--no-look", path) == 3
+    assert call(main, "check", "--no-look", place(path)) == 3
     assert "no readable end" in capsys.readouterr().out
 
 
 # info
 
 
-def info_of(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+def info_of(path: Location, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     call(main, "info", path, "--json")
     told: dict[str, Any] = json.loads(capsys.readouterr().out)
     return told
 
 
-def test_info_tells_what_is_in_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_tells_what_is_in_a_log(tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 21, picture)
-    told = info_of(path, capsys)
+    told = info_of(place(path), capsys)
     assert told["duration_s"] == pytest.approx(2.0)
     assert told["size_bytes"] == path.stat().st_size
     assert told["session"]["source"] == "test"
@@ -169,13 +175,15 @@ def test_info_tells_what_is_in_a_log(tmp_path: Path, capsys: pytest.CaptureFixtu
     }
 
 
-def test_info_tells_gaps_odd_rows_and_tags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_tells_gaps_odd_rows_and_tags(
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
+) -> None:
     rows: list[tuple[float, float, float, bytes | None]] = [(row / 10, 0.1, 9.0, jpeg(50)) for row in range(10)]
     rows += [(30 + row / 10, 0.1, 0.0, jpeg(50)) for row in range(10)]
     path = log_with(tmp_path / "a.mcap", rows)
     assert call(main, "tag", path, "recovery", "--rows", 3, 5) == 0
     capsys.readouterr()
-    told = info_of(path, capsys)
+    told = info_of(place(path), capsys)
     assert told["drives"] == 2
     odd = {"gap": 1, "out_of_range": 0, "standing_still": 10, "stuck_steering": 0, "crash": 0}
     assert told["flags"] == odd
@@ -184,33 +192,39 @@ def test_info_tells_gaps_odd_rows_and_tags(tmp_path: Path, capsys: pytest.Captur
         ("standing_still", 10, 19, 30.0, 30.9),
     }
     assert told["tags"] == [{"first_row": 3, "last_row": 5, "name": "recovery"}]
-    assert call(main, "info", path) == 0
+    assert call(main, "info", place(path)) == 0
     printed = capsys.readouterr().out
     assert "2 drives" in printed
     assert "tag recovery: rows 3 to 5" in printed
 
 
-def test_info_reads_only_the_end_of_a_finished_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_reads_only_the_end_of_a_finished_log(
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
+) -> None:
     """All chunks are overwritten, and it says the same."""
     path = write_log(tmp_path / "a.mcap", [0.1] * 21, lambda camera, row: bytes(50_000))
-    before = info_of(path, capsys)
+    before = info_of(place(path), capsys)
     with path.open("rb+") as stream:
         stream.seek(500)
         stream.write(b"\xaa" * 3_000_000)
-    assert info_of(path, capsys) == before
+    assert info_of(place(path), capsys) == before
 
 
 @LAYOUTS
 def test_info_of_an_unfinished_log_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layout: Layout
+    tmp_path: Path,
+    place: Place,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    layout: Layout,
 ) -> None:
     monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1000)
     path = layout(write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000)))
     os.truncate(path, path.stat().st_size // 2)
-    assert call(main, "info", path) == 3
+    assert call(main, "info", place(path)) == 3
     said = capsys.readouterr()
     assert "a.mcap: unfinished" in said.err
-    assert f"bc-log recover {path}" in said.err
+    assert f"bc-log recover {place(path)}" in said.err
     assert "1 drive" in said.out
 
 
@@ -430,9 +444,9 @@ def test_one_is_not_said_as_many(tmp_path: Path, capsys: pytest.CaptureFixture[s
 # What a review found
 
 
-def test_a_log_without_any_picture_is_found(tmp_path: Path) -> None:
+def test_a_log_without_any_picture_is_found(tmp_path: Path, place: Place) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, cameras=())
-    assert found_in(path) == [("stretches of rows without a picture", "/camera/center rows 0 to 4")]
+    assert found_in(place(path)) == [("stretches of rows without a picture", "/camera/center rows 0 to 4")]
 
 
 def test_one_log_that_cannot_be_read_does_not_hide_the_others(

@@ -187,6 +187,7 @@ def test_looking_at_a_log_finds_what_was_put_into_it(tmp_path: Path) -> None:
         60,
         {"center": ((3, 3),), "left": ((0, 0), (7, 8)), "right": ((19, 19),)},
         {"right": ((4, 11),)},
+        (),
     )
     assert sum(told) == 60
 

@@ -28,6 +28,7 @@ from common import UserError, atomic_file, files
 from common.car import CAMERAS, Camera
 from common.interrupts import uninterrupted
 from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
+from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log import writer as writing
@@ -87,10 +88,10 @@ def test_what_is_written_on_every_topic_comes_back_from_mcaps_own_reader(tmp_pat
     assert (told["/events"].message, told["/events"].name, told["/events"].level) == ("off the road", "drive", 3)
 
 
-def test_what_is_written_comes_back_from_our_reader(tmp_path: Path) -> None:
+def test_what_is_written_comes_back_from_our_reader(tmp_path: Path, place: Place) -> None:
     path = tmp_path / "a.mcap"
     write_one_of_each(path)
-    with Log(path) as log:
+    with Log(place(path)) as log:
         assert log.counts == dict.fromkeys(read_messages(path), 1)
         assert log.metadata.items() >= {"source": "test", "driver": "José"}.items()
         assert log.read_metadata("bc.run") == {"sha256": "abc"}
@@ -127,20 +128,20 @@ def test_the_file_is_what_the_design_says(tmp_path: Path) -> None:
         assert len(its_sizes) - len(full) <= short, name
 
 
-def test_messages_keep_the_order_of_writing_whatever_their_times(tmp_path: Path) -> None:
+def test_messages_keep_the_order_of_writing_whatever_their_times(tmp_path: Path, place: Place) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1, 0.2, 0.3], step_ns=-STEP_NS)
-    with Log(path) as log:
+    with Log(place(path)) as log:
         told = [(message.log_time_ns, state.steering) for message, state in log.vehicle_states()]
         assert told == [(START_NS, 0.1), (START_NS - STEP_NS, 0.2), (START_NS - 2 * STEP_NS, 0.3)]
         assert log.pictures("/camera/left").sequence.tolist() == [0, 1, 2]
 
 
-def test_ranges_of_pictures_equal_plain_reads(tmp_path: Path) -> None:
+def test_ranges_of_pictures_equal_plain_reads(tmp_path: Path, place: Place) -> None:
     def noise(camera: Camera, row: int) -> bytes:
         return random.Random(f"{camera}{row}").randbytes(1 + 997 * row)  # many chunks, many lengths
 
     path = write_log(tmp_path / "a.mcap", [0.0] * 60, noise)
-    with Log(path) as log:
+    with Log(place(path)) as log:
         for camera in CAMERAS:
             pictures = log.pictures(camera_topic(camera))
             ranges = list(zip(pictures.offset.tolist(), pictures.length.tolist(), strict=True))
@@ -177,10 +178,10 @@ def test_an_empty_picture_has_no_bytes(tmp_path: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("data", [b"\xff" * 40, b"\x12\x7fshort", b"\x12"])
-def test_a_message_that_is_no_picture_is_a_log_error(tmp_path: Path, data: bytes) -> None:
+def test_a_message_that_is_no_picture_is_a_log_error(tmp_path: Path, place: Place, data: bytes) -> None:
     path = tmp_path / "other.mcap"
     write_raw(path, CompressionType.NONE, data)
-    with Log(path) as log, pytest.raises(LogError, match=r"other\.mcap.*CompressedImage"):
+    with Log(place(path)) as log, pytest.raises(LogError, match=r"other\.mcap.*CompressedImage"):
         log.pictures("/camera/center")
 
 
@@ -437,11 +438,11 @@ def test_flipped_bytes_cause_a_log_error_or_nothing(tmp_path: Path, seed: int) -
 
 
 @pytest.mark.parametrize("cut", [1, 400, 900], ids=["its last byte", "half its end", "most of its end"])
-def test_a_log_without_its_end_is_read_and_says_so(tmp_path: Path, cut: int) -> None:
+def test_a_log_without_its_end_is_read_and_says_so(tmp_path: Path, place: Place, cut: int) -> None:
     """Every other cut: test_damage.py."""
     path = write_log(tmp_path / "a.mcap", [0.1, 0.2, 0.3])
     os.truncate(path, path.stat().st_size - cut)
-    with Log(path) as log:
+    with Log(place(path)) as log:
         assert log.problem
         assert re.fullmatch(r".*a\.mcap: .*; what is complete in it is read\. `bc-log recover .*", log.notice)
         assert [state.steering for _, state in log.vehicle_states()] == [0.1, 0.2, 0.3]
@@ -449,19 +450,19 @@ def test_a_log_without_its_end_is_read_and_says_so(tmp_path: Path, cut: int) -> 
         assert log.picture(2, "left") == b"left 2"
 
 
-def test_a_log_of_which_nothing_is_there_yet_is_empty(tmp_path: Path) -> None:
+def test_a_log_of_which_nothing_is_there_yet_is_empty(tmp_path: Path, place: Place) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(b"\x89MCAP0\r\n")
-    with Log(path) as log:
+    with Log(place(path)) as log:
         assert (log.counts, log.metadata, log.frames().num_rows, log.lost) == ({}, {}, 0, [])
         assert "unfinished" in log.notice
 
 
 @pytest.mark.parametrize("compression", CompressionType)
-def test_compressed_logs_are_read(tmp_path: Path, compression: CompressionType) -> None:
+def test_compressed_logs_are_read(tmp_path: Path, place: Place, compression: CompressionType) -> None:
     path = tmp_path / "other.mcap"
     write_raw(path, compression, DATA)
-    with Log(path) as log:
+    with Log(place(path)) as log:
         assert (log.problem, log.notice, log.lost) == ("", "", [])
         assert log.picture(0) == b"the picture"
 
@@ -530,7 +531,9 @@ def test_what_was_made_stays_if_its_name_is_taken_meanwhile(tmp_path: Path) -> N
     ],
     ids=str,
 )
-def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(tmp_path: Path, left_out: dict[str, Any]) -> None:
+def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(
+    tmp_path: Path, place: Place, left_out: dict[str, Any]
+) -> None:
     path = tmp_path / "other.mcap"
     with path.open("wb") as stream:
         writer = McapWriter(stream, **left_out)
@@ -540,7 +543,7 @@ def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(tmp_path: Path, 
         for number in range(3):
             writer.add_message(channel, number, CompressedImage(data=bytes([number])).SerializeToString(), number)
         writer.finish()  # type: ignore[no-untyped-call]
-    with Log(path) as log:
+    with Log(place(path)) as log:
         assert (log.problem, log.notice, log.lost) == ("", "", [])
         pictures = log.pictures("/camera/center")
         places = zip(pictures.offset.tolist(), pictures.length.tolist(), pictures.chunk.tolist(), strict=True)

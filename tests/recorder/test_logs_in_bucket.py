@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +17,17 @@ import localbucket
 import pytest
 
 from bucket import Answer, Bucket, serving_bucket
-from common.errors import ObjectChangedError, StoreError
+from common.errors import ObjectChangedError, ObjectExistsError, StoreError
 from common.location import Url, location, relative_to
 from driving import one_line_in
+from faulty_proxy import Passing
 from layouts import mixed
 from logs import write_log
 from long_log import lengthened
 from recorder import Log, LogError
 from recorder.cli import main as bc_record
 from recorder.log.check import check
+from recorder.log.copy_log import copy_log
 from recorder.log.log_info import describe
 from recorder.log.tags import Tag, add_tag
 from recorder.log_cli import main
@@ -97,23 +102,6 @@ def test_a_place_is_named_relative_to_a_folder_that_can_be_moved_with_it(tmp_pat
 
 
 # reading
-
-
-def test_a_log_says_the_same_wherever_it_lies(
-    bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    tag(log, "recovery")
-    told = []
-    for place in (log, bucket.url("b.mcap")):
-        assert call(main, "info", place, "--json") == 0
-        told.append({**json.loads(capsys.readouterr().out), "path": ""})
-        assert call(main, "check", place) == 0
-        assert (
-            capsys.readouterr().out
-            == f"{place}: {4 * ROWS} messages, {3 * ROWS} pictures decoded: nothing wrong\n"
-        )
-    assert told[0] == told[1]
-    assert told[0]["tags"] == [{"first_row": 1, "last_row": 2, "name": "recovery"}]
 
 
 @pytest.mark.parametrize("layout", ["two kinds of chunks", "mixed", "unfinished"])
@@ -228,14 +216,20 @@ def test_damage_in_a_store_is_found_and_named(bucket: Bucket, log: Path) -> None
     ]
 
 
-def test_an_object_that_is_replaced_while_it_is_read_is_named(bucket: Bucket) -> None:
+@pytest.mark.parametrize("knows_conditions", [True, False])
+def test_an_object_that_is_replaced_while_it_is_read_is_named(bucket: Bucket, knows_conditions: bool) -> None:
     path = large_log(bucket.folder)
     with Log(bucket.url("large.mcap")) as log:
         log.picture(0)
         path.unlink()
         write_log(path, [0.5] * 300)
+        if knows_conditions:
+            bucket.answer = lambda passing: (
+                "If-Match" in passing.headers and passing.fail(412, "PreconditionFailed")
+            )
         with pytest.raises(ObjectChangedError, match=r"s3://logs/large.mcap: was replaced while it was read"):
             log.picture(200)
+        bucket.pass_all()
         path.unlink()
         with pytest.raises(ObjectChangedError, match="removed"):
             log.picture(300)
@@ -267,6 +261,44 @@ def test_a_store_that_refuses_is_one_line(
     bucket.answer = answer
     assert call(main, command, "s3://logs/sessions" + (".mcap" if command == "info" else "")) == 1
     assert re.search(told, one_line_in(capsys))
+
+
+@pytest.mark.parametrize(
+    ("url", "told"),
+    [
+        ("s3://logs", "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"),
+        ("gs://logs", "GOOGLE_APPLICATION_CREDENTIALS"),
+        ("az://logs", "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY"),
+    ],
+)
+def test_without_credentials_it_says_which_to_set(
+    bucket: Bucket, url: str, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in list(os.environ):
+        if name.startswith(("AWS_", "AZURE_", "GOOGLE_")):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("AWS_CONFIG_FILE", os.devnull)
+    monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", os.devnull)
+    monkeypatch.setenv("GOOGLE_APPLICATION_CREDENTIALS", "/there/is/no/such.json")
+    monkeypatch.setenv("AWS_METADATA_ENDPOINT", bucket.endpoint)
+    bucket.answer = lambda passing: passing.fail(404, "NotFound")  # a machine that has no role
+    assert call(main, "ls", url) == 1
+    assert f"{url}: no credentials that can be used: set {told}" in one_line_in(capsys)
+
+
+def test_without_the_right_to_list_it_says_so(
+    bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def as_s3_does(passing: Passing) -> bool:
+        is_there = (bucket.folder / Path(passing.path).name).is_file()
+        return not is_there and passing.fail(403, "AccessDenied")
+
+    bucket.answer = as_s3_does
+    for command, url in (("ls", "s3://logs/"), ("info", "s3://logs/b.mcap")):  # it may well have tags
+        assert call(main, command, url) == 1
+        line = one_line_in(capsys)
+        assert "s3://logs/" in line
+        assert "s3:ListBucket" in line
 
 
 def test_no_such_log_names_what_lists_those_there_are(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
@@ -373,6 +405,20 @@ def test_who_writes_the_same_name_meanwhile_wins(
     assert call(main, "copy", log, "s3://logs") == 1
     assert "exists already" in one_line_in(capsys)
     assert [(path.name, path.read_bytes()) for path in bucket.folder.iterdir()] == [("a.mcap", b"somebody else's")]
+
+
+@pytest.mark.parametrize("is_same_log", [True, False])
+def test_two_machines_may_copy_to_one_name_at_once(bucket: Bucket, tmp_path: Path, is_same_log: bool) -> None:
+    logs = [write_log(tmp_path / f"{name}/a.mcap", [value] * 5) for name, value in (("one", 0.1), ("two", 0.2))]
+    if is_same_log:
+        shutil.copy(*logs)
+    bucket.delay_s = 0.02
+    with ThreadPoolExecutor() as machines:
+        copies = [machines.submit(copy_log, log, bucket.url("a.mcap")) for log in logs]
+        failures = [copy.exception() for copy in copies]
+    assert sum(isinstance(each, ObjectExistsError) for each in failures) == (0 if is_same_log else 1)
+    winner = logs[failures.index(None)]
+    assert {path.name: path.read_bytes() for path in bucket.folder.iterdir()} == {"a.mcap": winner.read_bytes()}
 
 
 def test_a_download_that_was_stopped_goes_on_where_it_was(

@@ -14,6 +14,7 @@ import pytest
 
 from driving import one_line_in
 from recorder.cli import main as bc_record
+from recorder.log.check import check
 from recorder.log.reader import Log
 from recorder.log_cli import main as bc_log
 from repository import ROOT
@@ -76,6 +77,9 @@ def test_the_same_seed_gives_the_same_rows_and_the_next_episode_has_the_next_see
         assert call(bc_record, name, *BAR, *CENTRE, "--seed", seed, "--episodes", episodes) == 0
     two, first, second = (states(name)["steering"] for name in ("two", "first", "second"))
     assert two == first + second
+    checked = check(Path("sessions/two.mcap"), look=False)
+    assert checked.meant_gaps == [f"before row {len(first)}"]  # between the episodes
+    assert "gaps in time" not in {finding.kind for finding in checked.findings}
 
 
 def test_rows_may_be_fewer_than_steps() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from driving import one_line_in
 from recorder import Log
 from recorder.cli import main as record_main
+from recorder.log_cli import main as log_main
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from simulator.roads.track import load_track
 from udacity import call
@@ -63,11 +65,30 @@ def test_the_session_tells_its_speeds_and_where_each_begins(both: Path, slow: Pa
     begin = len(rows(slow))
     with Log(both) as log:
         assert log.metadata["drive.speed"] == "10 30"
-        events = [(message.log_time_ns, event.message) for message, event in log.decoded("/events")]
+        events = [
+            (message.log_time_ns, event.message)
+            for message, event in log.decoded("/events")
+            if event.message.startswith("from")
+        ]
     assert events == [
         (rows(both)[0][0], "from the start, at a set speed of 10 mph"),
         (rows(both)[begin][0], "from the start, at a set speed of 30 mph"),
     ]
+
+
+def test_the_car_put_back_at_the_start_is_nothing_wrong(
+    both: Path, slow: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor is one pushed off its line: each gap has an event, and a check says so."""
+    times_ns = [time_ns for time_ns, _, _ in rows(both)]
+    far = [row for row, (before, after) in enumerate(pairwise(times_ns), start=1) if after - before > 1e9]
+    assert len(rows(slow)) in far
+    assert call(log_main, "check", both, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["meant_gaps"] == [f"before row {row}" for row in far]
+    assert call(log_main, "check", both) == 0
+    verdict, meant = capsys.readouterr().out.splitlines()
+    assert verdict.endswith("nothing wrong")
+    assert f"before row {far[0]}" in meant
 
 
 def test_one_speed_is_recorded_as_ever(slow: Path) -> None:

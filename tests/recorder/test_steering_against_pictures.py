@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 
 from common.stretches import stretches
+from dataset.cli import main as bc_index
+from dataset.frames.frame_flags import ImageFindings
+from dataset.frames.image_check_cache import write_image_check
+from dataset.index.quality_report import find_flagged_frames
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
 from recorder.log.steering_against_pictures import against_pictures
+from recorder.log_cli import main as bc_log
+from udacity import call
 
 ROWS = 600
 WRONG_S = (20.0, 32.0)
@@ -43,3 +49,24 @@ def test_sound_labels_are_not(tmp_path: Path) -> None:
     assert found_in(write_drive(tmp_path / "broken.mcap", [b"no picture"] * 100)) == []
     someone_else = np.random.default_rng(3).uniform(-1, 1, ROWS)
     assert found_in(write_drive(tmp_path / "other.mcap", views(ROWS), lambda at_s: someone_else)) == []
+
+
+def test_the_check_of_a_log_and_the_report_of_an_index_tell_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wheel = wrong_for_a_while(lambda at_s: -hand(at_s))
+    log = write_drive(tmp_path / "sessions" / "a.mcap", views(ROWS), wheel)
+    ((first, last),) = found_in(log)
+    assert call(bc_log, "check", log) == 3
+    assert f"stretches of steering against the pictures: 1 (rows {first} to {last})" in capsys.readouterr().out
+    assert call(bc_log, "check", log, "--no-look") == 0
+
+    index = tmp_path / "index"
+    places = ("--sessions", log.parent, "--index", index, "--labels", "as-recorded")
+    assert call(bc_index, *places) == 0
+    assert find_flagged_frames(index) == []  # nobody has looked
+    with Log(log) as opened:  # what an earlier version has found, which did not compare
+        write_image_check(index, "a", opened.fingerprint, ImageFindings(ROWS, {}, {}))
+    assert call(bc_index, *places, "--look") == 0
+    (found,) = find_flagged_frames(index)
+    assert (found.flag, found.first_row, found.last_row) == ("steering_against_pictures", first, last)

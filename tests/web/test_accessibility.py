@@ -6,14 +6,13 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pytest
 
 import dataset.cli
 import recorder.log_cli
-from chromium import chromium
 from drives import a_drive
 from driving import PATIENCE_S, road_jpeg, untrained_run
 from histories import epoch_line, step_lines, write_lines
@@ -21,6 +20,9 @@ from logs import write_log
 from udacity import call
 from waiting import wait_until
 from workbench import Served, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 PAGES: Final = (
     "/sessions",
@@ -77,28 +79,28 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield found
 
 
-def test_every_page_is_for_everybody(bench: Served) -> None:
+def test_every_page_is_for_everybody(browser: Browser, bench: Served) -> None:
     axe = pytest.importorskip("axe_playwright_python.base", reason="axe-core is not installed")
     wrong: dict[str, Any] = {}
-    with chromium() as browser:
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.set_default_timeout(PATIENCE_S * 1000)
-        for path in PAGES:
-            page.goto(f"{bench.address}{path}", wait_until="networkidle")
-            page.evaluate(axe.AXE_SCRIPT)
-            if found := page.evaluate(RUN, None):
-                wrong[path] = found
-            page.emulate_media(color_scheme="dark")
-            if found := page.evaluate(RUN, ["color-contrast"]):
-                wrong[f"{path}, dark"] = found
-            page.emulate_media(color_scheme="light")
-            for _ in range(150):
-                if not (left := page.evaluate(REACHED)):
-                    break
-                page.keyboard.press("Tab")
-            if left:
-                wrong[f"{path}, by the keyboard"] = left
-            for width in (1280, 2560):
-                page.set_viewport_size({"width": width, "height": width * 9 // 16})
-                page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.set_default_timeout(PATIENCE_S * 1000)
+    for path in PAGES:
+        page.goto(f"{bench.address}{path}", wait_until="networkidle")
+        page.evaluate(axe.AXE_SCRIPT)
+        if found := page.evaluate(RUN, None):
+            wrong[path] = found
+        page.emulate_media(color_scheme="dark")
+        if found := page.evaluate(RUN, ["color-contrast"]):
+            wrong[f"{path}, dark"] = found
+        page.emulate_media(color_scheme="light")
+        for _ in range(150):
+            if not (left := page.evaluate(REACHED)):
+                break
+            page.keyboard.press("Tab")
+        if left:
+            wrong[f"{path}, by the keyboard"] = left
+        for width in (1280, 2560):
+            page.set_viewport_size({"width": width, "height": width * 9 // 16})
+            page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+    page.close()
     assert wrong == {}

@@ -4,13 +4,10 @@ with thousands of tags, with a disk that is full, growing, and replaced by anoth
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
-
-from chromium import chromium
 from disk import files_of_at_most
 from driving import road_jpeg
 from logs import START_NS, write_log
@@ -27,12 +24,6 @@ if TYPE_CHECKING:
 AWKWARD = "<img src=x onerror=alert(1)> & \"b\" 'c' 100%?#é\n;"
 ROWS = 400
 TAGS = 20_000
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
 
 
 def test_a_log_that_is_being_recorded_grows_in_its_page(browser: Browser, tmp_path: Path) -> None:

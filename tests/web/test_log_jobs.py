@@ -6,19 +6,22 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
 import pytest
 
 import recorder.log_cli
-from chromium import chromium
-from driving import PATIENCE_S
 from logs import START_NS, write_log
+from pages import open_session, opened_page
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from udacity import call
 from waiting import wait_until
 from workbench import Answer, Served, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 ROWS = 20
 
@@ -56,12 +59,9 @@ def key_of_other(bench: Served) -> str:
     return found[1]
 
 
-def test_a_selected_stretch_becomes_a_log_that_the_job_links_to(bench: Served) -> None:
-    with chromium() as browser:
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.set_default_timeout(PATIENCE_S * 1000)
-        page.goto(f"{bench.address}/sessions/two#row=5")
-        page.wait_for_selector("#session[data-ready]")
+def test_a_selected_stretch_becomes_a_log_that_the_job_links_to(browser: Browser, bench: Served) -> None:
+    with opened_page(browser, f"{bench.address}/sessions/two#row=5") as page:
+        open_session(page)
         page.keyboard.press("[")
         for _ in range(4):
             page.keyboard.press("ArrowRight")
@@ -74,7 +74,7 @@ def test_a_selected_stretch_becomes_a_log_that_the_job_links_to(bench: Served) -
         wait_until(lambda: page.inner_text("#command-trim").endswith("/bend.mcap"))
         page.click("#make-trim button")
         page.click("text=what it has made")
-        page.wait_for_selector("#session[data-ready]")
+        open_session(page)
         assert page.inner_text("h1") == "bend"
     assert rows(bench.folder / "sessions" / "bend.mcap") == [5, 6, 7, 8, 9]
     assert rows(bench.folder / "sessions" / "two.mcap") == list(range(ROWS))

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -14,7 +15,6 @@ import pytest
 import dataset.cli
 import recorder.cli
 import recorder.log_cli
-from chromium import chromium
 from common.car import Camera
 from logs import START_NS
 from pages import open_session, opened_page, selected_rows
@@ -24,6 +24,9 @@ from recorder.bc_pb2 import VehicleState
 from udacity import call
 from waiting import wait_until
 from workbench import served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 MIRRORED_S = 10.0
 
@@ -107,7 +110,11 @@ def a_drawn_recording() -> list[Row]:
 
 @pytest.mark.parametrize("kind", ["drawn", "real"])
 def test_planted_faults_are_found_and_removed(
-    kind: str, tmp_path: Path, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
+    kind: str,
+    browser: Browser,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     if kind == "real":
         rows = a_real_recording(request.getfixturevalue("recordings"), tmp_path)
@@ -124,11 +131,7 @@ def test_planted_faults_are_found_and_removed(
 
     actions = 1
     selected = []
-    with (
-        chromium() as browser,
-        served(tmp_path) as bench,
-        opened_page(browser, f"{bench.address}/sessions/faulty") as page,
-    ):
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions/faulty") as page:
         open_session(page)
         page.click("#look")
         page.wait_for_selector("#look", state="hidden")

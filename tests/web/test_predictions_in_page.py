@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -15,15 +15,17 @@ import psutil  # type: ignore[import-untyped]
 import pytest
 import torch
 
-from chromium import chromium
-from driving import PATIENCE_S
 from logs import write_log
 from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
+from pages import open_session, opened_page
 from recorder import LogWriter
 from toy import STEERING, road
 from waiting import wait_until
 from workbench import Served, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 ANSWER = 0.26  # of a network with no weights but its last bias, whatever it sees
 ROWS = len(STEERING)
@@ -58,16 +60,13 @@ def changed_config(folder: Path, **changed: Any) -> None:
     config.write_text(json.dumps({**json.loads(config.read_text()), **changed}))
 
 
-def test_the_page_shows_the_prediction_and_its_worst_moments_first(bench: Served) -> None:
+def test_the_page_shows_the_prediction_and_its_worst_moments_first(browser: Browser, bench: Served) -> None:
     errors_deg = 25 * (ANSWER - np.array(STEERING))
     worst = int(np.argmax(np.abs(errors_deg)))
     rmse_deg = math.sqrt(np.mean(errors_deg**2))
     mean_rmse_deg = 25 * np.std(STEERING)
-    with chromium() as browser:
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.set_default_timeout(PATIENCE_S * 1000)
-        page.goto(f"{bench.address}/sessions/toy")
-        page.wait_for_selector("#session[data-ready]")
+    with opened_page(browser, f"{bench.address}/sessions/toy") as page:
+        open_session(page)
         page.select_option("#run", "constant")
         page.wait_for_selector("#session[data-run=constant]")
         told = page.inner_text("#predicted")

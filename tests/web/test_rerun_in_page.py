@@ -17,7 +17,6 @@ import numpy as np
 import psutil  # type: ignore[import-untyped]
 import pytest
 
-from chromium import chromium
 from common.car import Camera
 from driving import PATIENCE_S
 from logs import write_log
@@ -25,7 +24,7 @@ from waiting import wait_until
 from workbench import Served, served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Frame
+    from playwright.sync_api import Browser, Frame
 
 ROWS = 40
 RED, GREEN = (0, 0, 255), (0, 255, 0)
@@ -138,12 +137,15 @@ def axe_finds(frame: Frame) -> list[str]:
     return [each for each in found if each.startswith(("serious", "critical"))]
 
 
-def test_rerun_shows_the_moment_of_the_curves_inside_the_page(tmp_path: Path) -> None:
+def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, tmp_path: Path) -> None:
     """From a machine that reaches one port only, and with the token."""
     write_colored(tmp_path / "sessions" / "colored.mcap")
     host, token = "0.0.0.0", "the-token"
-    with served(tmp_path, host, token) as bench, forwarded(bench.port) as port, chromium() as browser:
-        page = browser.new_page(viewport={"width": 800, "height": 1000})
+    with (
+        served(tmp_path, host, token) as bench,
+        forwarded(bench.port) as port,
+        contextlib.closing(browser.new_page(viewport={"width": 800, "height": 1000})) as page,
+    ):
         page.set_default_timeout(4 * PATIENCE_S * 1000)  # it draws in software
         asked: set[str] = set()
         wrong: list[str] = []
@@ -170,4 +172,3 @@ def test_rerun_shows_the_moment_of_the_curves_inside_the_page(tmp_path: Path) ->
         page.keyboard.press("o")
         frame.wait_for(state="detached")
         assert (asked, wrong) == ({f"127.0.0.1:{port}"}, [])
-        page.close()

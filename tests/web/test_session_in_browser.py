@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import recorder.log_cli
-from chromium import chromium
 from common.car import Camera
 from driving import command, environment
 from logs import START_NS
@@ -34,12 +33,6 @@ STUCK = (100, 149)  # the very same steering for five seconds of driving
 STANDING = (300, 339)
 GAP_AT = 450  # five seconds pass before this row
 FROZEN = (520, 539)  # the very same picture
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
 
 
 @pytest.fixture

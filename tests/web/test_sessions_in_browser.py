@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import recorder.log_cli
-from chromium import chromium
-from driving import PATIENCE_S, road_jpeg
+from driving import road_jpeg
 from logs import write_log
+from pages import open_session, opened_page
 from udacity import call
 from waiting import wait_until
 from workbench import served
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
-def test_the_list_keeps_up_without_a_reload(tmp_path: Path) -> None:
-    with served(tmp_path) as bench, chromium() as browser:
-        page = browser.new_page()
-        page.set_default_timeout(PATIENCE_S * 1000)
-        errors: list[str] = []
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
-        page.goto(f"{bench.address}/sessions")
+
+def test_the_list_keeps_up_without_a_reload(browser: Browser, tmp_path: Path) -> None:
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         page.wait_for_selector("text=No sessions yet")
         for name in ("lake", "mountain"):
             write_log(tmp_path / "sessions" / f"{name}.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
@@ -34,9 +32,8 @@ def test_the_list_keeps_up_without_a_reload(tmp_path: Path) -> None:
         page.wait_for_selector("#s-mountain", state="detached")
         assert page.url == f"{bench.address}/sessions?text=wet&sort=newest&only=all"
         page.click("text=lake")
-        page.wait_for_selector("#session[data-ready]")
+        open_session(page)
         page.go_back()
         page.wait_for_selector("#s-lake")
         assert page.input_value("input[name=text]") == "wet"
         assert page.locator("#s-mountain").count() == 0
-        assert errors == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from common.stretches import stretches
 from dataset.config import IndexConfig
-from dataset.frames.frame_flags import ImageFindings, PictureFlag, Stretches, lists_with
+from dataset.frames.frame_flags import ImageFindings, PictureFlag, lists_with
 from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import frames_of
 from recorder import Log
 from recorder.log.row_quality import States, row_flags
 from recorder.log.topics import camera_topic
-
-AGAINST_PICTURES: Final = "steering_against_pictures"
 
 
 @dataclass(frozen=True)
@@ -30,11 +28,9 @@ class OddStretch:
     last: int
 
 
-def odd_stretches(
-    log: Log, states: States, findings: ImageFindings | None, against: Stretches = ()
-) -> list[OddStretch]:
-    """In their order. Frozen and broken pictures are among them where `findings` of the log's pictures are given;
-    `against`: positions of the rows whose steering contradicts the pictures.
+def odd_stretches(log: Log, states: States, findings: ImageFindings | None) -> list[OddStretch]:
+    """In their order. Frozen and broken pictures, and steering that contradicts them, are among them where
+    `findings` of the log's pictures are given.
 
     A gap is a stretch of two rows: the last before it and the first after it.
     """
@@ -48,8 +44,5 @@ def odd_stretches(
         OddStretch(flag, first - (flag == "gap" and first > 0), last)
         for flag, mask in masks.items()
         for first, last in stretches(mask)
-    ]
-    found += [
-        OddStretch(AGAINST_PICTURES, first, last) for first, last in against if first <= last < len(states.row)
     ]
     return sorted(found, key=lambda stretch: (stretch.first, stretch.last, stretch.flag))

@@ -7,21 +7,14 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
-
-import msgspec
 
 from common import UserError
 from common.errors import printable
-from common.stretches import stretches
-from dataset.frames.frame_flags import ImageFindings, Stretches
+from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_file import session_name
 from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from recorder import Log
-from recorder.log.steering_against_pictures import against_pictures
 from web.data.cache_folder import CacheFolder
-
-_AGAINST: Final = "against pictures 1"
 
 
 class _StoppedError(Exception):
@@ -42,7 +35,6 @@ class PictureChecks:
 
     def __init__(self, index: Path, cache: CacheFolder) -> None:
         self._index = index
-        self._cache = cache
         self._kept = cache.folder / "checks"
         self._pool = ThreadPoolExecutor(1, "checking pictures")
         self._lock = threading.Lock()
@@ -50,19 +42,12 @@ class PictureChecks:
         self._is_stopped = False
 
     def findings(self, log: Log) -> ImageFindings | None:
-        """What is known of the pictures of a log; None where nobody has looked at them."""
-        kept = read_image_check(self._index, session_name(log.path), log.fingerprint)
-        return kept or read_image_check(self._kept, log.fingerprint, log.fingerprint)
-
-    def against(self, log: Log) -> Stretches | None:
-        """The stretches of rows whose steering contradicts the pictures; None where nobody has looked."""
-        key = f"{_AGAINST} {log.fingerprint}"
-        if data := self._cache.find(key):
-            try:
-                return msgspec.json.decode(data, type=Stretches)
-            except (msgspec.MsgspecError, UnicodeError):  # a file of the cache that is damaged
-                self._cache.forget(key)
-        return None
+        """What is known of the pictures of a log; None where nobody has looked at them. Earlier versions have not
+        compared them with the steering."""
+        of_index = read_image_check(self._index, session_name(log.path), log.fingerprint)
+        if of_index is not None and of_index.against is not None:
+            return of_index
+        return read_image_check(self._kept, log.fingerprint, log.fingerprint) or of_index
 
     def checking(self, fingerprint: str) -> Checking | None:
         with self._lock:
@@ -90,9 +75,7 @@ class PictureChecks:
         try:
             with Log(path) as log:  # of its own: a page may close the other
                 found = check_images(log, on_decoded)
-                against = stretches(against_pictures(log, on_decoded))
             write_image_check(self._kept, fingerprint, fingerprint, found)
-            self._cache.keep(f"{_AGAINST} {fingerprint}", msgspec.json.encode(against))
         except _StoppedError:
             return
         except (UserError, OSError, MemoryError) as error:

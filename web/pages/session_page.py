@@ -126,7 +126,7 @@ def _others(bench: Workbench, place: Place, path: Path) -> list[tuple[str, str]]
 
 def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
     log, states = opened.log, opened.states
-    findings, against = bench.checks.findings(log), bench.checks.against(log)
+    findings = bench.checks.findings(log)
     return {
         "version": opened.version,
         "fingerprint": log.fingerprint,
@@ -135,7 +135,7 @@ def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": [
             (stretch.flag, stretch.first, stretch.last)
-            for stretch in (odd_stretches(log, states, findings, against or ()) if len(states.row) else ())
+            for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())
         ],
-        "looked": findings is not None and against is not None,
+        "looked": findings is not None and findings.against is not None,
     }

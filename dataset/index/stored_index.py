@@ -1,0 +1,53 @@
+"""An index in a store: brought here, built here, and then put there, whole or not at all.
+
+What is read of it there is samples.parquet. That goes up first, on the condition that it is still the one which
+came down: of two machines that index at once one wins, and the other is told. The rest is what the next build, on
+any machine, need not do again; until it is up, that build reads some logs once more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from common.errors import ObjectChangedError, UsageError
+from common.location import Location
+from dataset.errors import DatasetError
+from dataset.index.build_state import STATE_NAME
+from dataset.samples.samples_format import SAMPLES_NAME
+
+if TYPE_CHECKING:
+    from common.stored_folder import StoredFolder
+
+
+@contextlib.contextmanager
+def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path, Callable[[], object]]]:
+    """The folder to build an index in, and what puts the finished one where it belongs: nothing, if that is here.
+
+    Raises UsageError for logs of this machine in an index in a store, DatasetError where another machine has
+    written the index meanwhile, StoreError.
+    """
+    if isinstance(index, Path):
+        yield index, lambda: None
+        return
+    if here := next((log for log in logs if isinstance(log, Path)), None):
+        raise UsageError(
+            f"--index {index}: {here} is on this machine, where no other one would find it; `bc-log copy` it to"
+            f" the store, and give --sessions {index.parent / 'sessions'}"
+        )
+    from common.stored_folder import StoredFolder  # an extra
+
+    with StoredFolder(index) as folder:
+        folder.bring()
+        for name in (SAMPLES_NAME, STATE_NAME):  # of a build that could not be put there
+            folder.forget(name)
+        yield folder.here, lambda: _put(folder)
+
+
+def _put(folder: StoredFolder) -> None:
+    try:
+        folder.send(first=[SAMPLES_NAME])
+    except ObjectChangedError as error:
+        raise DatasetError(f"{error}; give the command again: it begins with what is there") from None
