@@ -13,6 +13,7 @@ from bucket import Bucket, serving_bucket
 from common.location import Url
 from dataset import Samples
 from dataset.cli import main
+from faulty_proxy import FAULTS
 from logs import write_log
 from udacity import call
 
@@ -94,7 +95,7 @@ def test_a_session_that_has_gone_goes_there_too(bucket: Bucket) -> None:
     assert [name for name in files(bucket) if name.startswith("frames/")] == ["frames/1.parquet"]
 
 
-@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize("is_first", [pytest.param(True, marks=pytest.mark.long), False])
 def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
     bucket: Bucket, is_first: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,7 +124,7 @@ def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
     assert sessions() == ["0", "1"]
 
 
-@pytest.mark.parametrize("fails_at", ["samples.parquet", "frames/1.parquet"])
+@pytest.mark.parametrize("fails_at", [pytest.param("samples.parquet", marks=pytest.mark.long), "frames/1.parquet"])
 def test_an_upload_that_fails_leaves_an_index_and_the_next_one_mends_it(
     bucket: Bucket, fails_at: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,6 +143,25 @@ def test_an_upload_that_fails_leaves_an_index_and_the_next_one_mends_it(
     assert index(place="disk") == 0
     for name in ("samples.parquet", "frames/0.parquet", "frames/1.parquet"):
         assert files(bucket)[name] == (Path("disk") / name).read_bytes()
+
+
+@pytest.mark.parametrize("fault", ["lost", pytest.param("500 after it was done", marks=pytest.mark.long)])
+def test_an_index_that_was_written_is_not_taken_for_another_ones(bucket: Bucket, fault: str) -> None:
+    """The store has done what it was asked, and is asked again: by then the name is taken."""
+    failed: list[str] = []
+
+    def once(handler: Any) -> bool:
+        if handler.command != "PUT" or handler.path in failed:
+            return False
+        failed.append(handler.path)
+        return FAULTS[fault](handler)
+
+    bucket.answer = once
+    assert index() == 0
+    drive(bucket, 1)
+    failed.clear()
+    assert index() == 0
+    assert sessions() == ["0", "1"]
 
 
 def test_logs_of_this_machine_are_not_indexed_there(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:

@@ -146,7 +146,7 @@ def test_a_run_that_exists_is_refused_and_stays(trained: tuple[Path, list[Epoch]
 
 
 def test_training_without_an_index_leaves_no_run(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="`bc-index`"):
+    with pytest.raises(DatasetError, match="`bc-index --index"):
         train(tmp_path / "index", tmp_path / "run", TINY)
     assert list(tmp_path.iterdir()) == []
 
