@@ -318,8 +318,8 @@ def put_over(url: Url, data: bytes) -> None:
 def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
     """Write a file, whole or not at all, over the object that was `seen` last; None: where there is none.
 
-    Raises ObjectChangedError where there is one of another content, which stays; StoreError, also for a file of
-    more than 5 GB.
+    Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
+    5 GB.
     """
     if (size := file.stat().st_size) > MOST_IN_ONE_REQUEST:
         raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
@@ -334,26 +334,19 @@ def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
                 if seen.version is not None:
                     mode["version"] = seen.version
             made = obstore.put(_store(url, True), url.key, file, mode=mode, use_multipart=False)
-        except failures.BaseError as error:  # it may have been written, and the answer to that was lost
-            if (ours := _seen_if_same(url, file)) is not None:
+        except (failures.PreconditionError, failures.AlreadyExistsError):
+            if (ours := _seen_if_same(url, file)) is not None:  # by this very call, and the answer was lost
                 return ours
-            if isinstance(error, failures.PreconditionError | failures.AlreadyExistsError):
-                raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
-            raise
+            raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
     return Seen(made["e_tag"] or "", made["version"])
 
 
 def _seen_if_same(url: Url, file: Path) -> Seen | None:
-    """What an object is told by, if it has the very bytes of a file."""
-    try:
-        with ObjectFile(url) as there, file.open("rb") as here:
-            if there.size != file.stat().st_size:
-                return None
-            starts = range(0, there.size, _LARGEST)
-            parts = there.read_many((at, min(_LARGEST, there.size - at)) for at in starts)
-            return there.seen if all(part == here.read(len(part)) for part in parts) else None
-    except StoreError:  # what went wrong before is told
-        return None
+    """Which object this is, if it has the bytes of the file. Raises StoreError."""
+    with ObjectFile(url) as there, file.open("rb") as here:
+        parts = there.read_many((at, min(_LARGEST, there.size - at)) for at in range(0, there.size, _LARGEST))
+        is_same = all(data == here.read(len(data)) for data in parts) and not here.read(1)
+        return there.seen if is_same else None
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:

@@ -13,7 +13,6 @@ from bucket import Bucket, serving_bucket
 from common.location import Url
 from dataset import Samples
 from dataset.cli import main
-from faulty_proxy import FAULTS
 from logs import write_log
 from udacity import call
 
@@ -143,25 +142,6 @@ def test_an_upload_that_fails_leaves_an_index_and_the_next_one_mends_it(
     assert index(place="disk") == 0
     for name in ("samples.parquet", "frames/0.parquet", "frames/1.parquet"):
         assert files(bucket)[name] == (Path("disk") / name).read_bytes()
-
-
-@pytest.mark.parametrize("fault", ["lost", pytest.param("500 after it was done", marks=pytest.mark.long)])
-def test_an_index_that_was_written_is_not_taken_for_another_ones(bucket: Bucket, fault: str) -> None:
-    """The store has done what it was asked, and is asked again: by then the name is taken."""
-    failed: list[str] = []
-
-    def once(handler: Any) -> bool:
-        if handler.command != "PUT" or handler.path in failed:
-            return False
-        failed.append(handler.path)
-        return FAULTS[fault](handler)
-
-    bucket.answer = once
-    assert index() == 0
-    drive(bucket, 1)
-    failed.clear()
-    assert index() == 0
-    assert sessions() == ["0", "1"]
 
 
 def test_logs_of_this_machine_are_not_indexed_there(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,10 +11,11 @@ import pytest
 from common.errors import ObjectChangedError, ObjectExistsError
 from common.location import Url
 from common.object_store import forget_stores, list_objects
+from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index, load
 from driving import one_line_in
 from emulators import ACCOUNT, ACCOUNT_KEY, put_in_gcs, serving_azurite, serving_gcs
-from faulty_proxy import FaultyProxy
+from faulty_proxy import FaultyProxy, Passing
 from logs import write_log
 from recorder import Log
 from recorder.log.check import check
@@ -139,6 +140,20 @@ def test_a_log_goes_to_azure_whole_and_over_nothing(azure: Store, log: Path, tmp
         copy_log(other, azure.url("new/a.mcap"))
     with Log(azure.url("new/a.mcap")) as there, Log(log) as here:
         assert there.file_fingerprint == here.file_fingerprint
+
+
+@pytest.mark.long
+def test_a_folder_is_kept_in_azure_whatever_answers_are_lost(azure: Store, tmp_path: Path) -> None:
+    """Azure heeds If-Match: who asks again is told that another one has written it, who is he himself."""
+    url = azure.url("run")
+    with StoredFolder(url, tmp_path / "one") as folder:
+        for content in ("first", "second"):
+            (folder.here / "config.json").write_text(content)
+            azure.way.fail_first("PUT", Passing.lose)
+            assert folder.send()
+    with StoredFolder(url, tmp_path / "two") as folder:
+        folder.bring()
+        assert (folder.here / "config.json").read_text() == "second"
 
 
 @pytest.mark.long
