@@ -46,6 +46,13 @@ def cluster() -> Iterator[Any]:
         yield started
 
 
+@pytest.fixture(scope="module")
+def small_cluster() -> Iterator[Any]:
+    """Two tasks at a time, on one node."""
+    with ray_cluster(nodes=0, head_processors=2) as started:
+        yield started
+
+
 def drives(folder: Path, sessions: int = 4, picture: Callable[[Camera, int], bytes] = not_a_picture) -> list[Path]:
     """Logs of a car that winds along, each at a time of its own."""
     rows = np.arange(120)
@@ -88,12 +95,12 @@ def index_files(index: Path) -> dict[str, bytes]:
 
 
 def test_the_index_has_the_same_bytes_and_a_damaged_log_is_left_out_as_on_one_machine(
-    tmp_path: Path, cluster: Any
+    tmp_path: Path, small_cluster: Any
 ) -> None:
     drives(tmp_path / "sessions", picture=tiny_picture)
     (tmp_path / "sessions" / "damaged.mcap").write_bytes(b"this is no log")
     here = run("bc-index", "--look", "--index", "here", cwd=tmp_path)
-    there = run("bc-index", "--look", "--index", "there", "--ray", cluster.address, cwd=tmp_path)
+    there = run("bc-index", "--look", "--index", "there", "--ray", small_cluster.address, cwd=tmp_path)
     assert (here.returncode, there.returncode) == (3, 3), there.stderr
     assert messages(there.stderr) == messages(here.stderr)
     assert "sessions/damaged.mcap: not an MCAP log" in there.stderr
@@ -143,9 +150,9 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Pat
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
 
 
-def test_a_cluster_of_another_version_is_told(tmp_path: Path, cluster: Any) -> None:
+def test_a_cluster_of_another_version_is_told(tmp_path: Path, small_cluster: Any) -> None:
     drives(tmp_path / "sessions", sessions=1)
-    arguments = ["bc-index", "--ray", cluster.address]
+    arguments = ["bc-index", "--ray", small_cluster.address]
     code = f"import sys, ray; ray.__version__ = '2.0.0'; sys.argv = {arguments}\n"
     done = run_code(f"{code}from behavioural_cloning_toolkit import bc_index; bc_index()", cwd=tmp_path)
     assert done.returncode == 1
