@@ -10,7 +10,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-
 # compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
 test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader lerobot-reader clean
+.PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader azurite lerobot-reader clean
 
 install: $(VENV)/installed
 
@@ -71,6 +71,10 @@ proto:
 # Foxglove's own reader of MCAP files, by which tests/recorder/test_other_readers.py reads logs; needs npm
 foxglove-reader:
 	npm ci --prefix tests/helpers/foxglove_reader
+
+# Azure's emulator, on which tests/recorder/test_other_stores.py tries az:// in `make test-long`; needs npm
+azurite:
+	npm install --prefix build/azurite --no-audit --no-fund azurite@3.35.0
 
 # LeRobot in an environment of its own, by which tests/recorder/test_lerobot_itself.py reads and writes datasets;
 # needs Python 3.12 or newer, and on Linux 3 GB more without the index of PyTorch's wheels for processors

@@ -40,6 +40,7 @@ from pyarrow.fs import S3FileSystem
 from common.location import Location, Url
 from common.object_store import find_object, forget_stores
 from dataset import IndexConfig, build_index
+from dataset.index.stored_index import index_here
 from dataset.loader.loader import load
 from model.config import TrainConfig
 from model.runs.training_progress import Epoch, Step
@@ -83,6 +84,12 @@ class _Late(localbucket.S3Handler):  # type: ignore[misc]
             _Late.requests += 1
         time.sleep(self.delay_s)
         super().do_HEAD()
+
+    def do_PUT(self) -> None:  # noqa: N802
+        with _Late.lock:
+            _Late.requests += 1
+        time.sleep(self.delay_s)
+        super().do_PUT()
 
     def _send_file(self, status: Any, file: Any, start: int, length: int, headers: Any, include_body: Any) -> None:
         with _Late.lock:
@@ -196,6 +203,17 @@ def print_logs(sessions: Path, server: Server) -> None:
             before = server.counts()
             logs = [Url("s3", BUCKET, log.name) for log in sorted(sessions.glob("*.mcap"))]
             build_index(logs, Path(folder) / "index", IndexConfig(labels="as-recorded"))
+            _print_moved(what, total, server, before)
+        for cache, what in (
+            ("one", "`--index` there, too"),
+            ("one", "again"),
+            ("two", "again, of another machine"),
+        ):
+            before = server.counts()
+            os.environ["BC_CACHE"] = f"{folder}/{cache}"
+            with index_here(Url("s3", BUCKET, "index"), logs) as (here, put):
+                build_index(logs, here, IndexConfig(labels="as-recorded"))
+                put()
             _print_moved(what, total, server, before)
 
 

@@ -1,6 +1,7 @@
 """What indexing costs in its parts: reading logs, here or on a Ray cluster; then what the driver does alone.
 
-python benchmarks/indexing_cluster.py [--logs 1000] [--frames 10000000] [--ray local] [--folder FOLDER]
+python benchmarks/indexing_cluster.py [--logs 1000] [--frames 10000000] [--ray local] [--divide]
+    [--folder FOLDER]
 
 The logs have tiny pictures (1.6 GB for ten million frames); a folder that is named is kept, so that the same logs
 can be indexed again.
@@ -26,6 +27,7 @@ from common.car import CAMERAS
 from common.tasks import Tasks, tasks_of
 from dataset import IndexConfig
 from dataset.index import build
+from dataset.samples.samples_format import DIVIDED_FROM_FRAMES
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 
@@ -80,29 +82,33 @@ class Costs:
                 return result, time.process_time() - cpu_s
 
             wall_s, cpu_s = time.perf_counter(), time.process_time()
+            part = f"tasks: {function.__name__.strip('_')}"
             for number, (result, spent_s) in tasks(call, calls):
-                self.cpu_s["reading logs"] += spent_s
+                self.cpu_s[part] += spent_s
                 yield number, result
             if calls:
-                self.wall_s["reading logs"] += time.perf_counter() - wall_s
-                self.cpu_s["the driver meanwhile"] += time.process_time() - cpu_s
+                self.wall_s[part] += time.perf_counter() - wall_s
+                self.cpu_s[f"the driver during {part}"] += time.process_time() - cpu_s
 
         return counting
 
 
-def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None) -> None:
+def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None, divide_from_frames: int) -> None:
     costs = Costs()
     for part, name in (
         ("the same pictures twice", "refuse_shared_pictures"),
         ("how each session was steered", "labels_of_sessions"),
         ("balance and samples", "write_samples"),
+        ("balance, and samples by tasks", "write_divided_samples"),
     ):
         setattr(build, name, costs.timed(part, getattr(build, name)))
     with tempfile.TemporaryDirectory(dir=folder) as name, tasks_of(ray) as tasks:
         if ray is not None:  # processes that have imported nothing yet are not the cluster's speed
             list(tasks(_warm, [(number,) for number in range(4 * (os.cpu_count() or 1))]))
         wall_s, cpu_s = time.perf_counter(), time.process_time()
-        indexed = build.build_index(logs, Path(name), IndexConfig(), tasks=costs.of_tasks(tasks))
+        indexed = build.build_index(
+            logs, Path(name), IndexConfig(), tasks=costs.of_tasks(tasks), divide_from_frames=divide_from_frames
+        )
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
         frames = sum(count.frames for count in indexed.counts.values())
         size_mb = sum(file.stat().st_size for file in Path(name).rglob("*.parquet")) / 1e6
@@ -130,6 +136,9 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=10_000_000)
     parser.add_argument("--ray", nargs="?", const="")
+    parser.add_argument(
+        "--divide", action="store_true", help="samples in a file a session, as of 100 million frames"
+    )
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -138,7 +147,7 @@ def main() -> None:
         with ProcessPoolExecutor() as pool:
             logs = list(pool.map(write, range(chosen.logs), chunksize=10))
         ray = None if chosen.ray is None else (chosen.ray,) if chosen.ray else ()
-        index(logs, folder, ray)
+        index(logs, folder, ray, 1 if chosen.divide else DIVIDED_FROM_FRAMES)
 
 
 if __name__ == "__main__":

@@ -93,6 +93,12 @@ def location(text: str | Location) -> Location:
     return Url(scheme, bucket, "/".join(filter(None, key.split("/"))))
 
 
+def is_in_store(text: str) -> bool:
+    """True if what a person gives is the URL of an object, or folder, in a store."""
+    found = _URL.fullmatch(text)
+    return found is not None and found[1].lower() in SCHEMES
+
+
 def absolute(place: Location) -> Location:
     """The same, from whatever folder it is looked at."""
     return place if isinstance(place, Url) else place.resolve()

@@ -319,7 +319,7 @@ def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
     """Write a file, whole or not at all, over the object that was `seen` last; None: where there is none.
 
     Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
-    5 GB, and where it was written and the answer to that was lost.
+    5 GB.
     """
     if (size := file.stat().st_size) > MOST_IN_ONE_REQUEST:
         raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
@@ -335,8 +335,18 @@ def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
                     mode["version"] = seen.version
             made = obstore.put(_store(url, True), url.key, file, mode=mode, use_multipart=False)
         except (failures.PreconditionError, failures.AlreadyExistsError):
+            if (ours := _seen_if_same(url, file)) is not None:  # by this very call, and the answer was lost
+                return ours
             raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
     return Seen(made["e_tag"] or "", made["version"])
+
+
+def _seen_if_same(url: Url, file: Path) -> Seen | None:
+    """Which object this is, if it has the bytes of the file. Raises StoreError."""
+    with ObjectFile(url) as there, file.open("rb") as here:
+        parts = there.read_many((at, min(_LARGEST, there.size - at)) for at in range(0, there.size, _LARGEST))
+        is_same = all(data == here.read(len(data)) for data in parts) and not here.read(1)
+        return there.seen if is_same else None
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
@@ -510,7 +520,8 @@ def _as_told(url: Url, error: Exception, text: str) -> StoreError:
         return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
     if "RequestTimeTooSkewed" in text:
         return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
-    if isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError) or "AccessDenied" in text:
+    is_refused = isinstance(error, failures.PermissionDeniedError | failures.UnauthenticatedError)
+    if is_refused or "403 Forbidden" in text:  # a listing that is refused is a GenericError
         rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
         return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, failures.NotSupportedError) or "NotImplemented" in text:

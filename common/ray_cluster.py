@@ -35,6 +35,9 @@ UNREACHABLE_S: Final = 8.0
 MAX_RETRIES: Final = 5
 """A call whose worker died for the sixth time is given up: it may be the call that kills it."""
 
+_MOST_TASKS: Final = 4_000
+"""Each costs the driver a millisecond or two: of more calls, several are one task."""
+
 _IN_FLIGHT: Final = 1_000
 _READY_AT_ONCE: Final = 64
 _LOOK_EVERY_S: Final = 0.5
@@ -172,34 +175,38 @@ def _results(
     of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
     call = ray.remote(_call).options(**of_tasks)
     versions, folder = package_versions(), Path.cwd()
-    numbers: dict[Any, int] = {}
-    to_do = iter(enumerate(calls))
+    # a call that is told apart where its process died has a task to itself
+    size = -(-len(calls) // _MOST_TASKS) if lost is None else 1
+    firsts: dict[Any, int] = {}  # of each task that goes on, the number of its first call
+    to_do = iter(range(0, len(calls), max(1, size)))
     try:
         while True:
-            while len(numbers) < _IN_FLIGHT and (next_one := next(to_do, None)) is not None:
-                number, arguments = next_one
-                numbers[call.remote(function, arguments, versions, folder)] = number
-            if not numbers:
+            while len(firsts) < _IN_FLIGHT and (first := next(to_do, None)) is not None:
+                firsts[call.remote(function, calls[first : first + size], versions, folder)] = first
+            if not firsts:
                 return
-            pending = list(numbers)
+            pending = list(firsts)
             ready, _ = ray.wait(pending, num_returns=min(len(pending), _READY_AT_ONCE), timeout=_LOOK_EVERY_S)
             for reference in ready:
-                number = numbers.pop(reference)
+                first = firsts.pop(reference)
                 try:
-                    result = _get(ray, reference)
+                    results = _get(ray, reference)
                 except _LostError as error:
                     if lost is None:
                         raise
-                    result = lost(number, str(error))
-                yield number, result
+                    results = [lost(first, str(error))]
+                for number, result in enumerate(results, first):
+                    if isinstance(result, _Failed):
+                        raise result.error
+                    yield number, result
     finally:
-        if numbers:  # Ctrl-C, or an error: the cluster ends what a driver has left there. Ray 2.60 may abort the
+        if firsts:  # Ctrl-C, or an error: the cluster ends what a driver has left there. Ray 2.60 may abort the
             ray.shutdown()  # process where a task is cancelled that has just failed
 
 
-def _get(ray: Any, reference: Any) -> Any:
+def _get(ray: Any, reference: Any) -> list[Any]:
     try:
-        result = ray.get(reference)
+        results: list[Any] = ray.get(reference)
     except ray.exceptions.RayTaskError as error:
         if "No module named" in str(error) or "failed to import" in str(error):
             raise ClusterError(_without_toolkit(str(error))) from None
@@ -207,9 +214,7 @@ def _get(ray: Any, reference: Any) -> Any:
     except ray.exceptions.RayError as error:
         why = printable(" ".join(str(error).split())[:300])
         raise _LostError(f"the cluster has given a task up after {MAX_RETRIES + 1} trials: {why}") from None
-    if isinstance(result, _Failed):
-        raise result.error
-    return result
+    return results
 
 
 def _without_toolkit(error: str) -> str:
@@ -241,11 +246,18 @@ def refuse_other_node(versions: Mapping[str, str], folder: Path) -> None:
 
 
 def _call(
-    function: Callable[..., Result], arguments: tuple[Any, ...], versions: Mapping[str, str], folder: Path
-) -> Result | _Failed:
-    """Runs on a node. What its caller's files are to blame for is returned: Ray would wrap what is raised."""
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    versions: Mapping[str, str],
+    folder: Path,
+) -> list[Result | _Failed]:
+    """Runs on a node: the results of these calls, up to the first that fails. What its caller's files are to blame
+    for is returned: Ray would wrap what is raised."""
+    results: list[Result | _Failed] = []
     try:
         refuse_other_node(versions, folder)
-        return function(*arguments)
+        for arguments in calls:
+            results.append(function(*arguments))
     except (UserError, OSError) as error:
-        return _Failed(error)
+        results.append(_Failed(error))
+    return results

@@ -21,7 +21,7 @@ from common.closeable import Closeable
 from common.errors import NoSuchObjectError, ObjectChangedError, UserError
 from common.files import PART_SUFFIX, atomic_file
 from common.location import Url
-from common.locks import try_lock
+from common.locks import lock, try_lock
 from common.object_store import (
     ObjectFile,
     Seen,
@@ -55,20 +55,36 @@ class _Copy(msgspec.Struct, frozen=True):
         return Seen(self.e_tag, self.version)
 
 
-class StoredFolder(Closeable):
-    """Use it as a context manager, or call `close()`. Raises UserError while another process here works in it."""
+class _Record(msgspec.Struct, frozen=True):
+    """The content of `.store.json`."""
 
-    def __init__(self, url: Url, here: Path | None = None) -> None:
+    url: str = ""
+    files: dict[str, _Copy] = {}
+
+
+class StoredFolder(Closeable):
+    """Use it as a context manager, or call `close()`. Raises UserError while another process here works in it, or
+    with `waits`, waits for that."""
+
+    def __init__(self, url: Url, here: Path | None = None, *, waits: bool = False) -> None:
         """`here` is by default a folder of its own in the user's cache."""
         self.url = url
-        name = f"{url.name or url.bucket}-{hashlib.sha256(str(url).encode()).hexdigest()[:12]}"
-        self.here = here or users_cache() / "folders" / name
+        digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
+        self.here = here or users_cache() / "folders" / digest / (url.name or url.bucket)
         self.here.mkdir(parents=True, exist_ok=True)
         self._stream = (self.here / _LOCK).open("ab")
-        if not try_lock(self._stream):
+        if waits:
+            lock(self._stream)
+        elif not try_lock(self._stream):
             self._stream.close()
             raise UserError(f"{url}: another process of this machine works on it; wait until that is done")
-        self._copies = self._read((self.here / _RECORD).read_bytes() if (self.here / _RECORD).is_file() else b"")
+        record = _record_in(self.here)
+        self._copies = record.files if record.url == str(url) else {}
+
+    @staticmethod
+    def is_copy(here: Path, url: Url) -> bool:
+        """True for a folder that was brought from there, or sent there."""
+        return _record_in(here).url == str(url)
 
     def close(self) -> None:
         self._stream.close()
@@ -81,7 +97,7 @@ class StoredFolder(Closeable):
         """
         objects = {str(each.url).removeprefix(f"{self.url}/"): each for each in list_below(self.url)}
         record = objects.pop(_RECORD, None)
-        times = self._read((read_object(record.url, _MOST_BYTES) or b"") if record is not None else b"")
+        times = _record_of((read_object(record.url, _MOST_BYTES) or b"") if record is not None else b"").files
         to_fetch: list[tuple[str, StoredObject]] = []
         for name, there in objects.items():
             if any(not part or part.startswith(".") or "\\" in part or ":" in part for part in name.split("/")):
@@ -176,14 +192,21 @@ class StoredFolder(Closeable):
         status = path.stat()
         return _Copy(status.st_size, status.st_mtime_ns, source.seen.e_tag, source.seen.version)
 
-    def _read(self, stored: bytes) -> dict[str, _Copy]:
-        """What a record tells; nothing if it is damaged: then all is copied again."""
-        try:
-            return msgspec.json.decode(stored or b"{}", type=dict[str, _Copy])
-        except (msgspec.MsgspecError, ValueError, RecursionError):
-            return {}
-
     def _write_record(self) -> None:
-        stored = json.dumps(msgspec.to_builtins(self._copies), indent=1, sort_keys=True)
+        record = _Record(str(self.url), self._copies)
+        stored = json.dumps(msgspec.to_builtins(record), indent=1, sort_keys=True)
         with atomic_file(self.here / _RECORD, overwrite=True) as part:
             part.write_text(stored + "\n", encoding="utf-8")
+
+
+def _record_in(folder: Path) -> _Record:
+    path = folder / _RECORD
+    return _record_of(path.read_bytes() if path.is_file() else b"")
+
+
+def _record_of(stored: bytes) -> _Record:
+    """Of what is none, an empty one: then all is copied again."""
+    try:
+        return msgspec.json.decode(stored, type=_Record)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return _Record()

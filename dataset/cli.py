@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +31,7 @@ from dataset.index.quality_report import find_flagged_frames, print_quality_repo
 from dataset.index.sessions import find_logs, sessions_beside
 from dataset.index.stored_index import index_here
 from dataset.samples.filter import Condition
-from dataset.samples.samples_format import SAMPLES_NAME
+from dataset.samples.samples_format import sample_files
 
 
 @dataclass(frozen=True)
@@ -104,10 +105,13 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     print_table(sessions_table(indexed))
     print_table(labels_table(indexed.labels))
     print_table(balance_table(indexed.balance))
-    split = pq.read_table(folder / SAMPLES_NAME, columns=["split"], read_dictionary=["split"])["split"]
-    counts = ", ".join(f"{row['counts']:,} {row['values']}" for row in pc.value_counts(split).to_pylist())
+    splits = Counter[str]()
+    for file in sample_files(folder):
+        split = pq.read_table(file, columns=["split"], read_dictionary=["split"])["split"]
+        splits.update({row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()})
+    counts = ", ".join(f"{count:,} {split}" for split, count in splits.items())
     frames = sum(session.frames for session in indexed.counts.values())
-    print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
+    print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(splits.total(), 'sample')} ({counts})")
     if config.figures is not None:
         for path in write_figures(folder, config.figures, seed=config.config.seed, overwrite=config.force):
             print_result(str(path))

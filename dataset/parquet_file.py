@@ -15,10 +15,20 @@ METADATA_KEY: Final = b"bc.index"
 """Under it, each parquet file of an index says what it was made from."""
 
 
+METADATA_MOST_BYTES: Final = 1 << 30
+"""Of 100,000 sessions it has 130 MB; Parquet's readers stop at 100 unless they are told otherwise."""
+
+
+def read_schema(source: Path | pa.BufferReader) -> pa.Schema:
+    """The columns of a parquet file, with its metadata, however many sessions that tells of."""
+    with pq.ParquetFile(source, thrift_string_size_limit=METADATA_MOST_BYTES) as file:
+        return file.schema_arrow
+
+
 def read_metadata(path: Path) -> dict[str, Any] | None:
     """The metadata that one of our parquet files carries; None if it is missing, damaged or not ours."""
     try:
-        stored = pq.read_schema(path).metadata or {}
+        stored = read_schema(path).metadata or {}
         loaded = json.loads(stored[METADATA_KEY])
     except (OSError, ValueError, KeyError, pa.ArrowException, RecursionError):
         return None

@@ -18,6 +18,8 @@ from common.command import DONE, DONE_BUT_SKIPPED, check_port, flags_given, run_
 from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
+from common.location import Url
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
@@ -44,8 +46,9 @@ class Drive:
     """The run that drives, by name or folder; the newest one by default."""
     network: str | None = None
     """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
-    log: Path | None = None
-    """Where the drive is logged; by default drives/DATE.mcap."""
+    log: LocationFlag | None = None
+    """Where the drive is logged; by default drives/DATE.mcap. With a URL (s3://BUCKET/drives/NAME.mcap) it is
+    logged as drives/NAME.mcap, and copied when it is finished."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
     """Start the built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED), and end when it has
     driven."""
@@ -108,6 +111,17 @@ def drive(config: Drive) -> int:
     if config.log is not None and config.log.suffix != ".mcap":
         raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
+    if not isinstance(path, Url):
+        return _drive_to(path, config, settings)
+    from recorder.log_copy_cli import copy_recording, refuse_taken_name
+
+    refuse_taken_name(path, config.force)
+    here = Path("drives") / path.name
+    code = _drive_to(here, config, settings)
+    return max(code, copy_recording(here, path.parent, config.force, prog="bc-drive"))
+
+
+def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
     if config.environment.gym is not None:
         return _drive_environment(config, settings, path)

@@ -18,7 +18,7 @@ import tyro
 from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted, printable
-from common.location import Location, absolute, local_path
+from common.location import Location, absolute, is_in_store, local_path, location
 from common.location_flag import LocationFlag
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
@@ -48,7 +48,8 @@ class Train:
     name: str = ""
     """Name of the run; by default the date and time."""
     resume: str | None = None
-    """Go on with this run where it was stopped or killed; more --epochs make it longer."""
+    """Go on with this run where it was stopped or killed; more --epochs make it longer. One in a store (s3://...)
+    is brought here, and copied there as it goes on."""
     init: str | None = None
     """Start from the weights of this run, instead of random ones."""
     like: str | None = None
@@ -71,6 +72,8 @@ class Train:
     """Where logs are kept, for an index that has to be built."""
     runs: Path = Path("runs")
     """Where runs are kept."""
+    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
+    """Copy the run to this folder in a store (s3://BUCKET/runs) while it is trained, and when that ends."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 
@@ -85,6 +88,7 @@ def train(config: Train) -> int:
     from model.runs.network_of_run import choice_of
     from model.runs.run_arguments import run_argument
     from model.runs.run_folder import WEIGHTS, find_any_run, find_run, load_config, picture_of_run
+    from model.runs.stored_run import RunCopy, place_of_copies
     from model.runs.training_outcome import verdict
     from model.training.distributed import FirstRankError, local_rank_of_process, rank_of_process
     from model.training.other_network import refuse_other_network
@@ -95,9 +99,14 @@ def train(config: Train) -> int:
     settings = config.config
     # all that can fail at once, before the minutes that an index may take
     run = _run_of(config)
+    copies = config.copy_to
+    if copies is None and config.resume is not None and is_in_store(config.resume):
+        copies = location(config.resume.rstrip("/").rpartition("/")[0])
+    copied_to = None if copies is None else place_of_copies(copies, run, is_new=config.resume is None)
     init = find_run(config.init, config.runs) if config.init is not None else None
-    repeated = config.resume if config.resume is not None else config.like
-    like = find_any_run(repeated, config.runs) if repeated is not None else None
+    like = run if config.resume is not None else None
+    if config.like is not None:
+        like = find_any_run(config.like, config.runs)
     begun = load_config(like).get("machine") if like is not None else None
     here = settings if config.ray is None else replace(settings, device="cpu")  # workers choose for themselves
     machine = choose_machine(here, local_rank_of_process(), begun)
@@ -112,6 +121,9 @@ def train(config: Train) -> int:
         network, picture = choice_of(load_config(run), run), picture_of_run(run)
     parameters = network.try_out(picture, machine.device)
     listeners = _listeners(config, run) if is_first else []
+    copy = RunCopy(run, copied_to) if copied_to is not None and is_first else None
+    if copy is not None:
+        listeners.append(copy)
     index, code = _index_of(config, is_first=is_first)
     if is_first:
         where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
@@ -140,6 +152,9 @@ def train(config: Train) -> int:
         raise
     except FirstRankError:
         return FAILED  # the first one prints why
+    finally:
+        if copy is not None and (problem := copy.finish()):
+            code = warn(f"{problem}; `{_resume(run, index)} --copy-to {copies}` copies the rest")
     code = max([code, *map(warn_skipped, trained.skipped)])
     if not is_first:
         return code
@@ -262,10 +277,15 @@ def _run_of(config: Train) -> Path:
     from model.runs.run_folder import find_any_run, refuse_existing_run
 
     if config.resume is not None:
-        return find_any_run(config.resume, config.runs)
+        return find_any_run(_here(config.resume), config.runs)
     run = config.runs / (config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S"))
     refuse_existing_run(run)
     return run
+
+
+def _here(resumed: str) -> str:
+    """The name of a run that --resume has brought here."""
+    return resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
 
 
 def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
@@ -279,7 +299,7 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
         from model.runs.reproduce import index_of_run
         from model.runs.run_folder import find_any_run
 
-        name = config.like if config.like is not None else config.resume
+        name = config.like if config.like is not None else _here(config.resume or "")
         assert name is not None  # noqa: S101
         codes = [DONE]
 
@@ -337,6 +357,11 @@ def _defaults() -> Train:
             from model.runs.run_folder import CONFIG, find_any_run, load_config
             from model.runs.run_inputs import index_of, init_of, sessions_of
 
+            if flags.resume is not None and is_in_store(name):
+                from model.runs.stored_run import bring_run
+
+                bring_run(name, flags.runs)
+                name = _here(name)
             run = find_any_run(name, flags.runs)
             stored = load_config(run)
             if is_own_network(stored) and flags.network is None:

@@ -67,7 +67,8 @@ class Check:
     logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to look through."""
     look: bool = True
-    """Decode every picture; --no-look leaves that out and is several times faster."""
+    """Decode every picture, and compare them with the steering; --no-look leaves that out and is several times
+    faster."""
     json: bool = False
     """One JSON object a log, with every finding."""
 

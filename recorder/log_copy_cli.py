@@ -76,10 +76,18 @@ def refuse_copying(to: Location) -> None:
     logs_in(to)
 
 
-def copy_recording(log: Path, to: Location, overwrite: bool) -> int:
+def refuse_taken_name(log: Url, overwrite: bool) -> None:
+    """Raise UserError, before anything is driven, for a log that is there already; StoreError."""
+    from common.object_store import find_object  # an extra
+
+    if find_object(log) is not None and not overwrite:
+        raise UserError(f"{log} exists already: choose another name, or give --force to replace it")
+
+
+def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-record") -> int:
     """Copy what was just recorded, and say what else beside it is not there. Exit code 3 if it is not copied: it
     is recorded all the same."""
-    code = DONE if copy_logs([log], to, overwrite=overwrite, prog="bc-record") == DONE else DONE_BUT_SKIPPED
+    code = DONE if copy_logs([log], to, overwrite=overwrite, prog=prog) == DONE else DONE_BUT_SKIPPED
     try:
         there = {other.name for other in logs_in(to)}
     except StoreError:  # said already

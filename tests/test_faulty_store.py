@@ -13,6 +13,7 @@ import pytest
 
 from bucket import Bucket, serving_bucket
 from common.location import Url
+from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index
 from faulty_proxy import FAULTS
 from logs import write_log
@@ -96,10 +97,26 @@ def read(store: Store) -> None:
     assert check(store.url).findings == []
 
 
-REQUESTS: dict[Callable[[Store], None], int] = {upload: 11, download: 5, index: 6, read: 8}
+def keep(store: Store) -> None:
+    """A folder that is kept there is written, changed, and brought to another machine."""
+    with StoredFolder(store.bucket.url("run"), store.made / "one") as folder:
+        for content in ("first", "second"):
+            (folder.here / "config.json").write_text(content)
+            assert folder.send()
+    with StoredFolder(store.bucket.url("run"), store.made / "two") as folder:
+        folder.bring()
+        assert (folder.here / "config.json").read_text() == "second"
+
+
+REQUESTS: dict[Callable[[Store], None], int] = {upload: 11, download: 5, index: 6, read: 8, keep: 8}
 """What is done with a store, and how many requests that is."""
 
-FAULTS_OF = {upload: ("lost", "cut"), download: ("cut", "truncated"), index: ("cut", "truncated")}
+FAULTS_OF = {
+    upload: ("hung up", "lost", "cut"),
+    download: ("cut", "truncated"),
+    index: ("cut", "truncated"),
+    keep: ("lost", "truncated"),
+}
 
 
 @pytest.mark.parametrize("work", REQUESTS)

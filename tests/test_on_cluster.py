@@ -4,15 +4,18 @@ One file for all commands, because one cluster takes seconds to start."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import socket
 import subprocess
 import sysconfig
+import threading
 import time
 import venv
 from collections.abc import Callable, Iterator, Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +29,8 @@ from safetensors.numpy import load_file
 from bucket import serving_bucket
 from clusters import ray_cluster
 from common.car import Camera
-from common.ray_cluster import cluster_tasks
+from common.errors import UserError
+from common.ray_cluster import ClusterError, cluster_tasks, package_versions, refuse_other_node
 from dataset import build_index
 from driving import Process, command, one_line_of, run, run_code, untrained_run
 from logs import not_a_picture, write_log
@@ -39,6 +43,13 @@ from waiting import wait_until
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     with ray_cluster(nodes=2) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def small_cluster() -> Iterator[Any]:
+    """Two tasks at a time, on one node."""
+    with ray_cluster(nodes=0, head_processors=2) as started:
         yield started
 
 
@@ -59,6 +70,19 @@ def tiny_picture(camera: Camera, row: int) -> bytes:
     return b"no picture" if row == 7 else cv2.imencode(".jpg", pixels)[1].tobytes()
 
 
+@contextlib.contextmanager
+def serving_pages() -> Iterator[str]:
+    """The address of a web server."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            yield f"127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
 def messages(stderr: str) -> list[str]:
     """Without how far it is, which is told where something takes long."""
     return [line for line in stderr.splitlines() if " %" not in line]
@@ -71,12 +95,12 @@ def index_files(index: Path) -> dict[str, bytes]:
 
 
 def test_the_index_has_the_same_bytes_and_a_damaged_log_is_left_out_as_on_one_machine(
-    tmp_path: Path, cluster: Any
+    tmp_path: Path, small_cluster: Any
 ) -> None:
     drives(tmp_path / "sessions", picture=tiny_picture)
     (tmp_path / "sessions" / "damaged.mcap").write_bytes(b"this is no log")
     here = run("bc-index", "--look", "--index", "here", cwd=tmp_path)
-    there = run("bc-index", "--look", "--index", "there", "--ray", cluster.address, cwd=tmp_path)
+    there = run("bc-index", "--look", "--index", "there", "--ray", small_cluster.address, cwd=tmp_path)
     assert (here.returncode, there.returncode) == (3, 3), there.stderr
     assert messages(there.stderr) == messages(here.stderr)
     assert "sessions/damaged.mcap: not an MCAP log" in there.stderr
@@ -94,7 +118,7 @@ def test_the_index_has_the_same_bytes_and_a_damaged_log_is_left_out_as_on_one_ma
 @pytest.mark.long
 def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path, cluster: Any) -> None:
     logs = drives(tmp_path / "sessions")
-    build_index(logs, tmp_path / "here")
+    build_index(logs, tmp_path / "here", divide_from_frames=1)
     began, gone = tmp_path / "began", tmp_path / "gone"
     dying = cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
 
@@ -122,13 +146,13 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Pat
                     cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
                 yield number, result
 
-        build_index(logs, tmp_path / "there", tasks=tasks)
+        build_index(logs, tmp_path / "there", tasks=tasks, divide_from_frames=1)
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
 
 
-def test_a_cluster_of_another_version_is_told(tmp_path: Path, cluster: Any) -> None:
+def test_a_cluster_of_another_version_is_told(tmp_path: Path, small_cluster: Any) -> None:
     drives(tmp_path / "sessions", sessions=1)
-    arguments = ["bc-index", "--ray", cluster.address]
+    arguments = ["bc-index", "--ray", small_cluster.address]
     code = f"import sys, ray; ray.__version__ = '2.0.0'; sys.argv = {arguments}\n"
     done = run_code(f"{code}from behavioural_cloning_toolkit import bc_index; bc_index()", cwd=tmp_path)
     assert done.returncode == 1
@@ -137,6 +161,20 @@ def test_a_cluster_of_another_version_is_told(tmp_path: Path, cluster: Any) -> N
     assert f"the cluster has Ray {ray.__version__} and Python" in one_line_of(done)
     assert "this machine Ray 2.0.0" in one_line_of(done)
     assert not (tmp_path / "index").exists()
+
+
+@pytest.mark.long
+def test_so_many_calls_that_several_are_a_task_have_their_results_and_the_error_of_one(cluster: Any) -> None:
+    def half(number: int) -> int:
+        if number % 2:
+            raise UserError(f"{number}: an even number was expected")
+        return number // 2
+
+    with cluster_tasks(cluster.address) as tasks:
+        found = dict(tasks(half, [(2 * number,) for number in range(4_001)]))
+        with pytest.raises(UserError, match="17: an even number was expected"):
+            list(tasks(half, [(2 * number + (number == 8),) for number in range(4_001)]))
+    assert found == {number: number for number in range(4_001)}
 
 
 @pytest.mark.long
@@ -168,6 +206,25 @@ def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: st
         " how it is"
     )
     assert done.returncode == 1
+
+
+def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        gone = f"127.0.0.1:{closed.getsockname()[1]}"
+    with pytest.raises(ClusterError, match=f"--ray {gone}: no cluster can be reached there"), cluster_tasks(gone):
+        pass
+    is_told = pytest.raises(ClusterError, match="something else than Ray listens there")
+    with serving_pages() as page, is_told, cluster_tasks(page):
+        pass
+
+
+def test_a_node_that_would_write_other_bytes_or_has_another_disk_is_told(tmp_path: Path) -> None:
+    versions = package_versions()
+    with pytest.raises(ClusterError, match=r"has numpy .*, this machine numpy 1\.0: they must be the same"):
+        refuse_other_node({**versions, "numpy": "1.0"}, Path.cwd())
+    with pytest.raises(ClusterError, match="must lie on a disk that all nodes share, by the same path"):
+        refuse_other_node(versions, tmp_path / "elsewhere")
+    refuse_other_node(versions, Path.cwd())
 
 
 def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:

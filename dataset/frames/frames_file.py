@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,6 +54,8 @@ SPLITS: Final = ("train", "validation", "gap")
 class FramesError(DatasetError):
     """A frames file that is missing or damaged."""
 
+
+_ALWAYS_NS: Final = (-(2**63), 2**63 - 1)
 
 REPEATING: Final = ("session", "camera", "driver", "split")
 """Columns of few values, which are read as dictionaries: a fraction of the memory."""
@@ -119,9 +122,37 @@ def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
             path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True
         )
     except (OSError, pa.ArrowException) as error:
-        raise FramesError(
-            f"{path}: damaged ({' '.join(str(error).split())}); remove it and give `bc-index`"
-        ) from None
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> FramesError:
+    return FramesError(f"{path}: damaged ({' '.join(str(error).split())}); remove it and give `bc-index`")
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How many frames a session has, and when the first and the last of them were."""
+
+    frames: int
+    first_ns: int
+    last_ns: int
+
+
+def extent_of(path: Path) -> Extent:
+    """Of a frames file, as its end tells, without reading a frame. Raises FramesError if it is missing or
+    damaged."""
+    try:
+        about = pq.read_metadata(path)
+    except (OSError, pa.ArrowException) as error:
+        raise _damaged(path, error) from None
+    paths = [about.schema.column(number).path for number in range(about.num_columns)]
+    told: list[Any] = []
+    if "log_time_ns" in paths:
+        at = paths.index("log_time_ns")
+        told = [about.row_group(group).column(at).statistics for group in range(about.num_row_groups)]
+    if not told or any(each is None or not each.has_min_max for each in told):  # another program wrote it anew
+        return Extent(about.num_rows, *_ALWAYS_NS)
+    return Extent(about.num_rows, min(each.min for each in told), max(each.max for each in told))
 
 
 def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:

@@ -29,6 +29,7 @@ from dataset.frames.frames_file import (
     FRAMES_FORMAT,
     FRAMES_SCHEMA,
     FramesError,
+    extent_of,
     file_if_rewritten,
     frames_metadata,
     frames_settings,
@@ -55,8 +56,20 @@ from dataset.index.sessions import name_problem
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import refuse_file
 from dataset.parquet_file import read_metadata, write_table
+from dataset.samples.divided_writer import write_divided_samples
 from dataset.samples.filter import Condition
-from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
+from dataset.samples.samples_format import (
+    DIVIDED_FORMAT,
+    DIVIDED_FROM_FRAMES,
+    SAMPLES_FOLDER,
+    SAMPLES_FORMAT,
+    SAMPLES_NAME,
+    Balance,
+    Division,
+    SessionCounts,
+    SessionLabels,
+    sample_files,
+)
 from dataset.samples.samples_writer import write_samples
 from recorder import Log, LogError
 from recorder.errors import RecordingError
@@ -104,7 +117,7 @@ class Indexed:
 
     @cached_property
     def samples(self) -> pa.Table:
-        return pq.read_table(self.path / SAMPLES_NAME)
+        return pa.concat_tables(map(pq.read_table, sample_files(self.path)))
 
 
 def build_index(
@@ -115,6 +128,7 @@ def build_index(
     leave_out_unreadable: bool = False,
     passed_over: Sequence[str] = (),
     tasks: Tasks = one_by_one,
+    divide_from_frames: int = DIVIDED_FROM_FRAMES,
 ) -> Indexed:
     """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
 
@@ -123,7 +137,8 @@ def build_index(
     if a picture is in two of them, if `config` names a session that is not among them, or if a file cannot be
     written; and what `check_settings` does. `passed_over` are the sessions that somebody chose not to have in the
     index: `sessions_not_indexed` does not tell of them. `tasks` reads the logs: here, or on a cluster
-    (`common.ray_cluster`), which comes to the same bytes.
+    (`common.ray_cluster`), which comes to the same bytes. With `divide_from_frames` or more, the samples are a
+    file a session (`dataset.samples.divided_writer`).
     """
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted((session_name(log), log) for log in map(location, logs)))
@@ -133,7 +148,17 @@ def build_index(
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
-                return _build(by_name, index, config, state, leave_out_unreadable, passed_over, damaged, tasks)
+                return _build(
+                    by_name,
+                    index,
+                    config,
+                    state,
+                    leave_out_unreadable,
+                    passed_over,
+                    damaged,
+                    tasks,
+                    divide_from_frames,
+                )
             except _StaleStateError:
                 state = BuildState.nothing()
             except UnreadablePictureError as error:  # nobody else looks at pictures here
@@ -216,6 +241,7 @@ def _build(
     passed_over: Sequence[str],
     damaged: Mapping[str, str],
     tasks: Tasks,
+    divide_from_frames: int,
 ) -> Indexed:
     """`damaged`: what was found of logs that look sound while their pictures are not read."""
     entries: dict[str, BuiltLog] = {}
@@ -251,17 +277,22 @@ def _build(
             _mixed(by_name[name], entry) for name, entry in held.items() if name in read and entry.is_mixed
         ]
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
-        made = _up_to_date(index, held, places, config, state)
+        made = _up_to_date(index, held, places, config, state, divide_from_frames)
         samples = (index if made else stage) / SAMPLES_NAME
         if made is None:
             frames = {
                 name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
             }
             try:
-                refuse_shared_pictures(frames, by_name, tasks)
+                extents = {name: extent_of(file) for name, file in frames.items()}
+                refuse_shared_pictures(frames, by_name, extents, tasks)
                 labels = labels_of_sessions(frames, by_name, held, index, config, tasks)
                 with index_write_errors(index / SAMPLES_NAME):
-                    made = (*write_samples(frames, samples, config, places, labels, cars), labels)
+                    if sum(extent.frames for extent in extents.values()) < divide_from_frames:
+                        written = write_samples(frames, samples, config, places, labels, cars)
+                    else:
+                        written = write_divided_samples(frames, samples, config, places, labels, cars, tasks)
+                made = (*written, labels)
             except (LogError, FramesError):
                 if state.logs:
                     raise _StaleStateError from None
@@ -429,7 +460,12 @@ def _are_equal(new: Path, old: Path) -> bool:
 
 
 def _up_to_date(
-    index: Path, held: Mapping[str, BuiltLog], places: Mapping[str, object], config: IndexConfig, state: BuildState
+    index: Path,
+    held: Mapping[str, BuiltLog],
+    places: Mapping[str, object],
+    config: IndexConfig,
+    state: BuildState,
+    divide_from_frames: int,
 ) -> tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]] | None:
     """Balance, counts and labels from samples.parquet, if building it anew would give the same file."""
     before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}
@@ -437,12 +473,18 @@ def _up_to_date(
         return None
     samples = index / SAMPLES_NAME
     stored = read_metadata(samples) or {}
-    expected = {"format": SAMPLES_FORMAT, "logs": places, "settings": json.loads(json.dumps(asdict(config)))}
+    expected = {"logs": places, "settings": json.loads(json.dumps(asdict(config)))}
     if state.samples != stat_of(samples) or any(stored.get(key) != value for key, value in expected.items()):
         return None
     try:
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
+        is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames
+        parts = Division.of(stored)
+        if stored["format"] != (DIVIDED_FORMAT if is_divided else SAMPLES_FORMAT) or (parts is None) == is_divided:
+            return None
+        if parts is not None and {path.stem for path in (index / SAMPLES_FOLDER).iterdir()} != set(parts.sessions):
+            return None
         return Balance.from_dict(stored["balance"]), counts, labels
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
+    except (OSError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
         return None

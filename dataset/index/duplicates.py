@@ -24,7 +24,7 @@ from common.progress import track
 from common.tasks import Tasks, one_by_one
 from dataset.errors import DatasetError
 from dataset.frames.frame_flags import is_excluded
-from dataset.frames.frames_file import read_frames
+from dataset.frames.frames_file import Extent, read_frames
 from recorder import Log, LogError
 from recorder.log.chunk_cache import default_cache
 
@@ -32,17 +32,21 @@ _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 def refuse_shared_pictures(
-    frames: Mapping[str, Path], logs: Mapping[str, Location], tasks: Tasks = one_by_one
+    frames: Mapping[str, Path],
+    logs: Mapping[str, Location],
+    extents: Mapping[str, Extent],
+    tasks: Tasks = one_by_one,
 ) -> None:
     """Raise DatasetError if two sessions hold the same picture; frames tagged `exclude` do not count. Raises
     UnreadablePictureError for a damaged log.
 
-    `frames` and `logs`: the frames file and the log of each session.
+    `frames`, `logs` and `extents`: the frames file, the log and the times of each session. Pictures are compared
+    of sessions whose times overlap; others share none.
     """
-    if len(frames) < 2:
-        return
-    names = list(frames)
+    names = _overlapping(extents)
     calls = [(frames[name],) for name in names]
+    if not calls:
+        return
     found = dict(track(tasks(_keys, calls), "comparing sessions", len(calls)))
     keys, positions = ([found[number][i] for number in range(len(names))] for i in range(2))
     key = np.sort(np.concatenate(keys))
@@ -77,6 +81,20 @@ def refuse_shared_pictures(
                         " of them, or tag the rows `exclude` in one: `bc-log tag`"
                         f"{_why_alike(opened[other].driven, opened[number].driven)}"
                     )
+
+
+def _overlapping(extents: Mapping[str, Extent]) -> list[str]:
+    """The sessions during which there was another one, in their order."""
+    found: set[str] = set()
+    latest = ""
+    for name in sorted(extents, key=lambda name: extents[name].first_ns):
+        if not extents[name].frames:
+            continue
+        if latest and extents[name].first_ns <= extents[latest].last_ns:
+            found |= {name, latest}
+        if not latest or extents[name].last_ns > extents[latest].last_ns:
+            latest = name
+    return [name for name in extents if name in found]
 
 
 def _why_alike(one: Mapping[str, str], two: Mapping[str, str]) -> str:

@@ -20,7 +20,7 @@ from dataset.frames.frame_flags import is_excluded
 from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_metadata
-from dataset.samples.samples_format import SAMPLES_NAME
+from dataset.samples.samples_format import SAMPLES_NAME, sample_files
 
 
 def find_leaks(index: Path | str) -> list[str]:
@@ -38,19 +38,25 @@ def find_leaks(index: Path | str) -> list[str]:
     found: list[str] = []
     try:
         gap_s = float(metadata["settings"]["gap_s"])
-        columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
-        samples = pq.read_table(path, columns=columns, read_dictionary=["session"]).unify_dictionaries()
-        session = samples["session"].combine_chunks()
-        order = np.argsort(session.indices.to_numpy(), kind="stable")
-        names = session.dictionary.to_pylist()
-        ends = np.cumsum(np.bincount(session.indices.to_numpy(), minlength=len(names)))
-        for name, start, end in zip(names, [0, *ends[:-1].tolist()], ends.tolist(), strict=True):
-            frames = pq.read_table(
-                index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"]
-            )
-            found += [f"{name}: {what}" for what in _leaks_of(samples.take(order[start:end]), frames, gap_s)]
+        for file in sample_files(index):
+            found += _leaks_in(file, index, gap_s)
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
+    return found
+
+
+def _leaks_in(file: Path, index: Path, gap_s: float) -> list[str]:
+    """Of the sessions whose samples are in a file."""
+    columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
+    samples = pq.read_table(file, columns=columns, read_dictionary=["session"]).unify_dictionaries()
+    session = samples["session"].combine_chunks()
+    order = np.argsort(session.indices.to_numpy(), kind="stable")
+    names = session.dictionary.to_pylist()
+    ends = np.cumsum(np.bincount(session.indices.to_numpy(), minlength=len(names)))
+    found: list[str] = []
+    for name, start, end in zip(names, [0, *ends[:-1].tolist()], ends.tolist(), strict=True):
+        frames = pq.read_table(index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"])
+        found += [f"{name}: {what}" for what in _leaks_of(samples.take(order[start:end]), frames, gap_s)]
     return found
 
 

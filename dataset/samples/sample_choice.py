@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.config import IndexConfig
-from dataset.samples.balance import balance, unbalanced
+from dataset.samples.balance import Quota, balance, draw, unbalanced
 from dataset.samples.samples_format import Balance
 from dataset.steering_bins import bin_of
 
@@ -34,14 +34,8 @@ def choose_samples(
 
     A candidate is a frame, or its mirror image: number frame + flip * frames.
     """
-    frames = len(label)
-    straight = bin_of(label, config.bins).astype(np.int16)
-    bins = np.concatenate([straight, config.bins - 1 - straight]) if config.flip else straight
-    if config.flip:
-        is_training = np.concatenate([is_training, is_training])
-        middle = np.concatenate([label == 0, label == 0])
-        bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
     random = np.random.default_rng(config.seed)
+    bins, is_training = _candidates(label, is_training, config)
     training = np.flatnonzero(is_training)
     if config.balance:
         balanced = balance(bins[training], config.bins, config.max_uses, random, config.per_bin)
@@ -54,15 +48,60 @@ def choose_samples(
     candidate = np.concatenate([candidate, validation])
     is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
     per_bin, short = balanced.per_bin, balanced.short
-    del training, balanced, validation, bins, straight, is_training  # of ten million frames, half a gigabyte
-    # by frame, then original before mirror image, then copies; all of a sample is in its key
-    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy
-    del candidate
+    del training, balanced, validation, bins, is_training  # of ten million frames, half a gigabyte
+    return _in_order(candidate, is_copy, len(label), config, random), Balance(before, after, per_bin, short)
+
+
+def count_candidates(
+    label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
+) -> NDArray[np.int64]:
+    """How many candidates for training each bin has (bins,)."""
+    bins, is_training = _candidates(label, is_training, config)
+    return np.bincount(bins[is_training], minlength=config.bins)
+
+
+def choose_share(
+    label: NDArray[np.float64],
+    is_training: NDArray[np.bool_],
+    config: IndexConfig,
+    share: Quota,
+    random: np.random.Generator,
+) -> ChosenSamples:
+    """As `choose_samples`, of one session, which has this share of what is balanced."""
+    bins, is_training = _candidates(label, is_training, config)
+    training, validation = np.flatnonzero(is_training), np.flatnonzero(~is_training)
+    chosen, is_copy = draw(bins[training], share, random)
+    candidate = np.concatenate([training[chosen], validation])
+    is_copy = np.concatenate([is_copy, np.zeros(len(validation), np.bool_)])
+    return _in_order(candidate, is_copy, len(label), config, random)
+
+
+def _candidates(
+    label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
+) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
+    """The bin of each candidate, and whether it is for training."""
+    bins = bin_of(label, config.bins).astype(np.int16)
+    if not config.flip:
+        return bins, is_training
+    bins = np.concatenate([bins, config.bins - 1 - bins])
+    middle = np.concatenate([label == 0, label == 0])
+    bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
+    return bins, np.concatenate([is_training, is_training])
+
+
+def _in_order(
+    candidate: NDArray[np.int64],
+    is_copy: NDArray[np.bool_],
+    frames: int,
+    config: IndexConfig,
+    random: np.random.Generator,
+) -> ChosenSamples:
+    """By frame, then original before mirror image, then copies; and what these get."""
+    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy  # all of a sample
     key.sort()
     is_copy = (key & 1) > 0
     alteration, seed = _alterations(is_copy, config, random)
-    chosen = ChosenSamples(key >> 2, (key & 2) > 0, is_copy, alteration, seed)
-    return chosen, Balance(before, after, per_bin, short)
+    return ChosenSamples(key >> 2, (key & 2) > 0, is_copy, alteration, seed)
 
 
 def _alterations(

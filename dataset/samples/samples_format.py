@@ -1,23 +1,33 @@
-"""`index/samples.parquet`: its name, version, columns and metadata, on which its writer and its readers agree."""
+"""`index/samples.parquet`: its name, version, columns, metadata and parts, on which writers and readers agree."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from common.location import Location
+from dataset.parquet_file import read_metadata
 from recorder.log.label_plan import LabelPlan
 from recorder.log.steering_habits import SteeringHabits, SteeringLag
 
 SAMPLES_NAME: Final = "samples.parquet"
 
 SAMPLES_FORMAT: Final = 5
-READABLE_FORMATS: Final = (4, 5)
-"""4 has no labels of other targets than steering."""
+DIVIDED_FORMAT: Final = 6
+READABLE_FORMATS: Final = (4, 5, 6)
+"""4 has no labels of other targets than steering; 6 has its samples in files beside it, one a session."""
+
+SAMPLES_FOLDER: Final = "samples"
+"""Where they are then; `samples.parquet` has no rows."""
+
+DIVIDED_FROM_FRAMES: Final = 100_000_000
+"""From so many frames on samples are divided: in one file, they would take the driver 12 GB and minutes."""
 
 SAMPLES_SCHEMA: Final = pa.schema(
     [
@@ -42,6 +52,33 @@ SAMPLES_SCHEMA: Final = pa.schema(
         pa.field("throttle", pa.float64()),  # less the brake: -1..1; null: nobody knows
     ]
 )
+
+
+@dataclass(frozen=True)
+class Division:
+    """How samples are divided into files."""
+
+    digest: str  # SHA-256 of what all of them were made from, which each of them has, too
+    sessions: tuple[str, ...]  # that have samples, in the order of these
+
+    def places(self, index: Location) -> list[Location]:
+        return [index / SAMPLES_FOLDER / f"{session}.parquet" for session in self.sessions]
+
+    @classmethod
+    def of(cls, metadata: Mapping[str, Any]) -> Division | None:
+        """None where all samples are in one file. Raises KeyError, TypeError or ValueError for what is none."""
+        if "parts" not in metadata:
+            return None
+        sessions = tuple(map(str, metadata["parts"]["sessions"]))
+        if any(PurePath(name).name != name for name in sessions):
+            raise ValueError("a session whose name leads elsewhere")
+        return cls(str(metadata["parts"]["digest"]), sessions)
+
+
+def sample_files(index: Path) -> list[Path]:
+    """The files that hold the samples of an index, in their order. Raises what `Division.of` does."""
+    parts = Division.of(read_metadata(index / SAMPLES_NAME) or {})
+    return [index / SAMPLES_NAME] if parts is None else [Path(str(place)) for place in parts.places(index)]
 
 
 @dataclass(frozen=True)

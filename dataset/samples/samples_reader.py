@@ -30,10 +30,10 @@ from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from dataset.missing_index import missing_index
-from dataset.parquet_file import METADATA_KEY
+from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
-from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Division
 from recorder import Log, LogError
 from recorder.log.chunk_cache import default_cache
 
@@ -90,7 +90,7 @@ class Samples(Closeable):
         self.path = index / SAMPLES_NAME
         self._file = self.path if isinstance(self.path, Path) else _fetched(self.path)
         try:
-            self.metadata: dict[str, Any] = json.loads(pq.read_schema(self._source()).metadata[METADATA_KEY])
+            self.metadata: dict[str, Any] = json.loads(read_schema(self._source()).metadata[METADATA_KEY])
             self.sources = {
                 str(session): IndexedLog(
                     str(source["log"]),
@@ -100,6 +100,7 @@ class Samples(Closeable):
                 for session, source in self.metadata["logs"].items()
             }
             version = self.metadata["format"]
+            self._parts = Division.of(self.metadata)
         except (FileNotFoundError, NotADirectoryError):
             raise missing_index(index) from None
         except _UNREADABLE as error:
@@ -118,7 +119,7 @@ class Samples(Closeable):
     @cached_property
     def _columns(self) -> list[str]:
         try:
-            return list(pq.read_schema(self._source()).names)
+            return list(read_schema(self._source()).names)
         except _UNREADABLE as error:
             raise self._damaged(error) from None
 
@@ -251,15 +252,29 @@ class Samples(Closeable):
             raise self._damaged(error) from None
 
     def _groups(self, columns: Sequence[str] | None) -> Iterator[pa.Table]:
-        """The file part by part, the first one empty. Raises what is `_UNREADABLE`.
+        """The samples part by part, the first one empty. Raises what is `_UNREADABLE`.
 
         Row group by row group: read_table(filters=...) was seen to wait forever on a damaged file.
         """
         words = _WORDS if columns else ()
-        with pq.ParquetFile(self._source(), read_dictionary=words, page_checksum_verification=True) as file:
+        with pq.ParquetFile(
+            self._source(),
+            read_dictionary=words,
+            page_checksum_verification=True,
+            thrift_string_size_limit=METADATA_MOST_BYTES,
+        ) as file:
             yield file.schema_arrow.empty_table().select(columns or file.schema_arrow.names)
             for group in range(file.num_row_groups):
                 yield file.read_row_group(group, columns)
+        if self._parts is None:
+            return
+        for place in self._parts.places(self.path.parent):
+            part = place if isinstance(place, Path) else pa.BufferReader(_fetched(place))
+            with pq.ParquetFile(part, read_dictionary=words, page_checksum_verification=True) as file:
+                if json.loads(file.schema_arrow.metadata[METADATA_KEY])["digest"] != self._parts.digest:
+                    raise ValueError(f"{place} is not of it")
+                for group in range(file.num_row_groups):
+                    yield file.read_row_group(group, columns)
 
     def _damaged(self, error: Exception) -> DatasetError:
         why = " ".join(str(error).split())

@@ -40,7 +40,7 @@ FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "leng
 
 
 @dataclass(frozen=True)
-class _Session:
+class UsableFrames:
     """The frames of a session that can be used; arrays of one length."""
 
     position: NDArray[np.int32]  # in its frames file
@@ -51,9 +51,9 @@ class _Session:
     later_speed_mph: NDArray[np.float64]
     throttle: NDArray[np.float64]  # less the brake
 
-    def taken(self, frame: NDArray[np.int64]) -> _Session:
+    def taken(self, frame: NDArray[np.int64]) -> UsableFrames:
         """Some of the frames, perhaps more than once."""
-        return _Session(*(column[frame] for column in vars(self).values()))
+        return UsableFrames(*(column[frame] for column in vars(self).values()))
 
 
 def write_samples(
@@ -71,37 +71,24 @@ def write_samples(
     DatasetError if no frame can be used.
     """
     condition = Condition(config.where) if config.where is not None else None
-    sessions: list[_Session] = []
+    sessions: list[UsableFrames] = []
     counts: dict[str, SessionCounts] = {}
-    fastest_mph = max((mph for of_session in labels.values() for mph in of_session.set_speeds_mph), default=0.0)
+    slower_mph = slower_set_speeds_mph(labels)
     random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
-        slower_mph = [mph for mph in labels[name].set_speeds_mph if mph < fastest_mph]
         plan, car = labels[name].plan, (cars or {}).get(name, UDACITY)
-        session, counts[name] = _usable(read_frames(file), config, plan, slower_mph, condition, car, random)
+        session, counts[name] = usable_frames(
+            read_frames(file), config, plan, slower_mph[name], condition, car, random
+        )
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
-        raise DatasetError(
-            f"no frame can be used: no whole picture of {', '.join(config.cameras)} with steering in -1..1"
-            f"{' that --where chooses' if config.where is not None else ''}"
-            f"{' of a stretch that was taken over' if config.drives == 'takeovers' else ''}"
-            f", none that is not tagged {EXCLUDE}"
-            f"{' and has a label with this --label-shift' if config.label_shift_s else ''}"
-            f"{' and is of no crash' if any(count.crashed for count in counts.values()) else ''}"
-        )
+        raise nothing_usable(config, counts)
     label = np.concatenate([session.label for session in sessions])
     is_training = np.concatenate([session.is_training for session in sessions])
     chosen, balanced = choose_samples(label, is_training, config)
     del label, is_training
-    metadata = {
-        "format": SAMPLES_FORMAT,
-        "settings": asdict(config),
-        "logs": {name: dict(source) for name, source in logs.items()},
-        "labels": {name: asdict(of_session) for name, of_session in labels.items()},
-        "balance": balanced.as_dict(),
-        "counts": {name: asdict(count) for name, count in counts.items()},
-    }
+    metadata = {"format": SAMPLES_FORMAT, **samples_metadata(config, logs, labels, balanced, counts)}
     stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
     ends = np.searchsorted(chosen.frame, np.cumsum(sizes))
     starts = np.concatenate([[0], ends[:-1]])
@@ -120,7 +107,7 @@ def write_samples(
                 part_of = chosen.between(start, end)
                 frame = part_of.frame - first_frame
                 taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
-                table = _table(taken, session.taken(frame), part_of, config)
+                table = samples_table(taken, session.taken(frame), part_of, config)
                 if written is not None:
                     written.result()
                 written = thread.submit(writer.write_table, table)
@@ -129,7 +116,45 @@ def write_samples(
     return balanced, counts
 
 
-def _usable(
+def slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list[float]]:
+    """Of each session the set speeds of its driver below the highest of all (`planned_speed_mph`)."""
+    fastest_mph = max((mph for of_session in labels.values() for mph in of_session.set_speeds_mph), default=0.0)
+    return {
+        name: [mph for mph in of_session.set_speeds_mph if mph < fastest_mph]
+        for name, of_session in labels.items()
+    }
+
+
+def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
+    """The error for sessions of which no frame can be used."""
+    return DatasetError(
+        f"no frame can be used: no whole picture of {', '.join(config.cameras)} with steering in -1..1"
+        f"{' that --where chooses' if config.where is not None else ''}"
+        f"{' of a stretch that was taken over' if config.drives == 'takeovers' else ''}"
+        f", none that is not tagged {EXCLUDE}"
+        f"{' and has a label with this --label-shift' if config.label_shift_s else ''}"
+        f"{' and is of no crash' if any(count.crashed for count in counts.values()) else ''}"
+    )
+
+
+def samples_metadata(
+    config: IndexConfig,
+    logs: Mapping[str, Mapping[str, Any]],
+    labels: Mapping[str, SessionLabels],
+    balance: Balance,
+    counts: Mapping[str, SessionCounts],
+) -> dict[str, Any]:
+    """What samples were made from, and how they were balanced."""
+    return {
+        "settings": asdict(config),
+        "logs": {name: dict(source) for name, source in logs.items()},
+        "labels": {name: asdict(of_session) for name, of_session in labels.items()},
+        "balance": balance.as_dict(),
+        "counts": {name: asdict(count) for name, count in counts.items()},
+    }
+
+
+def usable_frames(
     frames: pa.Table,
     config: IndexConfig,
     plan: LabelPlan,
@@ -137,14 +162,16 @@ def _usable(
     condition: Condition | None,
     car: Car,
     random: np.random.Generator,
-) -> tuple[_Session, SessionCounts]:
+) -> tuple[UsableFrames, SessionCounts]:
+    """The frames of a session that can be used, with their labels. `condition` is that of `config.where`; `random`
+    draws views."""
     choice = choose_frames(frames, config, plan, condition)
     at = np.flatnonzero(choice.is_chosen)
     camera = codes(frames["camera"], CAMERAS)
     label = _of_camera(choice.steering[at], camera[at], config)
     recorded = _of_camera(frames["steering"].to_numpy()[at], camera[at], config)
     view = np.full(len(at), -1)
-    session = _Session(
+    session = UsableFrames(
         at.astype(np.int32),
         label,
         recorded,
@@ -161,13 +188,13 @@ def _usable(
 
 
 def _with_views(
-    session: _Session,
+    session: UsableFrames,
     speed_mph: NDArray[np.float64],
     is_seen: NDArray[np.bool_],
     each: int,
     car: Car,
     random: np.random.Generator,
-) -> _Session:
+) -> UsableFrames:
     """A session's frames, and behind each that `is_seen` its views from beside the line."""
     times = np.where(is_seen, 1 + each, 1)
     frame = np.repeat(np.arange(len(times)), times)
@@ -187,9 +214,9 @@ def _of_camera(
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
 
-def _table(
+def samples_table(
     frames: pa.Table,
-    session: _Session,
+    session: UsableFrames,
     chosen: ChosenSamples,
     config: IndexConfig,
 ) -> pa.Table:

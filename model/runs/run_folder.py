@@ -24,6 +24,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from common.files import remove_empty
+from common.location import is_in_store
 from common.untrusted import read_bounded
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import TargetName, speed_ahead_s_in
@@ -116,10 +117,13 @@ def newest_run(runs: Path) -> Path:
 
 
 def find_run(name: str | None, runs: Path | str) -> Path:
-    """A run by name (in `runs`) or by path; the newest one without a name. NAME/last has a run's last weights."""
+    """A run by name (in `runs`), by path or by URL; the newest one without a name. NAME/last has a run's last
+    weights."""
     runs = Path(runs)
     if name is None:
         return newest_run(runs)
+    if is_in_store(name):
+        name = _brought(name)
     for folder in (runs / name, Path(name)):
         if (folder / WEIGHTS).is_file() or _is_last(folder):
             return folder
@@ -135,12 +139,20 @@ def has_nothing_saved(run: Path) -> bool:
 
 
 def find_any_run(name: str, runs: Path) -> Path:
-    """A run by name (in `runs`) or by path, also one that has not finished an epoch. Raises RunError if there is
-    none."""
+    """A run by name (in `runs`), by path or by URL, also one that has not finished an epoch. Raises RunError if
+    there is none."""
+    if is_in_store(name):
+        name = _brought(name)
     for folder in (runs / name, Path(name)):
         if (folder / CONFIG).is_file():
             return folder
     raise RunError(f"{runs / name}: no run there ({CONFIG} is missing); {_known(name, runs, CONFIG)}")
+
+
+def _brought(url: str) -> str:
+    from model.runs.stored_run import run_from_store  # obstore, an extra
+
+    return str(run_from_store(url).absolute())
 
 
 def _known(name: str, runs: Path, file: str) -> str:

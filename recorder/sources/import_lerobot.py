@@ -123,6 +123,7 @@ def _frames(
         )
     )
     clock, counts = _Clock(), dict[int, int]()
+    last_episode: int | None = None
     bar = f"importing {dataset.root.name}"
     for path, batch in track(_with_paths(dataset, columns), bar, math.ceil(dataset.frames / BATCH_ROWS)):
         try:
@@ -151,7 +152,9 @@ def _frames(
                 continue
             if abs(state.steering) > 1:
                 skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {state.steering:g}")
-            yield ImportedRow(time_ns, state, sound)
+            is_apart = not chosen.has_log_time and last_episode not in (None, episode)
+            yield ImportedRow(time_ns, state, sound, APART_NS / 1e9 if is_apart else 0.0)
+            last_episode = episode
     _skip_missing(dataset, counts, skipped)
 
 

@@ -23,7 +23,7 @@ from test_rooms import MAY_IMPORT
 from common.output import print_message, print_result, print_table, shell_command
 from drive.cli import main as bc_drive
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import command, environment
+from driving import command, environment, started_to
 from logs import write_log
 from model import train
 from model.cli import main as bc_train
@@ -105,7 +105,7 @@ def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
     shown, terminal = pty.openpty()
     colours = {**environment(), "TERM": "xterm"}
     colours.pop("NO_COLOR")
-    process = subprocess.Popen(line, cwd=cwd, env=colours, stdout=stdout or terminal, stderr=terminal)
+    process = started_to(stdout or terminal, terminal, line, cwd, colours)
     os.close(terminal)
     said = b""
     try:

@@ -375,7 +375,7 @@ def test_a_damaged_index_is_an_error_with_the_next_command(tmp_path: Path, conte
 
 
 def test_a_missing_index_is_an_error_with_the_next_command(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="`bc-index`"):
+    with pytest.raises(DatasetError, match="build it with `bc-index"):
         Samples(tmp_path)
 
 

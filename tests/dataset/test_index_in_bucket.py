@@ -94,7 +94,7 @@ def test_a_session_that_has_gone_goes_there_too(bucket: Bucket) -> None:
     assert [name for name in files(bucket) if name.startswith("frames/")] == ["frames/1.parquet"]
 
 
-@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize("is_first", [pytest.param(True, marks=pytest.mark.long), False])
 def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
     bucket: Bucket, is_first: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,7 +123,7 @@ def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
     assert sessions() == ["0", "1"]
 
 
-@pytest.mark.parametrize("fails_at", ["samples.parquet", "frames/1.parquet"])
+@pytest.mark.parametrize("fails_at", [pytest.param("samples.parquet", marks=pytest.mark.long), "frames/1.parquet"])
 def test_an_upload_that_fails_leaves_an_index_and_the_next_one_mends_it(
     bucket: Bucket, fails_at: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -20,7 +21,7 @@ from dataset.cli import main
 from dataset.config import IndexConfig as Config
 from dataset.frames.frames_table import frames_of, frames_table
 from dataset.index.leaks import find_leaks
-from driving import environment
+from driving import Process, environment
 from logs import write_log
 from recorder import Log, LogError, LogWriter, Pictures
 from recorder.bc_pb2 import VehicleState
@@ -116,16 +117,10 @@ def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> N
         "build_index([Path(sys.argv[1])], Path(sys.argv[2]))"
     )
     logs = [log_of(tmp_path / f"{name}.mcap") for name in "ab"]
-    running = [
-        subprocess.Popen(
-            [sys.executable, "-c", code, str(log), str(tmp_path / "index")],
-            env=environment(),
-            stderr=subprocess.PIPE,
-        )
-        for log in logs * 2
-    ]
-    errors = [process.communicate(timeout=PATIENCE_S)[1] for process in running]
-    assert [process.returncode for process in running] == [0] * 4, errors
+    lines = [[sys.executable, "-c", code, str(log), str(tmp_path / "index")] for log in logs * 2]
+    with contextlib.ExitStack() as processes:
+        running = [processes.enter_context(Process(line, loads_pytorch=True)) for line in lines]
+        assert [process.join() for process in running] == [0] * 4, [process.stderr for process in running]
     Samples(tmp_path / "index").close()
 
 

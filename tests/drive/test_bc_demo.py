@@ -36,6 +36,8 @@ def installed(tmp_path: Path) -> Path:
     folder = tmp_path / "a venv"
     venv.create(folder, symlinks=True)
     programs = folder / Path(sysconfig.get_path("scripts")).name
+    packages = next(folder.rglob("site-packages"))
+    (packages / "others.pth").write_text(sysconfig.get_path("purelib"))  # all that is installed here
     for name in COMMANDS:
         (programs / name).write_text("#!/bin/sh\necho called in $(pwd): $0 $@\n")
         (programs / name).chmod(0o755)
@@ -45,7 +47,6 @@ def installed(tmp_path: Path) -> Path:
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of Unix")
 def test_the_command_that_it_ends_with_can_be_typed(installed: Path, tmp_path: Path) -> None:
     found = environment()
-    found["PYTHONPATH"] = os.pathsep.join([found["PYTHONPATH"], sysconfig.get_path("purelib")])
     found["PATH"] = os.defpath
     code = "from behavioural_cloning_toolkit import bc_demo; bc_demo()"
     line = [str(installed), "-c", code, "--folder", "my demo"]
@@ -67,10 +68,13 @@ def test_the_command_that_it_ends_with_can_be_typed(installed: Path, tmp_path: P
     assert Path(play).exists()
 
 
-def test_where_its_commands_are_typed_is_said_when_it_is_stopped(tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="programs of Unix")
+def test_where_its_commands_are_typed_is_said_when_it_is_stopped(installed: Path, tmp_path: Path) -> None:
+    for name, does in {"bc-record": "mkdir -p sessions", "bc-index": "mkdir index; exec sleep 600"}.items():
+        installed.with_name(name).write_text(f"#!/bin/sh\n{does}\n")
     folder = tmp_path / "demo"
-    with Process(command("bc-demo", "--share", 0.05, "--folder", folder)) as process:
-        wait_until(lambda: any(folder.glob("sessions/*.mcap")))
+    with Process([str(installed), *command("bc-demo", "--folder", folder)[1:]]) as process:
+        wait_until((folder / "index").exists)
         assert process.end() == 130
         process.wait_for(rf"^bc-demo: what was made is in {folder}; type its commands there: `cd {folder}`$")
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from bucket import serving_bucket
 from drive.cli import main as bc_drive
 from driving import one_line_in, untrained_run
 from recorder.bc_pb2 import PilotCommand
@@ -68,6 +69,21 @@ def test_the_same_drive_twice_is_the_same() -> None:
         assert call(bc_drive, "first", *BAR, *SPEED, *short, "--log", f"{name}.mcap") == 0
     one, two = (commands(f"{name}.mcap") for name in ("one", "two"))
     assert [command.steering for command in one] == [command.steering for command in two]
+
+
+def test_a_drive_is_copied_to_a_store_when_it_is_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flags = ("first", *BAR, *SPEED, "--gym-args", '{"max_episode_steps": 5}', "--log", "s3://logs/drives/d.mcap")
+    with serving_bucket(tmp_path / "server", monkeypatch) as bucket:
+        assert call(bc_drive, *flags) == 0
+        copy = (bucket.folder / "drives/d.mcap").read_bytes()
+        assert copy == Path("drives/d.mcap").read_bytes()
+        Path("drives/d.mcap").unlink()
+        assert call(bc_drive, *flags) == 1  # before anything is driven
+        assert not Path("drives/d.mcap").exists()
+        assert "s3://logs/drives/d.mcap exists already" in capsys.readouterr().err
+        assert (bucket.folder / "drives/d.mcap").read_bytes() == copy
 
 
 def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:

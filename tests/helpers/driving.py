@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -64,14 +64,14 @@ def environment() -> dict[str, str]:
 
 
 SERVER: Final = ForkServer(environment())
-_FORKED = [command(name) for name in COMMANDS if name not in ("bc-play", "bc-sim")]
+_FORKED = [command(name) for name in COMMANDS]
 
 
 def started(
     line: Sequence[str], cwd: Path | None = None, *, loads_pytorch: bool = False
 ) -> Forked | subprocess.Popen[str]:
-    """A program with pipes for its output; one that loads much is forked, where that is like a start: most of our
-    commands, and `python -c` of what `loads_pytorch`."""
+    """A program with pipes for its output; our commands, and `python -c` of what `loads_pytorch`, are forked where
+    that is like a start."""
     if (loads_pytorch or any(line[:3] == known for known in _FORKED)) and SERVER.can_start(environment()):
         return SERVER.start(line[2], line[3:], cwd, environment())
     pipe = subprocess.PIPE
@@ -79,12 +79,17 @@ def started(
 
 
 def started_to(
-    stdout: int, stderr: int, line: Sequence[str], cwd: Path | None = None
+    stdout: int,
+    stderr: int,
+    line: Sequence[str],
+    cwd: Path | None = None,
+    variables: Mapping[str, str] | None = None,
 ) -> Forked | subprocess.Popen[bytes]:
-    """The same of one of our commands, with these open files for its output."""
-    if any(line[:3] == known for known in _FORKED) and SERVER.can_start(environment()):
-        return SERVER.start_to(stdout, stderr, line[2], line[3:], cwd, environment())
-    return subprocess.Popen(line, cwd=cwd, env=environment(), stdout=stdout, stderr=stderr)
+    """The same of one of our commands, with these open files for its output; its environment, if it is another."""
+    found = environment() if variables is None else variables
+    if any(line[:3] == known for known in _FORKED) and SERVER.can_start(found):
+        return SERVER.start_to(stdout, stderr, line[2], line[3:], cwd, found)
+    return subprocess.Popen(line, cwd=cwd, env=found, stdout=stdout, stderr=stderr)
 
 
 def run(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -26,7 +26,6 @@ class Passing(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
     proxy: FaultyProxy
-    body = b""
 
     def log_message(self, *arguments: object) -> None: ...
 
@@ -39,7 +38,7 @@ class Passing(BaseHTTPRequestHandler):
         super().finish()
 
     def _answered(self) -> None:
-        self.body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        self._to_come = int(self.headers.get("Content-Length") or 0)
         with self.proxy.lock:
             self.number = len(self.proxy.requests)
             self.proxy.requests.append((self.command, self.path, 0))
@@ -52,26 +51,26 @@ class Passing(BaseHTTPRequestHandler):
 
     def fail(self, status: int, code: str) -> bool:
         """Answer with an error of S3; the server is not asked."""
+        self._sent(self._to_come)
         body = f"<Error><Code>{code}</Code><Message>as the test says</Message></Error>".encode()
         return self._say(status, [], body)
 
     def hang_up(self) -> bool:
-        """Cut the connection; the server is not asked."""
-        self.close_connection = True
-        return True
+        """Cut the connection in the middle of what is sent; the server is not asked."""
+        self._sent(self._to_come // 2)
+        return self._close()
 
     def lose(self) -> bool:
         """The server does what it was asked, and the connection is cut before a word of its answer."""
         self._passed()
-        return self.hang_up()
+        return self._close()
 
     def cut(self) -> bool:
         """The server does what it was asked, and the connection is cut in the middle of its answer's bytes."""
         status, headers, data = self._passed()
-        if not data:
-            return self.hang_up()
-        self._say(status, headers, data[: len(data) // 2], said=len(data))
-        return self.hang_up()
+        if data:
+            self._say(status, headers, data[: len(data) // 2], said=len(data))
+        return self._close()
 
     def truncate(self) -> bool:
         """The first half of an answer, as if it were all: what comes ends early, and says so nowhere but in what
@@ -84,13 +83,22 @@ class Passing(BaseHTTPRequestHandler):
         self._passed()
         return self.fail(500, "InternalError")
 
+    def _sent(self, count: int) -> bytes:
+        """So many bytes more of what the client sends."""
+        self._to_come -= count
+        return self.rfile.read(count)
+
+    def _close(self) -> bool:
+        self.close_connection = True
+        return True
+
     def _passed(self) -> tuple[int, list[tuple[str, str]], bytes]:
         """What the server answers."""
-        self._server.putrequest(self.command, self.path, skip_host=True, skip_accept_encoding=True)
+        self._server.putrequest(self.command, self.path, skip_accept_encoding=True)
         for name, value in self.headers.items():
-            if name.lower() != "connection":
+            if name.lower() not in ("connection", "host"):
                 self._server.putheader(name, value)
-        self._server.endheaders(self.body)
+        self._server.endheaders(self._sent(self._to_come))
         answer = self._server.getresponse()
         data = answer.read()
         self._length = answer.getheader("Content-Length")  # also of what HEAD asks about
@@ -146,6 +154,11 @@ class FaultyProxy:
         """Begin to count anew, and let the request of this number fail, from 0; only this one."""
         self.requests.clear()
         self.answer = lambda passing: passing.number == number and fault(passing)
+
+    def fail_first(self, method: str, fault: Answer) -> None:
+        """Let the next request of this kind fail; only this one."""
+        first = iter([True])
+        self.answer = lambda passing: passing.command == method and next(first, False) and fault(passing)
 
     def fail_each_once(self) -> None:
         """Let each request fail the first time that it comes, by all faults in turn."""

@@ -1,6 +1,6 @@
 """Runs the Python code that forked.py sends it, each in a fork of this process, which has loaded what takes long.
 
-A program of its own: it begins no thread and runs nothing but imports, so that a fork of it is as good as a start.
+A program of its own: it begins no thread and runs little but imports, so that a fork of it is as good as a start.
 Its standard input is a connection on which each request comes, as JSON with four open files: the new process's
 standard streams, and a socket that is told its number and then its status as `os.waitpid` gives it.
 """
@@ -24,9 +24,12 @@ LOADED = (
     *("tyro._backends._tyro_backend", "typeguard"),
     *("model.cli", "model.pilot", "model.training.trainer", "dataset.cli", "drive.cli"),
     *("recorder.cli", "recorder.log_cli", "recorder.server.eventlet_host", "recorder.server.threaded_host"),
-    *("drive.evaluation.eval_cli", "drive.evaluation.closed_loop", "simulator.protocol.client"),
+    *("drive.evaluation.eval_cli", "drive.evaluation.closed_loop", "simulator.cli", "viz.cli"),
 )
-LOADED_IF_INSTALLED = ("pandas", "matplotlib.figure", "matplotlib.backends.backend_agg")  # by pyarrow; for figures
+LOADED_IF_INSTALLED = (
+    *("pandas", "matplotlib.figure", "matplotlib.backends.backend_agg"),  # by pyarrow; for figures
+    *("rerun", "viz.playback.rerun_recording", "viz.training_curves"),
+)
 
 
 def serve() -> dict[str, Any]:
@@ -111,6 +114,9 @@ def run_to_its_end(code: str) -> NoReturn:
 
 for name in LOADED:
     importlib.import_module(name)
+os.environ.setdefault(
+    "RUST_LOG", importlib.import_module("viz.viewer_process").SENDER_LOG
+)  # as bc-play, for Rerun
 for name in LOADED_IF_INSTALLED:
     with contextlib.suppress(ImportError):
         importlib.import_module(name)

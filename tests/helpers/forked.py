@@ -20,9 +20,12 @@ from typing import IO, Any, Final
 
 from repository import HELPERS
 
-# all but the first two are set for this process by what a test has called: a server, the viewer, gymnasium, polars
+# those of the first two lines are read when something is shown, the others set for this process by what a test has
+# called: a server, the viewer, gymnasium, polars
 _UNREAD: Final = (
-    *("PYTEST_CURRENT_TEST", "DISPLAY", "EVENTLET_NO_GREENDNS", "RUST_LOG"),
+    *("PYTEST_CURRENT_TEST", "DISPLAY"),
+    *("NO_COLOR", "TERM"),
+    *("EVENTLET_NO_GREENDNS", "RUST_LOG"),
     *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
 )
 _LIMITS: Final = ("RLIMIT_AS", "RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_NOFILE")

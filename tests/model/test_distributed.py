@@ -17,12 +17,13 @@ from safetensors.numpy import load_file
 from bucket import serving_bucket
 from common import UserError
 from dataset import IndexConfig, build_index
-from driving import environment
+from driving import Process, environment
 from model import train
 from model.cli import Train
 from model.cli import train as bc_train
 from model.config import TrainConfig
 from repository import ROOT
+from rrd import free_ports
 from toy import toy_index
 from waiting import PATIENCE_S
 
@@ -67,13 +68,25 @@ def epochs_of(run: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
 
 
-@pytest.mark.parametrize("batch", [pytest.param(10, marks=pytest.mark.long), 25])
+RANK = """
+import os, runpy, sys
+os.environ.update(zip(("MASTER_PORT", "RANK", "LOCAL_RANK"), (sys.argv.pop(1), *2 * [sys.argv.pop(1)])))
+os.environ.update(MASTER_ADDR="127.0.0.1", WORLD_SIZE="2", LOCAL_WORLD_SIZE="2", GLOO_SOCKET_IFNAME="lo")
+runpy.run_module("model.train", run_name="__main__", alter_sys=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the name of the loopback interface is Linux's")
+@pytest.mark.parametrize("batch", [10, 25])
 def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path, batch: int) -> None:
-    """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing."""
-    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
-    done = torchrun("--name", "two", *FLAGS, "--batch", batch, *places)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("epoch  1:") == 1  # one of them speaks, and writes
+    """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing. They are
+    told what torchrun tells those that it starts."""
+    flags = ["--name", "two", *FLAGS, "--batch", batch, "--index", index, "--runs", tmp_path]
+    (port,) = free_ports(1)
+    lines = [[sys.executable, "-c", RANK, str(port), str(rank), *map(str, flags)] for rank in (0, 1)]
+    with Process(lines[0], loads_pytorch=True) as first, Process(lines[1], loads_pytorch=True) as second:
+        assert (first.join(), second.join()) == (0, 0), first.stderr + second.stderr
+        assert (first.stdout + second.stdout).count("epoch  1:") == 1  # one of them speaks, and writes
     config = TrainConfig(network="small", epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
     train(index, tmp_path / "one", config, figures=False)
     (one,), (two,) = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "two")
@@ -97,7 +110,7 @@ def script(tmp_path: Path) -> Path:
     return script
 
 
-@pytest.mark.long  # that it starts: test_a_run_that_exists_is_said_and_ends_all
+@pytest.mark.long  # that it starts: below; what they learn: above
 def test_torchrun_starts_the_installed_command(index: Path, tmp_path: Path, script: Path) -> None:
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
     done = torchrun("--name", "two", *FLAGS, *places, begin=["--no-python", str(script)], cwd=tmp_path)

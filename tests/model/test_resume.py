@@ -172,7 +172,7 @@ def test_the_command_is_stopped_by_ctrl_c_and_goes_on(index: Path, tmp_path: Pat
     """By the very command that is printed: the run knows where its index is."""
     runs = tmp_path / "all of my runs"
     places = ["--index", index, "--sessions", index.parent, "--runs", runs]
-    flags = ["--epochs", 200, "--batch", 4, "--threads", 1]
+    flags = ["--network", "small", "--epochs", 2000, "--batch", 4, "--threads", 1]
     with Process(command("bc-train", "--name", "first", *flags, *places)) as training:
         wait_until(lambda: (runs / "first" / "steps.jsonl").exists() or training.popen.poll() is not None)
         assert training.end(signal.SIGINT) == 130
@@ -368,6 +368,7 @@ def test_a_checkpoint_that_cannot_be_used_is_named(
     assert "checkpoint.safetensors" in str(caught.value)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -427,6 +428,7 @@ def test_a_name_that_is_taken_by_no_run_says_so(
     assert "first: exists already, and is no run; give another --name, or remove it" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_like_builds_the_runs_own_index_again(index: Path, tmp_path: Path) -> None:
     places = ["--sessions", index.parent, "--runs", tmp_path / "runs"]
     flags = ["--network", "small", "--epochs", 1, "--batch", 8, "--threads", 1, "--precision", "float32"]

@@ -564,7 +564,7 @@ def test_rerun_finds_nothing_wrong_with_any_of_them(tmp_path: Path) -> None:
     for name in ("recorded", "recovered", "trimmed", "merged"):
         path = tmp_path / f"{name}.mcap"
         done = subprocess.run(
-            [sys.executable, "-m", "rerun", "mcap", "check", "--full", str(path)],
+            [sys.executable, "-m", "rerun_cli", "mcap", "check", "--full", str(path)],
             capture_output=True,
             text=True,
             timeout=PATIENCE_S,

@@ -20,6 +20,7 @@ from logs import read_messages
 from recorder import Imported, Log, LogError, RecordingError
 from recorder.cli import main as bc_record
 from recorder.lerobot.export import export_lerobot
+from recorder.log.check import check
 from recorder.log.row_quality import drive_numbers
 from recorder.log.session_car import Car, metadata_of, told_car
 from recorder.sources.import_lerobot import import_lerobot
@@ -121,6 +122,9 @@ def test_of_others_names_tell_what_is_what(tmp_path: Path) -> None:
         assert vehicle["speed_mph"].to_pylist() == pytest.approx([10.0] * 5)
         assert log.metadata["start"].startswith("1970")
         assert (log.metadata["steering_topic"], log.metadata["robot"]) == ("action.steering_angle", "a_car")
+    checked = check(done.path)  # the time between episodes was made here: nothing is lost
+    assert checked.meant_gaps == ["before row 3"]
+    assert "gaps in time" not in {finding.kind for finding in checked.findings}
 
 
 def test_flags_say_it_where_names_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

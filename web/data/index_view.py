@@ -18,7 +18,7 @@ from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_metadata
-from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, Balance
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, Balance, sample_files
 
 _WIDTH: Final = 300
 _COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page
@@ -90,10 +90,13 @@ def session_bins_sketch(index: Path, session: str) -> bytes:
     height, bins = 28, 25
     filters = [("session", "=", session), ("split", "=", "train")]
     try:
-        samples = pq.read_table(index / SAMPLES_NAME, columns=["label"], filters=filters)
-    except (OSError, pa.ArrowException) as error:
+        # where they are divided, a session has a file of its own, or none
+        files = [file for file in sample_files(index) if file.name == SAMPLES_NAME or file.stem == session]
+        tables = [pq.read_table(file, columns=["label"], filters=filters) for file in files[:1]]
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
-    counts, _ = np.histogram(samples["label"].to_numpy(), bins, (-1, 1))
+    labels = tables[0]["label"].to_numpy() if tables else np.zeros(0)
+    counts, _ = np.histogram(labels, bins, (-1, 1))
     shares = height * np.sqrt(counts / max(1, counts.max()))
     step = _WIDTH / bins
     return _svg(

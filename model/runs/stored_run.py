@@ -1,0 +1,107 @@
+"""A run in a store: brought here to be used or gone on with, and copied there while it grows."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from common import UserError
+from common.errors import UsageError
+from common.location import Location, Url, location
+from model.errors import RunError
+from model.runs.run_folder import CONFIG
+from model.runs.training_progress import Epoch, Step
+
+_EVERY_S: Final = 60.0
+"""As often as there is a new checkpoint."""
+
+
+def run_from_store(name: str) -> Path:
+    """A copy of a run in the user's cache, as it is there now. Raises RunError where there is none; StoreError."""
+    from common.stored_folder import StoredFolder  # an extra
+
+    with StoredFolder(_run_at(name), waits=True) as folder:
+        folder.bring()
+        return folder.here
+
+
+def bring_run(name: str, runs: Path) -> Path:
+    """A copy of a run among those of this machine, to go on with; what this machine has learnt of it and never
+    copied there stays. Raises RunError where there is none, or another one has its name here; StoreError."""
+    from common.stored_folder import StoredFolder  # an extra
+
+    url = _run_at(name)
+    here = runs / url.name
+    if here.exists() and not StoredFolder.is_copy(here, url):
+        raise RunError(f"{here}: is here already, and no copy of {url}; move it away, or give another --runs")
+    with StoredFolder(url, here, waits=True) as folder:
+        folder.bring(keeps_ours=True)
+    return here
+
+
+def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
+    """Where a run is copied to. Raises UsageError for a place that is in no store, RunError where a new one's name
+    is taken there; StoreError."""
+    if not isinstance(to, Url):
+        raise UsageError(f"--copy-to {to}: a folder in a store was expected, such as s3://BUCKET/runs")
+    from common.object_store import find_object  # an extra
+
+    url = to / run.name
+    if is_new and find_object(url / CONFIG) is not None:
+        raise RunError(f"{url}: exists already; give another --name, or go on with it: `bc-train --resume {url}`")
+    return url
+
+
+class RunCopy:
+    """A listener that copies a run once a minute, while the training goes on."""
+
+    def __init__(self, run: Path, url: Url) -> None:
+        self._run = run
+        self._url = url
+        self._copied_s = time.monotonic()
+        self._pool = ThreadPoolExecutor(1, "copy")
+        self._copying: Future[None] | None = None
+
+    def step(self, step: Step) -> None:
+        self._copy_if_due()
+
+    def epoch(self, epoch: Epoch) -> None:
+        self._copy_if_due()
+
+    def close(self) -> None: ...
+
+    def finish(self) -> str:
+        """Copy what is new since; why it is not copied, or empty."""
+        self._pool.shutdown()
+        try:
+            self._copy()
+        except (UserError, OSError) as error:
+            return f"{self._run}: not all of it is in {self._url} ({error})"
+        return ""
+
+    def _copy_if_due(self) -> None:
+        is_over = self._copying is None or self._copying.done()  # what has failed is tried again
+        if is_over and time.monotonic() - self._copied_s > _EVERY_S:
+            self._copied_s = time.monotonic()
+            self._copying = self._pool.submit(self._copy)
+
+    def _copy(self) -> None:
+        from common.stored_folder import StoredFolder  # an extra
+
+        if (self._run / CONFIG).is_file():  # a new run that has learnt nothing is removed
+            with StoredFolder(self._url, self._run) as folder:
+                folder.send()
+
+
+def _run_at(name: str) -> Url:
+    from common.object_store import find_object  # an extra
+
+    url = location(name)
+    assert isinstance(url, Url)  # noqa: S101
+    if find_object(url / CONFIG) is None:
+        raise RunError(
+            f"{url}: no run there ({CONFIG} is missing); `bc-train --copy-to {url.parent}` puts one there"
+        )
+    return url

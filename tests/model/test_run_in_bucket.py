@@ -1,0 +1,120 @@
+"""`bc-train --copy-to s3://...`: the run is trained here and copied there, and goes on anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bucket import Bucket, serving_bucket
+from model import find_run
+from model.cli import main
+from model.training.trainer import train
+from toy import SMALL, toy_index
+from udacity import call
+
+pytestmark = pytest.mark.usefixtures("without_figures")
+
+RUN = "s3://logs/runs/mine"
+FLAGS = (
+    "--recipe",
+    "original",
+    "--network",
+    "small",
+    "--batch",
+    "4",
+    "--rate",
+    "2e-4",
+    "--dropout",
+    "0",
+    "--seed",
+    "1",
+)
+PRECISION = ("--precision", "float32", "--threads", "1")
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture
+def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
+    (tmp_path / "one").mkdir()
+    monkeypatch.chdir(tmp_path / "one")
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    with serving_bucket(tmp_path / "server", monkeypatch) as served:
+        yield served
+
+
+def begin(index: Path, *flags: str, name: str = "mine") -> int:
+    return call(main, "--index", index, "--name", name, *FLAGS, *PRECISION, *flags, "--copy-to", "s3://logs/runs")
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    paths = (path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def test_a_run_is_copied_and_goes_on_on_another_machine(
+    bucket: Bucket,
+    index: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert begin(index, "--epochs", "1") == 0
+    assert files(bucket.folder / "runs/mine") == files(Path("runs/mine"))
+    (tmp_path / "two").mkdir()
+    monkeypatch.chdir(tmp_path / "two")
+    capsys.readouterr()
+    assert call(main, "--resume", RUN, "--index", index, "--epochs", "2") == 0
+    assert "going on in epoch 2" in capsys.readouterr().out
+    assert files(bucket.folder / "runs/mine") == files(Path("runs/mine"))
+    alone = train(index, tmp_path / "alone", replace(SMALL, epochs=2)).run
+    assert (find_run(RUN, "runs") / "model.safetensors").read_bytes() == (alone / "model.safetensors").read_bytes()
+    # the first machine has not learnt that, and replaces nothing by what it has
+    monkeypatch.chdir(tmp_path / "one")
+    before = files(bucket.folder / "runs/mine")
+    assert call(main, "--resume", "mine", "--index", index, "--epochs", "3", "--copy-to", "s3://logs/runs") == 3
+    assert "was written by another machine meanwhile" in " ".join(capsys.readouterr().err.split())
+    assert files(bucket.folder / "runs/mine") == before
+
+
+def test_a_name_that_is_taken_there_is_refused_before_anything_is_learnt(
+    bucket: Bucket, index: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (bucket.folder / "runs/mine").mkdir(parents=True)
+    (bucket.folder / "runs/mine/config.json").write_text("{}")
+    assert begin(index) == 1
+    assert f"{RUN}: exists already" in capsys.readouterr().err
+    assert not Path("runs").exists()
+    assert call(main, "--resume", "s3://logs/runs/none") == 1
+    assert "no run there" in capsys.readouterr().err
+
+
+def test_a_run_that_cannot_be_copied_is_kept_and_the_command_for_the_rest_is_said(
+    bucket: Bucket, index: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
+    assert begin(index, "--epochs", "1") == 3
+    told = " ".join(capsys.readouterr().err.split())
+    assert "runs/mine: not all of it is in s3://logs/runs/mine" in told
+    assert "bc-train --resume mine" in told
+    bucket.answer = lambda handler: False
+    assert call(main, "--resume", "mine", "--index", index, "--copy-to", "s3://logs/runs") == 0
+    assert files(bucket.folder / "runs/mine") == files(Path("runs/mine"))
+
+
+def test_another_run_of_that_name_here_is_not_replaced(
+    bucket: Bucket, index: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (bucket.folder / "runs/mine").mkdir(parents=True)
+    (bucket.folder / "runs/mine/config.json").write_text("{}")
+    Path("runs/mine").mkdir(parents=True)
+    Path("runs/mine/config.json").write_text("ours")
+    assert call(main, "--resume", RUN, "--index", index) == 1
+    assert f"runs/mine: is here already, and no copy of {RUN}" in capsys.readouterr().err
+    assert files(Path("runs/mine")) == {"config.json": b"ours"}
