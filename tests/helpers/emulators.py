@@ -24,6 +24,8 @@ from typing import Final
 
 import pytest
 
+from faulty_proxy import serving
+from places import Handler
 from repository import ROOT
 
 AZURITE: Final = ROOT / "build/azurite/node_modules/azurite/dist/src/blob/main.js"
@@ -89,3 +91,30 @@ def put_in_gcs(port: int, bucket: str, name: str, path: Path) -> None:
 
 def _ask_gcs(port: int, path: str, data: bytes) -> None:
     urllib.request.urlopen(urllib.request.Request(f"http://127.0.0.1:{port}{path}", data, method="POST")).close()
+
+
+@contextlib.contextmanager
+def serving_googles_xml(folder: Path) -> Iterator[int]:
+    """The buckets in a folder by Google's XML interface, as far as logs are copied there; gives the port.
+
+    That is S3's, which localbucket speaks, but for two headers:
+    https://cloud.google.com/storage/docs/xml-api/reference-headers
+    """
+
+    class Translated(Handler):
+        data_root = folder
+
+        def parse_request(self) -> bool:
+            is_sound = bool(super().parse_request())
+            if is_sound and self.headers.get("x-goog-if-generation-match") == "0":  # if there is none
+                self.headers["If-None-Match"] = "*"
+            if is_sound and (source := self.headers.get("x-goog-copy-source")):
+                self.headers["x-amz-copy-source"] = source
+            return is_sound
+
+        def end_headers(self) -> None:
+            self.send_header("x-goog-generation", "1")
+            super().end_headers()
+
+    with serving(Translated) as port:
+        yield port

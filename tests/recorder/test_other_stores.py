@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from common.object_store import forget_stores, list_objects
 from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index, load
 from driving import one_line_in
-from emulators import ACCOUNT, ACCOUNT_KEY, put_in_gcs, serving_azurite, serving_gcs
+from emulators import ACCOUNT, ACCOUNT_KEY, put_in_gcs, serving_azurite, serving_gcs, serving_googles_xml
 from faulty_proxy import FaultyProxy, Passing
 from logs import write_log
 from recorder import Log
@@ -126,6 +127,31 @@ def test_what_is_replaced_while_it_is_read_is_named(store: Store, log: Path, tmp
 def test_what_is_not_there_is_one_line(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "info", store.url("none/a.mcap")) == 1
     assert f"{store.scheme}://logs/none/a.mcap: no such object; `bc-log ls" in one_line_in(capsys)
+
+
+def test_a_log_goes_to_google_whole_and_over_nothing(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "server/logs").mkdir(parents=True)
+    url = Url("gs", "logs", "new/a.mcap")
+    way = FaultyProxy()
+    with serving_googles_xml(tmp_path / "server") as port, way.before(port):
+        account = {"gcs_base_url": way.endpoint, "disable_oauth": True, "client_email": "", "private_key": ""}
+        (tmp_path / "key.json").write_text(json.dumps({**account, "private_key_id": ""}))
+        monkeypatch.setenv("GOOGLE_SERVICE_ACCOUNT", str(tmp_path / "key.json"))
+        forget_stores()
+        way.fail_each_once()
+        assert copy_log(log, url).is_new
+        way.pass_all()
+        assert not copy_log(log, url).is_new
+        with pytest.raises(ObjectExistsError):
+            copy_log(write_log(tmp_path / "other/a.mcap", [0.2] * 5), url)
+    forget_stores()
+    names = ("a.mcap", "a.tags.jsonl")
+    there = tmp_path / "server/logs/new"
+    assert {path.name: path.read_bytes() for path in there.iterdir()} == {
+        name: log.with_name(name).read_bytes() for name in names
+    }
 
 
 @pytest.mark.long
