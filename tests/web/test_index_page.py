@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import dataset.cli
+import recorder.log_cli
 from dataset import Samples, decode, load
 from driving import road_jpeg
 from logs import write_log
@@ -96,6 +97,9 @@ def test_nothing_else_is_shown(bench: Served, path: str) -> None:
 def test_other_settings_are_tried_before_they_are_written(bench: Served) -> None:
     samples = bench.folder / "index" / "samples.parquet"
     before = samples.read_bytes()
+    assert (
+        call(recorder.log_cli.main, "tag", bench.folder / "sessions" / "left.mcap", "exclude", "--rows", 3, 9) == 0
+    )
     asked = {"bins": "5", "labels": "as-recorded", "sessions": "left"}
     answer = bench.ask("POST", "/index.try", urlencode(asked).encode(), **FORM)
     assert answer.status == 303
@@ -105,6 +109,7 @@ def test_other_settings_are_tried_before_they_are_written(bench: Served) -> None
     page = bench.get(html.unescape(address)).text
     assert "bins 25 now, 5 then" in plain(page)
     assert f"{AWKWARD} not then" in plain(page)
+    assert "excluded" in plain(page)  # of which there was none before
     assert samples.read_bytes() == before
     hidden = dict(re.findall(r'type="hidden" name="([^"]*)" value="([^"]*)"', page))
     assert hidden == {"form": "index", **asked}

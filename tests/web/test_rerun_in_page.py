@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 import psutil  # type: ignore[import-untyped]
+import pytest
 
 from common.car import Camera
 from driving import PATIENCE_S
@@ -23,7 +24,7 @@ from waiting import wait_until
 from workbench import Served, served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Frame
 
 ROWS = 40
 RED, GREEN = (0, 0, 255), (0, 255, 0)
@@ -127,6 +128,15 @@ def forwarded(port: int) -> Iterator[int]:
                 thread.join()
 
 
+def axe_finds(frame: Frame) -> list[str]:
+    """What axe-core finds serious in Rerun's own page: around its canvas, which holds no elements."""
+    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-core is not installed")
+    frame.evaluate(axe.AXE_SCRIPT)
+    script = "async () => (await axe.run()).violations.map(each => `${each.impact} ${each.id}`)"
+    found: list[str] = frame.evaluate(script)
+    return [each for each in found if each.startswith(("serious", "critical"))]
+
+
 def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, tmp_path: Path) -> None:
     """From a machine that reaches one port only, and with the token."""
     write_colored(tmp_path / "sessions" / "colored.mcap")
@@ -158,6 +168,7 @@ def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, 
         assert not is_seen(RED)
         page.keyboard.press("Home")  # the keys are still the page's
         wait_until(lambda: is_seen(RED))
+        assert axe_finds(page.frames[-1]) == []
         page.keyboard.press("o")
         frame.wait_for(state="detached")
         assert (asked, wrong) == ({f"127.0.0.1:{port}"}, [])

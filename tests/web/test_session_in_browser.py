@@ -141,6 +141,10 @@ def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Brows
         press(page, "u", 2)
         page.keyboard.press("k")  # the only one that is left
         wait_until(lambda: "gap; 1 of 3" in page.inner_text("#said"))
+        said, below = (page.locator(each).bounding_box() for each in ("#said", "main"))
+        assert said is not None
+        assert below is not None
+        assert said["y"] + said["height"] <= below["y"]  # what is said covers nothing
         press(page, "x", 3)
         page.click("#look")  # decodes all pictures
         page.wait_for_selector("#look", state="hidden")

@@ -43,9 +43,10 @@ _HEADERS: Final = {
     "Content-Security-Policy": CONTENT_SECURITY_POLICY,
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+# browsers heed it on this machine's own addresses; on others that are not encrypted, it is an error to them
+_HEADERS_HERE: Final = {"Cross-Origin-Opener-Policy": "same-origin"}
 
 
 def token_for(host: str) -> str:
@@ -81,7 +82,7 @@ class RequestGuard:
             if message["type"] == "http.response.start":
                 is_begun = True
                 headers = MutableHeaders(scope=message)
-                for name, value in _HEADERS.items():
+                for name, value in (_HEADERS if self._token else {**_HEADERS, **_HEADERS_HERE}).items():
                     headers.setdefault(name, value)
                 headers.setdefault("Cache-Control", "no-store")
             await send(message)

@@ -54,6 +54,7 @@ async function start() {
   });
   await viewer.start(document.getElementById("viewer"));
   told.hidden = true;
+  for (const field of document.querySelectorAll("input")) field.setAttribute("aria-label", "What is typed into Rerun");
   addEventListener("message", (event) => {
     if (event.origin !== location.origin || typeof event.data?.at_s !== "number") return;
     wanted = event.data.at_s;

@@ -18,11 +18,6 @@ const PLOTS = [
 ];
 const NAMES = { steering: "steering (right is up)", predicted: "predicted", throttle: "throttle", brake: "brake", speed_mph: "speed, mph" };
 
-/** A plot's height in pixels: more in a higher window. */
-function heightOf(share) {
-  return Math.round(share * Math.max(innerHeight, LEAST_WINDOW));
-}
-
 export class Curves {
   /** `onMove(position)`: the mouse points there; `onSelect({first, last})`: a stretch was dragged over. */
   constructor(element, data, { onMove, onSelect }) {
@@ -82,7 +77,7 @@ export class Curves {
     const plot = new uPlot(
       {
         width: this.element.clientWidth,
-        height: heightOf(share),
+        height: this.heightOf(share),
         legend: { show: false },
         cursor: {
           x: false, y: false, points: { show: false }, sync: { key: "session" },
@@ -219,8 +214,14 @@ export class Curves {
     for (const plot of this.plots) plot.redraw(false);
   }
 
+  /** A plot's height in pixels: more in a higher window, unless Rerun needs the room. */
+  heightOf(share) {
+    const isSmall = this.element.closest(".in-rerun");
+    return Math.round(share * (isSmall ? LEAST_WINDOW : Math.max(innerHeight, LEAST_WINDOW)));
+  }
+
   resize() {
-    this.plots.forEach((plot, at) => plot.setSize({ width: this.element.clientWidth, height: heightOf(PLOTS[at].share) }));
+    this.plots.forEach((plot, at) => plot.setSize({ width: this.element.clientWidth, height: this.heightOf(PLOTS[at].share) }));
     this.placeMarkers();
   }
 }

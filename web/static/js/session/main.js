@@ -200,6 +200,7 @@ function toggleRerun() {
 function showRerun() {
   by("rerun-button").setAttribute("aria-pressed", rerun.isOpen);
   page.classList.toggle("in-rerun", rerun.isOpen);
+  curves.resize();
 }
 
 function showTags() {

@@ -1,0 +1,219 @@
+"""Makes the pictures of docs/web.md: the pages of a project in Chromium without a window.
+
+    python docs/web_pictures.py PROJECT --cleaned SESSION --predicted SESSION RUN --runs RUN RUN RUN --drives DRIVE
+
+PROJECT is a copy of one with sessions, an index, runs and drives: a stretch is excluded in it, and an index tried.
+Needs Playwright and Chromium; of what is drawn in Rerun, Debian's mesa-vulkan-drivers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+from urllib.parse import urlencode
+
+import tyro
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from web.app import workbench_app
+from web.data.project_folders import ProjectFolders
+from web.server.workbench_server import WorkbenchServer
+
+_WIDTH: Final = 1280
+_COLORS: Final = 256
+_LARGE_BYTES: Final = 120_000
+_PATIENCE_MS: Final = 600_000  # a network looks at a whole session
+
+
+@dataclass(frozen=True)
+class WebPictures:
+    """Make the pictures of docs/web.md."""
+
+    project: Annotated[Path, tyro.conf.Positional]
+    """A copy of a project: its folders by their usual names."""
+    cleaned: str
+    """A session with odd stretches; its second one is excluded, the third one selected."""
+    predicted: tuple[str, str]
+    """A session, and the run whose steering is shown over it."""
+    runs: tuple[str, ...]
+    """Runs to compare; of the first one, the page is shown, too."""
+    drives: tuple[str, ...]
+    """Drives on one map."""
+    only: tuple[str, ...] = ()
+    """The names of the pictures to make; by default, all."""
+    folder: Path = Path(__file__).parent / "pictures"
+    """Where pictures are written; existing ones are replaced."""
+
+
+class Shown:
+    """The workbench in a browser, and the pictures that are made of it."""
+
+    def __init__(self, browser: Browser, address: str, config: WebPictures) -> None:
+        self.config = config
+        self._browser = browser
+        self._address = address
+
+    @contextlib.contextmanager
+    def page(self, path: str, height: int, *, is_dark: bool = False) -> Iterator[Page]:
+        size = {"width": _WIDTH, "height": height}
+        scheme = "dark" if is_dark else "light"
+        page = self._browser.new_page(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
+        page.set_default_timeout(_PATIENCE_MS)
+        page.goto(f"{self._address}{path}", wait_until="networkidle")
+        if path.startswith("/sessions/"):
+            page.wait_for_selector("#session[data-ready]")
+        yield page
+        page.close()
+
+    def keep(self, page: Page, name: str, selector: str = "") -> None:
+        """All of the window, or an element of it; once all its pictures are there."""
+        page.wait_for_function("[...document.images].every(each => each.complete || each.loading === 'lazy')")
+        time.sleep(1)
+        data = page.locator(selector).screenshot() if selector else page.screenshot()
+        picture = Image.open(io.BytesIO(data)).convert("RGB")
+        if len(data) > _LARGE_BYTES:
+            picture = picture.quantize(_COLORS)
+        path = self.config.folder / f"web-{name}.png"
+        picture.save(path, optimize=True)
+        print(path)
+
+
+def sessions(shown: Shown) -> None:
+    for name, is_dark in (("sessions", False), ("sessions-dark", True)):
+        with shown.page("/sessions", 700, is_dark=is_dark) as page:
+            page.wait_for_function("!document.querySelector('.count').textContent.includes('being read')")
+            shown.keep(page, name)
+
+
+def session(shown: Shown) -> None:
+    """The second odd stretch is excluded, and the third one selected; then the same in the dark."""
+    at = f"/sessions/{shown.config.cleaned}"
+    with shown.page(at, 800) as page:
+        for key in "jj":
+            page.keyboard.press(key)
+        page.keyboard.press("x")
+        page.wait_for_selector("#session[data-tags='1']")
+        page.keyboard.press("j")
+        page.wait_for_function("document.getElementById('said').textContent.includes('not excluded')")
+        shown.keep(page, "session")
+    with shown.page(at, 800, is_dark=True) as page:
+        for key in "jj":
+            page.keyboard.press(key)
+        shown.keep(page, "session-dark")
+
+
+def prediction(shown: Shown) -> None:
+    name, run = shown.config.predicted
+    with shown.page(f"/sessions/{name}#run={run}", 820) as page:
+        page.wait_for_selector(f"#session[data-run='{run}']")
+        page.keyboard.press("w")
+        page.keyboard.press("a")
+        page.wait_for_selector("figure[data-attention]")
+        page.wait_for_selector("#said:empty", state="attached")
+        shown.keep(page, "session-run")
+
+
+def in_rerun(shown: Shown) -> None:
+    with shown.page(f"/sessions/{shown.config.cleaned}", 1080) as page:
+        for key in "jjo":
+            page.keyboard.press(key)
+        page.wait_for_selector("#rerun[data-shown]")
+        page.wait_for_timeout(20_000)  # nothing tells when all views are drawn
+        shown.keep(page, "session-rerun")
+
+
+def makers(shown: Shown) -> None:
+    with shown.page(f"/sessions/{shown.config.cleaned}", 800) as page:
+        for key in "jj":
+            page.keyboard.press(key)
+        page.click("#make summary")
+        page.wait_for_function("document.querySelector('#make-trim code').textContent.includes('--rows')")
+        page.evaluate("document.getElementById('make').scrollIntoView()")
+        shown.keep(page, "session-make")
+
+
+def index(shown: Shown) -> None:
+    with shown.page("/index", 900) as page:
+        page.fill("input[name=bins]", "15")
+        page.fill("input[name=validation_share]", "0.3")
+        page.click("text=See what would change")
+        page.click("text=what it has made")  # once the job has ended
+        shown.keep(page, "index")
+    with shown.page("/index", 900) as page:
+        page.click("text=Show samples as training sees them")
+        page.wait_for_selector(".altered img")
+        shown.keep(page, "augmentations", "#altered")
+
+
+def runs(shown: Shown) -> None:
+    chosen = urlencode([("run", run) for run in shown.config.runs])
+    with shown.page(f"/runs?{chosen}", 960) as page:
+        page.wait_for_selector(f"#plots[data-shown*='{shown.config.runs[-1]}']")
+        shown.keep(page, "runs")
+    with shown.page(f"/runs/{shown.config.runs[0]}", 1020) as page:
+        page.wait_for_selector("#plots[data-shown]")
+        shown.keep(page, "run")
+
+
+def drives(shown: Shown) -> None:
+    chosen = urlencode([*(("log", drive) for drive in shown.config.drives), ("by", "error")])
+    with shown.page(f"/drives?{chosen}", 960) as page:
+        page.wait_for_selector("#list svg circle", state="attached")
+        shown.keep(page, "drives")
+
+
+def jobs(shown: Shown) -> None:
+    """What was started is a recording, which is removed again."""
+    with shown.page("/jobs?start=record", 760) as page:
+        for name, value in (("name", "another"), ("track", "mountain"), ("laps", "0.03")):
+            page.fill(f"details[open] input[name={name}]", value)
+        page.click("details[open] button")
+        page.click("text=what it has made")  # once the job has ended
+    Path("sessions/another.mcap").unlink()
+    with shown.page("/jobs?start=train", 760) as page:
+        page.fill("details[open] input[name=name]", "first")
+        page.fill("details[open] input[name=epochs]", "4")
+        page.wait_for_selector("text=bc-train --name=first --epochs=4")
+        shown.keep(page, "jobs")
+
+
+PICTURES: Final = (sessions, jobs, index, session, prediction, in_rerun, makers, runs, drives)
+
+
+def main(config: WebPictures) -> None:
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    flags = [
+        "--enable-unsafe-swiftshader",
+        *(["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []),
+    ]
+    config = dataclasses.replace(config, folder=config.folder.absolute())
+    os.chdir(config.project)  # paths are shown as they are typed there
+    wanted = [make for make in PICTURES if not config.only or make.__name__ in config.only]
+    with (
+        tempfile.TemporaryDirectory() as cache,
+        workbench_app(ProjectFolders(), "127.0.0.1", "", Path(cache)) as app,
+        sync_playwright() as playwright,
+    ):
+        server = WorkbenchServer(app, "127.0.0.1", 0)
+        server.start()
+        try:
+            browser = playwright.chromium.launch(executable_path=program, args=flags)
+            for make in wanted:
+                make(Shown(browser, f"http://127.0.0.1:{server.port}", config))
+            browser.close()
+        finally:
+            server.stop()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(WebPictures))
