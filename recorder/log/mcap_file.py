@@ -145,7 +145,7 @@ class McapFile(Closeable):
         """Chunks, and the records of each, unpacked; of a file in a store, several are asked for at a time. Raises
         what `records` does."""
         ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
-        for chunk, data in zip(chunks, self._read_many(ranges), strict=True):
+        for chunk, data in zip(chunks, self.read_many(ranges), strict=True):
             yield chunk, self._records(chunk, data)
 
     def read_alone(self, offset: int, length: int) -> bytes:
@@ -157,7 +157,9 @@ class McapFile(Closeable):
         """Raise LogError if this is not what a chunk should be, as far as its CRC shows."""
         self._records(chunk, record)
 
-    def _read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+    def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+        """The bytes of each range; of a file in a store, several are asked for at a time, and nothing beside is
+        read. Raises what `read` does."""
         if not self.is_remote:
             yield from (self.read(offset, length) for offset, length in ranges)
             return
@@ -207,9 +209,7 @@ class McapFile(Closeable):
         return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
 
     def has_crc(self, chunk: Chunk) -> bool:
-        if chunk.is_message or chunk.end - chunk.start < CHUNK_HEADER.size:
-            return False
-        return any(self.read(chunk.start + CHUNK_HEADER.size - 4, 4))
+        return has_crc_in(chunk, self.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)))
 
     def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
         return self.promises_crcs or all(map(self.has_crc, chunks))
@@ -331,6 +331,12 @@ class McapFile(Closeable):
                 f"{path}: damaged: {what}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
             )
         return LogError(f"{path}: damaged: {what}; `bc-log recover {path}` saves the rest")
+
+
+def has_crc_in(chunk: Chunk, head: bytes) -> bool:
+    """True if a chunk has a CRC, by the first bytes of its record."""
+    crc_at = CHUNK_HEADER.size - 4
+    return not chunk.is_message and len(head) >= CHUNK_HEADER.size and any(head[crc_at : CHUNK_HEADER.size])
 
 
 def _message(records: bytes, start: int) -> StoredMessage:

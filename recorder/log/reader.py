@@ -29,7 +29,7 @@ from recorder.log import topics
 from recorder.log.chunk_cache import ChunkCache
 from recorder.log.chunk_reader import ChunkReader
 from recorder.log.fetched_chunks import FetchedChunks
-from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile
+from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.log.number_fields import decode_numbers
 from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
@@ -261,9 +261,12 @@ class Log(Closeable):
         crcs = read_chunk_crcs(self._file, self._as_found) if self.is_ours else None
         if crcs is not None:
             return [chunk.head + struct.pack("<I", crc) for chunk, crc in zip(chunks, crcs, strict=True)]
+        heads = self._file.read_many(
+            (chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)) for chunk in chunks
+        )
         return [
-            self._file.read(chunk.start, CHUNK_HEADER.size if has_crc else chunk.end - chunk.start)
-            for chunk, has_crc in ((chunk, self._file.has_crc(chunk)) for chunk in chunks)
+            head if has_crc_in(chunk, head) else self._file.read(chunk.start, chunk.end - chunk.start)
+            for chunk, head in zip(chunks, heads, strict=True)
         ]
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:

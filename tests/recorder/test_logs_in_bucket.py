@@ -24,6 +24,7 @@ from faulty_proxy import Passing
 from layouts import mixed
 from logs import write_log
 from long_log import lengthened
+from mcap_patch import patched
 from recorder import Log, LogError
 from recorder.cli import main as bc_record
 from recorder.log.check import check
@@ -183,6 +184,17 @@ def test_a_long_log_whose_list_of_chunks_is_damaged_is_named_when_that_is_needed
     assert describe(url).rows == 50
     with Log(url, brief=True) as log, pytest.raises(LogError, match=r"list of its chunks.*bc-log copy"):
         log.fingerprint  # noqa: B018
+
+
+def test_a_log_that_lists_no_crcs_of_its_chunks_is_asked_for_those_alone(bucket: Bucket) -> None:
+    path = patched(large_log(bucket.folder), lambda name, content: None)
+    with Log(path) as log:
+        expected = log.fingerprint
+    bucket.requests.clear()
+    with Log(bucket.url("large.mcap")) as log:
+        assert len(log.chunks) > 70
+        assert log.fingerprint == expected
+    assert bucket.bytes_sent < 300_000
 
 
 def test_rows_are_read_without_pictures(bucket: Bucket) -> None:
