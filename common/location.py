@@ -123,7 +123,8 @@ def refuse_urls(words: Sequence[str]) -> None:
         if (found := _URL.fullmatch(word)) and found[1].lower() in (*SCHEMES, "file"):
             raise UsageError(
                 f"{word}: a place of this machine is expected here, no URL; `bc-log copy {word} FOLDER` brings a"
-                " log here, `bc-log copy LOG URL` takes one there"
+                " log here, `bc-log copy LOG URL` takes one there; `bc-train --copy-to URL` does so with a run,"
+                " which URL/NAME then names"
             )
 
 
