@@ -45,14 +45,17 @@ async def ask_for_messages(port: int, headers: Mapping[str, str], body: bytes) -
     )
     try:
         stream = await anyio.connect_tcp(_LOCAL, port)
-        for event in (request, h11.Data(body), h11.EndOfMessage()):
-            await stream.send(connection.send(event) or b"")
-        head = await _next_event(connection, stream)
+        try:
+            for event in (request, h11.Data(body), h11.EndOfMessage()):
+                await stream.send(connection.send(event) or b"")
+            head = await _next_event(connection, stream)
+            if not isinstance(head, h11.Response):
+                raise h11.RemoteProtocolError("no answer")
+        except BaseException:
+            await anyio.aclose_forcefully(stream)
+            raise
     except (OSError, anyio.BrokenResourceError, h11.RemoteProtocolError):
         raise WebError("Rerun does not answer; open the log again", 503) from None
-    if not isinstance(head, h11.Response):
-        await stream.aclose()
-        raise WebError("Rerun does not answer; open the log again", 503)
     kind = dict(head.headers).get(b"content-type", b"application/grpc-web+proto")
     return Messages(head.status_code, kind.decode("latin-1"), _body(connection, stream))
 
