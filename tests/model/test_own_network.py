@@ -55,7 +55,7 @@ class Net(nn.Module):
         self.act = nn.Linear(3, 1)
 
     def forward(self, x):
-        x = x.mean((2, 3))
+        x = (x * torch.linspace(-4, 4, x.shape[3]).to(x)).mean((2, 3))  # where the road is, from left to right
         return torch.tanh(self.act(x if x.sum() > 0 else x * 2))[:, 0]
 """
 
