@@ -84,14 +84,17 @@ def _print_drives(info: LogInfo) -> None:
             f"{counted(count, 'row')} {flag}" for flag, count in info.flags.items() if count and flag != "gap"
         )
         print_table(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
-    for stretch in info.stretches[:MOST_PLACES]:
+    if info.meant_gaps:
+        print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events tell, so nothing is lost there")
+    stretches = [each for each in info.stretches if each.flag != "gap" or each.last_row not in info.meant_gaps]
+    for stretch in stretches[:MOST_PLACES]:
         goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
         print_table(
             f"    {_plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
             f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
         )
-    if len(info.stretches) > MOST_PLACES:
-        more = counted(len(info.stretches) - MOST_PLACES, "more stretch", "more stretches")
+    if len(stretches) > MOST_PLACES:
+        more = counted(len(stretches) - MOST_PLACES, "more stretch", "more stretches")
         print_table(f"    and {more} (--json lists them)")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
@@ -15,7 +15,7 @@ from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
 from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import StoredMessage
-from recorder.log.meant_gaps import are_meant, seconds_told
+from recorder.log.meant_gaps import NotRecorded
 from recorder.log.message_index import LAST_TIME_NS
 from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags
 from recorder.log.scan import Structure
@@ -56,7 +56,7 @@ class Contents:
         }
         self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
         self._bad_telemetry: Counter[str] = Counter()
-        self._not_recorded_s: dict[int, float] = defaultdict(float)  # by log time
+        self._not_recorded = NotRecorded()
         self._findings = findings
         self._image_check = ImageCheck(pool)
         self._states = StatesWritten()
@@ -113,8 +113,7 @@ class Contents:
         kind, count = read_event(event.message)
         if count:
             self._bad_telemetry[kind] += count
-        if seconds := seconds_told(event.message):
-            self._not_recorded_s[message.log_time_ns] += seconds
+        self._not_recorded.add(message.log_time_ns, event.message)
 
     def finish(self) -> None:
         """Add the findings that need all messages."""
@@ -132,7 +131,7 @@ class Contents:
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
             self._check_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
         flags = row_flags(states)
-        meant = flags["gap"] & are_meant(states, self._not_recorded_s)
+        meant = self._not_recorded.gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
         flags["gap"] &= ~meant
         for flag, kind in _ROW_FINDINGS.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, overload
@@ -14,6 +14,7 @@ import msgspec
 from common.location import Location, Url
 from recorder.log import topics
 from recorder.log.label_plan import goes_by_lag, plan_labels
+from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
 from recorder.log.row_quality import ROW_FLAGS, States, summary
 from recorder.log.session_car import max_steering_deg_of
@@ -62,6 +63,7 @@ class LogInfo:
     stale_tags: int  # of what had this name before
     notice: str  # of an unfinished log
     is_ours: bool  # not another program's
+    meant_gaps: list[int] = field(default_factory=list)  # the rows behind gaps that its recorder meant
 
     @property
     def rows(self) -> int:
@@ -135,6 +137,7 @@ def describe(path: Location, *, look: bool = False, with_tags: bool = True) -> L
             stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
             notice=log.notice,
             is_ours=log.is_ours,
+            meant_gaps=meant_rows(quality),
         )
 
 
@@ -174,7 +177,12 @@ def _quality(log: Log) -> dict[str, str]:
     stored = log.read_metadata(topics.QUALITY_METADATA)
     if stored or not log.problem:
         return stored
-    return summary(states) if (states := _states(log)) else {}
+    if (states := _states(log)) is None:
+        return {}
+    not_recorded = NotRecorded()
+    for message, event in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
+        not_recorded.add(message.log_time_ns, event.message)
+    return summary(states) | not_recorded.summary(states)
 
 
 def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:

@@ -3,15 +3,19 @@ first row behind each tells how long was not recorded, so that a check can tell 
 
 from __future__ import annotations
 
+import json
 import re
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.log.row_quality import GAP_S, States
+from recorder.log.row_quality import GAP_S, States, row_flags
 
+MEANT_GAPS: Final = "meant_gaps"
 _EVENT: Final = re.compile(r"not recorded: ([0-9]{1,6}(?:\.[0-9]{1,3})?) s, ")
 
 
@@ -20,18 +24,35 @@ def not_recorded(seconds: float, why: str) -> str:
     return f"not recorded: {seconds:.3f} s, {why}"
 
 
-def seconds_told(event: str) -> float:
-    """The seconds in the text of an event; 0 for another one."""
-    found = _EVENT.match(event)
-    return float(found[1]) if found else 0.0
+class NotRecorded:
+    """What the events of a log tell of time that was let pass on purpose."""
+
+    def __init__(self) -> None:
+        self._seconds = defaultdict[int, float](float)  # by log time
+
+    def add(self, time_ns: int, event: str) -> None:
+        if found := _EVENT.match(event):
+            self._seconds[time_ns] += float(found[1])
+
+    def gaps(self, states: States) -> NDArray[np.bool_]:
+        """The rows (N,) behind a gap that was meant.
+
+        One that is longer than its event tells, by more than a gap takes, has lost rows as well.
+        """
+        step_s = np.diff(states.time_ns, prepend=states.time_ns[:1]) / 1e9
+        told = np.array([self._seconds.get(time_ns, 0.0) for time_ns in states.time_ns.tolist()], np.float64)
+        meant: NDArray[np.bool_] = (step_s > 0) & (told > 0) & (step_s - told <= GAP_S)
+        return row_flags(states)["gap"] & meant if meant.any() else meant
+
+    def summary(self, states: States) -> dict[str, str]:
+        """What a log says of them beside `row_quality.summary`; nothing where there are none."""
+        rows: list[int] = states.row[self.gaps(states)].tolist()
+        return {MEANT_GAPS: json.dumps(rows)} if rows else {}
 
 
-def are_meant(states: States, told_s: Mapping[int, float]) -> NDArray[np.bool_]:
-    """The rows (N,) before which time was let pass on purpose. `told_s`: the seconds of events, by log time.
-
-    What is longer than its event tells, by more than a gap takes, has lost rows as well.
-    """
-    step_s = np.diff(states.time_ns, prepend=states.time_ns[:1]) / 1e9
-    told = np.array([told_s.get(time_ns, 0.0) for time_ns in states.time_ns.tolist()], np.float64)
-    meant: NDArray[np.bool_] = (step_s > 0) & (told > 0) & (step_s - told <= GAP_S)
-    return meant
+def meant_rows(quality: Mapping[str, str]) -> list[int]:
+    """The rows behind gaps that were meant, as a log's `bc.quality` says; somebody else may have written it."""
+    try:
+        return msgspec.json.decode(quality.get(MEANT_GAPS, "[]"), type=list[int])
+    except msgspec.MsgspecError:
+        return []

@@ -32,6 +32,7 @@ from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.compressed_image import image_data, is_image_channel
 from recorder.log.copied_channels import CopiedChannels
+from recorder.log.meant_gaps import NotRecorded
 from recorder.log.row_quality import StatesWritten, summary
 from recorder.log.session_car import UDACITY, car_in
 from recorder.log.split_chunks import SplitChunks
@@ -39,6 +40,7 @@ from recorder.log.steering_habits import steering_habits
 from recorder.log.topics import (
     CAMERA_TOPICS,
     COMPRESSED_IMAGE,
+    LOG_MESSAGE,
     TOPICS,
     VEHICLE_STATE,
     camera_topic,
@@ -103,6 +105,7 @@ class LogWriter:
         """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
         self._is_split = metadata is not None
         self._states = StatesWritten()
+        self._not_recorded = NotRecorded()
         self._sizes = PictureSizes()
         self._size_reader = SizeReader()
         self._sync: files.BackgroundSync | None = None
@@ -174,6 +177,7 @@ class LogWriter:
             name=_utf8(name),
         )
         self._write(topics.EVENTS, message, time_ns, 0)
+        self._not_recorded.add(time_ns, text)
 
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
         """A message of another log, as it is but for its sequence number."""
@@ -185,6 +189,9 @@ class LogWriter:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+        elif channel.topic == topics.EVENTS and schema is not None and schema.name == LOG_MESSAGE.name:
+            with contextlib.suppress(DecodeError):
+                self._not_recorded.add(message.log_time, LogMessage.FromString(message.data).message)
         elif is_picture and channel.topic in CAMERA_TOPICS:
             at, length = image_data(message.data, 0, len(message.data))
             if at >= 0:
@@ -248,7 +255,8 @@ class LogWriter:
             }
             states = self._states.states()
             steering = json.dumps(asdict(steering_habits(states, self._max_steering_deg)), allow_nan=False)
-            self.add_metadata(topics.QUALITY_METADATA, summary(states) | {"steering": steering} | sizes)
+            rows = summary(states) | self._not_recorded.summary(states)
+            self.add_metadata(topics.QUALITY_METADATA, rows | {"steering": steering} | sizes)
         if self.same_as:
             self._to_disk(self._chunks.flush)
             about = {"fingerprint": self.same_as, "chunks": self._chunks.content_digest}

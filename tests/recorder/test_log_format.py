@@ -27,6 +27,7 @@ from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
 from recorder.log.edit import merge, rewrite, split, trim
+from recorder.log.meant_gaps import not_recorded
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
@@ -259,6 +260,12 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     )
     assert evaluated.returncode == 0, evaluated.stderr
     path["drive"] = folder / "pilot-lake-10mph.mcap"
+
+    path["paused"] = folder / "paused.mcap"
+    with LogWriter(path["paused"], {"source": "simulator"}) as writer:
+        for time_ns in (0, 2 * 10**9):
+            writer.vehicle(time_ns, time_ns, VehicleState())
+        writer.event(time_ns, not_recorded(2.0, "another episode begins"))
 
     path["two sizes"] = folder / "two sizes.mcap"
     with LogWriter(path["two sizes"], {"source": "udacity"}) as writer:

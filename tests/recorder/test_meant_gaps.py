@@ -10,6 +10,8 @@ from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.check import check
+from recorder.log.log_info import describe
+from recorder.log.meant_gaps import meant_rows
 from recorder.log_cli import main
 from udacity import call, jpeg
 
@@ -22,13 +24,17 @@ def findings(path: Path) -> list[tuple[str, str]]:
 
 def log_of(path: Path, at_s: list[float], events: dict[float, str]) -> Path:
     with LogWriter(path, {"source": "test"}) as writer:
-        for row, seconds in enumerate(at_s):
-            time_ns = START_NS + round(seconds * 1e9)
-            writer.picture("center", time_ns, row, jpeg(60 + row, 10 * row))
-            writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0))
-            if seconds in events:
-                writer.event(time_ns, events[seconds])
+        write_rows(writer, at_s, events)
     return path
+
+
+def write_rows(writer: LogWriter, at_s: list[float], events: dict[float, str]) -> None:
+    for row, seconds in enumerate(at_s):
+        time_ns = START_NS + round(seconds * 1e9)
+        writer.picture("center", time_ns, row, jpeg(60 + row, 10 * row))
+        writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0))
+        if seconds in events:
+            writer.event(time_ns, events[seconds])
 
 
 @pytest.mark.parametrize(
@@ -61,3 +67,35 @@ def test_rows_that_are_cut_out_are_missed(tmp_path: Path) -> None:
     both = tmp_path / "both.mcap"
     assert call(main, "merge", tmp_path / "begin.mcap", tmp_path / "end.mcap", "--to", both) == 0
     assert findings(both) == [("gaps in time", "before row 6")]
+
+
+def test_the_log_says_itself_which_gaps_were_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """So that `bc-log info` and the list of sessions need not read it all; a log made of it says so, too."""
+    path = log_of(tmp_path / "a.mcap", [0.0, 0.1, 1.2, 1.3, 3.4, 3.5], {1.2: EVENT})
+    part = tmp_path / "part.mcap"
+    assert call(main, "trim", path, "--rows", 1, 5, "--to", part) == 0
+    for log in (path, part):
+        assert describe(log).meant_gaps == [2]
+    capsys.readouterr()
+    assert call(main, "info", path) == 0
+    told = capsys.readouterr().out
+    assert "1 gap that its events tell" in told
+    assert "gap: rows 4 to 4" in told
+    assert "gap: rows 2 to 2" not in told
+
+
+def test_an_unfinished_log_is_asked_for_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)
+    killed = tmp_path / "killed.mcap.0123ab.part"
+    with LogWriter(tmp_path / "a.mcap", {"source": "test"}, live=True) as writer:
+        write_rows(writer, [0.0, 0.1, 1.2, 1.3], {1.2: EVENT})
+        writer.flush_if_due()
+        killed.write_bytes(writer.part.read_bytes())
+    info = describe(killed)
+    assert "unfinished" in info.notice
+    assert info.meant_gaps == [2]
+
+
+@pytest.mark.parametrize("told", ["", "{}", "[1.5]", '["a"]', "[[[", "[1e99]"])
+def test_what_another_program_says_of_them_is_no_error(told: str) -> None:
+    assert meant_rows({"meant_gaps": told}) == []

@@ -15,8 +15,9 @@ from dataset.frames.frame_flags import ImageFindings, PictureFlag, lists_with
 from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import frames_of
 from recorder import Log
+from recorder.log.meant_gaps import meant_rows
 from recorder.log.row_quality import States, row_flags
-from recorder.log.topics import camera_topic
+from recorder.log.topics import QUALITY_METADATA, camera_topic
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,10 @@ def odd_stretches(log: Log, states: States, findings: ImageFindings | None) -> l
     """In their order. Frozen and broken pictures, and steering that contradicts them, are among them where
     `findings` of the log's pictures are given.
 
-    A gap is a stretch of two rows: the last before it and the first after it.
+    A gap is a stretch of two rows: the last before it and the first after it. One that the recorder meant is none.
     """
     masks: dict[str, NDArray[np.bool_]] = dict(row_flags(states).items())
+    masks["gap"] &= ~np.isin(states.row, meant_rows(log.read_metadata(QUALITY_METADATA)))
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     frames = frames_of(states, pictures, session_name(log.path), IndexConfig(), findings=findings)
     for flag in get_args(PictureFlag):

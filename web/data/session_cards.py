@@ -106,9 +106,11 @@ class SessionCard:
 
     @cached_property
     def flags(self) -> dict[str, int]:
-        """Rows of each flag that any row has."""
-        counts = (self.info.flags if self.info else None) or {}
-        return {flag: counts[flag] for flag in ROW_FLAGS if counts.get(flag)}
+        """Rows of each flag that any row has; gaps without those that the recorder meant."""
+        if self.info is None or self.info.flags is None:
+            return {}
+        counts = self.info.flags | {"gap": self.info.flags.get("gap", 0) - len(self.info.meant_gaps)}
+        return {flag: counts[flag] for flag in ROW_FLAGS if counts.get(flag, 0) > 0}
 
     @property
     def odd_rows(self) -> int:
