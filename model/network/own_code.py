@@ -91,7 +91,11 @@ def _read(name: str, path: Path) -> bytes:
         return read_bounded(path, MOST_SOURCE_BYTES)
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise RunError(f"--network {printable(name)}: {printable(str(path))} cannot be read ({why})") from None
+        beside = [str(each) for each in path.parent.glob("*.py")]
+        meant = did_you_mean(str(path), beside) or "give FILE.py:CLASS, the file by its path from this folder"
+        raise RunError(
+            f"--network {printable(name)}: {printable(str(path))} cannot be read ({why}); {meant}"
+        ) from None
 
 
 class _Source(InspectLoader):

@@ -253,3 +253,14 @@ def test_what_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     with pytest.raises(RunError, match=rf"--network {name}: .* cannot be (read|imported)"):
         load_code(name)
+
+
+def test_a_file_that_is_not_there_is_told_with_what_was_meant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RunError, match=r"give FILE\.py:CLASS, the file by its path from this folder"):
+        load_code("my_net.py:Net")
+    (tmp_path / "my_nets.py").write_text(PLAIN)
+    with pytest.raises(RunError, match=r"did you mean my_nets\.py\?"):
+        load_code("my_net.py:Net")
