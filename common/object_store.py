@@ -97,6 +97,7 @@ class StoredObject:
     url: Url
     size: int  # bytes
     version: str  # ETag, without its quotation marks
+    written_ns: int = 0  # since 1970; stores tell whole seconds
 
 
 @dataclass(frozen=True)
@@ -253,11 +254,7 @@ def list_objects(folder: Url) -> list[StoredObject]:
         found = _again_if_cut_off(
             lambda: obstore.list_with_delimiter(_store(folder, False), folder.key or None)["objects"]
         )
-    objects = (
-        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], _version(each))
-        for each in found
-    )
-    return sorted(objects)
+    return sorted(_stored_object(folder, each) for each in found)
 
 
 def list_below(folder: Url) -> list[StoredObject]:
@@ -266,10 +263,7 @@ def list_below(folder: Url) -> list[StoredObject]:
         found = _again_if_cut_off(
             lambda: list(itertools.chain.from_iterable(obstore.list(_store(folder, False), folder.key or None)))
         )
-    return sorted(
-        StoredObject(Url(folder.scheme, folder.bucket, each["path"]), each["size"], _version(each))
-        for each in found
-    )
+    return sorted(_stored_object(folder, each) for each in found)
 
 
 def find_object(url: Url) -> StoredObject | None:
@@ -281,7 +275,13 @@ def find_object(url: Url) -> StoredObject | None:
             if _is_no_bucket(str(error)):
                 raise
             return None
-    return StoredObject(url, found["size"], _version(found))
+    return _stored_object(url, found)
+
+
+def _stored_object(place: Url, found: ObjectMeta) -> StoredObject:
+    """An object in the bucket of `place`."""
+    written_ns = int(found["last_modified"].timestamp()) * 1_000_000_000
+    return StoredObject(Url(place.scheme, place.bucket, found["path"]), found["size"], _version(found), written_ns)
 
 
 def _version(found: ObjectMeta) -> str:

@@ -1,21 +1,18 @@
 """A folder that is kept in a store, and the copy of it here in which is worked: what differs goes down, or up.
 
 Every file goes up on the condition that nobody has written it since it came down: of two machines that work on the
-same folder, one is told. `.store.json`, in both places, tells of each file which object it is a copy of, and its
-time of modification, which is the same wherever it is copied to.
+same folder, one is told; but of files to which machines only add lines, those of both are kept. `.store.json`, in
+both places, tells of each file which object it is a copy of (`common.store_record`).
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
-
-import msgspec
 
 from common.closeable import Closeable
 from common.errors import NoSuchObjectError, ObjectChangedError, UserError
@@ -33,44 +30,28 @@ from common.object_store import (
     read_object,
     remove,
 )
+from common.store_record import RECORD_NAME, Copy, StoreRecord, bytes_of, read_record, record_of, write_record
 from common.users_cache import users_cache
 
-_RECORD: Final = ".store.json"
 _LOCK: Final = ".store.lock"
 _MOST_BYTES: Final = 1 << 28
 _PART_BYTES: Final = 1 << 23
 _AT_ONCE: Final = 8  # files
-
-
-class _Copy(msgspec.Struct, frozen=True):
-    """A file that is the same in both places."""
-
-    size: int
-    mtime_ns: int
-    e_tag: str
-    version: str | None = None
-
-    @property
-    def seen(self) -> Seen:
-        return Seen(self.e_tag, self.version)
-
-
-class _Record(msgspec.Struct, frozen=True):
-    """The content of `.store.json`."""
-
-    url: str = ""
-    files: dict[str, _Copy] = {}
+_MOST_WRITERS: Final = 20  # that add lines to one file at the same time
 
 
 class StoredFolder(Closeable):
     """Use it as a context manager, or call `close()`. Raises UserError while another process here works in it, or
     with `waits`, waits for that."""
 
-    def __init__(self, url: Url, here: Path | None = None, *, waits: bool = False) -> None:
-        """`here` is by default a folder of its own in the user's cache."""
+    def __init__(
+        self, url: Url, here: Path | None = None, *, waits: bool = False, lines: Collection[str] = ()
+    ) -> None:
+        """`here` is by default a folder of its own in the user's cache. `lines` are the names of files to which
+        machines only add lines."""
         self.url = url
-        digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
-        self.here = here or users_cache() / "folders" / digest / (url.name or url.bucket)
+        self.here = here or cached_copy(url)
+        self._lines = lines
         self.here.mkdir(parents=True, exist_ok=True)
         self._stream = (self.here / _LOCK).open("ab")
         if waits:
@@ -78,81 +59,111 @@ class StoredFolder(Closeable):
         elif not try_lock(self._stream):
             self._stream.close()
             raise UserError(f"{url}: another process of this machine works on it; wait until that is done")
-        record = _record_in(self.here)
-        self._copies = record.files if record.url == str(url) else {}
+        record = read_record(self.here)
+        self._record = record if record.url == str(url) else StoreRecord(str(url))
+        self._copies = dict(self._record.files)
 
     @staticmethod
     def is_copy(here: Path, url: Url) -> bool:
         """True for a folder that was brought from there, or sent there."""
-        return _record_in(here).url == str(url)
+        return read_record(here).url == str(url)
 
     def close(self) -> None:
         self._stream.close()
 
-    def bring(self, *, keeps_ours: bool = False) -> None:
+    def bring(
+        self,
+        *,
+        keeps_ours: bool = False,
+        objects: Iterable[StoredObject] | None = None,
+        wanted: Collection[str] | None = None,
+    ) -> None:
         """Make the folder here hold what the other one does. What was changed here and never went up is lost; or,
-        with `keeps_ours`, stays, if it was not changed there too.
+        with `keeps_ours`, stays, if it was not changed there too. Lines that were added here stay.
+
+        `objects` is a listing of the folder, for who has one. Of files that are not `wanted`, what the store tells
+        is recorded (`StoreRecord.left`), and none is fetched.
 
         Raises UserError for a file that was, or whose name cannot be here; StoreError.
         """
-        objects = {str(each.url).removeprefix(f"{self.url}/"): each for each in list_below(self.url)}
-        record = objects.pop(_RECORD, None)
-        times = _record_of((read_object(record.url, _MOST_BYTES) or b"") if record is not None else b"").files
-        to_fetch: list[tuple[str, StoredObject]] = []
-        for name, there in objects.items():
-            if any(not part or part.startswith(".") or "\\" in part or ":" in part for part in name.split("/")):
-                raise UserError(f"{there.url}: a name that no file here may have; remove it there")
-            ours = self._copies.get(name)
-            is_ours = ours is not None and ours.seen.name == there.version
-            is_changed = self._is_changed(name)
-            if keeps_ours and is_changed and ours is not None and not is_ours:
-                raise UserError(
-                    f"{there.url}: was changed there, and its copy {self.here / name} here; remove one of the two"
-                )
-            if not is_ours or (is_changed and not keeps_ours):
-                to_fetch.append((name, there))
-        for name in self._copies.keys() - objects.keys():
-            if not (keeps_ours and self._is_changed(name)):
+        found = list_below(self.url) if objects is None else objects
+        there = {str(each.url).removeprefix(f"{self.url}/"): each for each in found}
+        record = there.pop(RECORD_NAME, None)
+        differ = [name for name, each in there.items() if self._differs(name, each, keeps_ours=keeps_ours)]
+        for name in self._copies.keys() - there.keys():
+            is_ours = keeps_ours or name in self._lines
+            if not (is_ours and self._is_changed(name)):
                 (self.here / name).unlink(missing_ok=True)
             del self._copies[name]
+        told: Mapping[str, Copy] = {**self._copies, **self._record.left}
+        told_by = "" if record is None else record.version
+        if differ and record is not None and record.version != self._record.told_by:
+            told = record_of(read_object(record.url, _MOST_BYTES) or b"").files
+        elif not differ:
+            told_by = self._record.told_by
+        fetched = [name for name in differ if wanted is None or name in wanted]
         with ThreadPoolExecutor(_AT_ONCE) as pool:
-            fetching = [(name, pool.submit(self._fetch, name, there, times)) for name, there in to_fetch]
+            fetching = [(name, pool.submit(self._fetch, name, there[name], told.get(name))) for name in fetched]
             for name, each in fetching:
                 self._copies[name] = each.result()
-        self._write_record()
+        left = {name: _as_told(there[name], told.get(name)) for name in set(differ).difference(fetched)}
+        self._write_record(left, told_by)
 
     def forget(self, name: str) -> None:
         """Remove a file here that is not there, and never was."""
         if name not in self._copies:
             (self.here / name).unlink(missing_ok=True)
 
-    def send(self, first: Sequence[str] = ()) -> bool:
+    def send(self, first: Sequence[str] = (), only: Collection[str] | None = None) -> bool:
         """Make the other folder hold what this one does; True if anything had to be done. The files of `first` go
-        up before all others, which go in the order in which they were written.
+        up before all others, which go in the order in which they were written; with `only`, no others.
 
         Raises ObjectChangedError where another machine has written one of them: that and all behind it stay as
         they are there. StoreError.
         """
-        files = {path.relative_to(self.here).as_posix(): path.stat() for path in self._files()}
-        changed = [name for name in files if self._is_changed(name)]
-        changed.sort(key=lambda name: (name not in first, files[name].st_mtime_ns, name))
-        gone = sorted(self._copies.keys() - files.keys())
+        files = {path.relative_to(self.here).as_posix(): path.stat().st_mtime_ns for path in self._files()}
+        changed = [name for name in files if self._is_changed(name) and (only is None or name in only)]
+        changed.sort(key=lambda name: (name not in first, files[name], name))
+        gone = sorted(self._copies.keys() - files.keys()) if only is None else []
         try:
             for name in changed:
-                copy = self._copies.get(name)
-                status = files[name]
-                seen = put_file(self.url.joined(name), self.here / name, copy.seen if copy is not None else None)
-                self._copies[name] = _Copy(status.st_size, status.st_mtime_ns, seen.e_tag, seen.version)
+                self._copies[name] = self._put(name)
             for name in gone:
                 there = find_object(self.url.joined(name))
-                if there is not None and there.version == self._copies[name].seen.name:
+                if there is not None and there.version == _seen(self._copies[name]).name:
                     remove(there.url)
                 del self._copies[name]
         finally:
-            self._write_record()
+            left = {name: copy for name, copy in self._record.left.items() if name not in changed}
+            self._write_record(left, self._record.told_by)
         if changed or gone:
-            put_over(self.url / _RECORD, (self.here / _RECORD).read_bytes())
+            self._put_record(changed, gone)
         return bool(changed or gone)
+
+    def _put(self, name: str) -> Copy:
+        path = self.here / name
+        for is_last in (*(False,) * _MOST_WRITERS, True):
+            status, sha256 = path.stat(), _sha256_of(path)
+            copy = self._copies.get(name)
+            try:
+                seen = put_file(self.url.joined(name), path, None if copy is None else _seen(copy))
+            except ObjectChangedError:
+                if is_last or name not in self._lines:
+                    raise
+                self._copies[name] = self._fetch(name, StoredObject(self.url.joined(name), 0, ""), None)
+                if not self._is_changed(name):  # what was added here is there already
+                    return self._copies[name]
+                continue
+            return Copy(status.st_size, status.st_mtime_ns, seen.e_tag, seen.version, sha256)
+        raise AssertionError
+
+    def _put_record(self, changed: Sequence[str], gone: Sequence[str]) -> None:
+        """Tell in the record there of what has gone up; the rest of it is what others have told."""
+        there = record_of(read_object(self.url / RECORD_NAME, _MOST_BYTES) or b"").files
+        sent = {name: self._copies[name] for name in changed}
+        known = {**self._copies, **self._record.left, **there, **sent}
+        files = {name: copy for name, copy in known.items() if name not in gone}
+        put_over(self.url / RECORD_NAME, bytes_of(StoreRecord(str(self.url), files)))
 
     def _files(self) -> list[Path]:
         found = []
@@ -170,9 +181,28 @@ class StoredFolder(Closeable):
             return copy is not None
         return copy is None or (status.st_size, status.st_mtime_ns) != (copy.size, copy.mtime_ns)
 
-    def _fetch(self, name: str, there: StoredObject, times: dict[str, _Copy]) -> _Copy:
+    def _differs(self, name: str, there: StoredObject, *, keeps_ours: bool) -> bool:
+        """Whether a file has to be fetched for the folder here to hold it. Raises UserError as `bring` does."""
+        if any(not part or part.startswith(".") or "\\" in part or ":" in part for part in name.split("/")):
+            raise UserError(f"{there.url}: a name that no file here may have; remove it there")
+        ours = self._copies.get(name)
+        is_ours = ours is not None and _seen(ours).name == there.version
+        is_changed = self._is_changed(name)
+        if name in self._lines:
+            return not is_ours or not (self.here / name).exists()
+        if keeps_ours and is_changed and ours is not None and not is_ours:
+            raise UserError(
+                f"{there.url}: was changed there, and its copy {self.here / name} here; remove one of the two"
+            )
+        return not is_ours or (is_changed and not keeps_ours)
+
+    def _fetch(self, name: str, there: StoredObject, told: Copy | None) -> Copy:
+        """Fetch a file over what is here; of one of lines, those that were added here stay behind those there."""
         path = self.here / name
         path.parent.mkdir(parents=True, exist_ok=True)
+        is_added_to = name in self._lines and path.exists() and self._is_changed(name)
+        ours = path.read_bytes() if is_added_to else b""
+        content = hashlib.sha256()
         try:
             with (
                 ObjectFile(there.url) as source,
@@ -181,32 +211,57 @@ class StoredFolder(Closeable):
             ):
                 starts = range(0, source.size, _PART_BYTES)
                 for data in source.read_many((at, min(_PART_BYTES, source.size - at)) for at in starts):
+                    content.update(data)
                     stream.write(data)
         except NoSuchObjectError:
             raise ObjectChangedError(
                 f"{there.url}: was removed while it was read; give the command again"
             ) from None
-        told = times.get(name)
-        if told is not None and told.seen.name == source.seen.name:
+        if told is not None and _seen(told).name == source.seen.name:
             os.utime(path, ns=(told.mtime_ns, told.mtime_ns))
+        elif there.written_ns:
+            os.utime(path, ns=(there.written_ns, there.written_ns))
         status = path.stat()
-        return _Copy(status.st_size, status.st_mtime_ns, source.seen.e_tag, source.seen.version)
+        if ours:
+            _add_lines(path, ours)
+        return Copy(
+            status.st_size, status.st_mtime_ns, source.seen.e_tag, source.seen.version, content.hexdigest()
+        )
 
-    def _write_record(self) -> None:
-        record = _Record(str(self.url), self._copies)
-        stored = json.dumps(msgspec.to_builtins(record), indent=1, sort_keys=True)
-        with atomic_file(self.here / _RECORD, overwrite=True) as part:
-            part.write_text(stored + "\n", encoding="utf-8")
-
-
-def _record_in(folder: Path) -> _Record:
-    path = folder / _RECORD
-    return _record_of(path.read_bytes() if path.is_file() else b"")
+    def _write_record(self, left: dict[str, Copy], told_by: str) -> None:
+        self._record = StoreRecord(str(self.url), dict(self._copies), left, told_by)
+        write_record(self.here, self._record)
 
 
-def _record_of(stored: bytes) -> _Record:
-    """Of what is none, an empty one: then all is copied again."""
-    try:
-        return msgspec.json.decode(stored, type=_Record)
-    except (msgspec.MsgspecError, ValueError, RecursionError):
-        return _Record()
+def cached_copy(url: Url) -> Path:
+    """Where the copy of a folder in a store lies in the user's cache, if there is one."""
+    digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
+    return users_cache() / "folders" / digest / (url.name or url.bucket)
+
+
+def _seen(copy: Copy) -> Seen:
+    return Seen(copy.e_tag, copy.version)
+
+
+def _as_told(there: StoredObject, told: Copy | None) -> Copy:
+    """What is known of a file that was not fetched."""
+    if told is not None and _seen(told).name == there.version:
+        return told
+    return Copy(there.size, there.written_ns, there.version)
+
+
+def _sha256_of(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _add_lines(path: Path, ours: bytes) -> None:
+    """Put the lines of `ours` that a file has not at its end."""
+    theirs = path.read_bytes()
+    if theirs and not theirs.endswith(b"\n"):
+        theirs += b"\n"
+    known = set(theirs.splitlines())
+    added = [line for line in ours.splitlines() if line not in known]
+    if added:
+        with atomic_file(path, overwrite=True) as part:
+            part.write_bytes(theirs + b"".join(line + b"\n" for line in added))

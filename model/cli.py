@@ -18,7 +18,7 @@ import tyro
 from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import UsageError, counted, printable
-from common.location import Location, absolute, is_in_store, local_path, location
+from common.location import Location, Url, absolute, is_in_store, local_path, location
 from common.location_flag import LocationFlag
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
@@ -28,6 +28,7 @@ from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
+from model.runs.run_arguments import RUNS
 
 if TYPE_CHECKING:
     from model.runs.training_progress import Listener
@@ -49,7 +50,7 @@ class Train:
     """Name of the run; by default the date and time."""
     resume: str | None = None
     """Go on with this run where it was stopped or killed; more --epochs make it longer. One in a store (s3://...)
-    is brought here, and copied there as it goes on."""
+    is brought to runs/, and copied there as it goes on."""
     init: str | None = None
     """Start from the weights of this run, instead of random ones."""
     like: str | None = None
@@ -70,15 +71,18 @@ class Train:
     """The index to train on: a folder, or the URL of a copy of one in a store."""
     sessions: LocationFlag = Path("sessions")
     """Where logs are kept, for an index that has to be built."""
-    runs: Path = Path("runs")
-    """Where runs are kept."""
+    runs: LocationFlag = RUNS
+    """Where runs are kept. With a URL (s3://BUCKET/runs) the run is made in runs/, and copied there while it is
+    trained, and when that ends."""
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Copy the run to this folder in a store (s3://BUCKET/runs) while it is trained, and when that ends."""
+    """Copy the run to this folder in a store as well, if runs are kept here."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 
 def train(config: Train) -> int:
     _refuse_contradictions(config)
+    if isinstance(config.runs, Url):
+        config = _copied_to(config.runs, config)
 
     from model.device import choose_machine
     from model.errors import RunWriteError
@@ -148,7 +152,8 @@ def train(config: Train) -> int:
                 )
     except (KeyboardInterrupt, RunWriteError):
         if is_first and run.exists():
-            print_message(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}`")
+            to = f" --copy-to {copies}" if copies is not None else ""
+            print_message(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}{to}`")
         raise
     except FirstRankError:
         return FAILED  # the first one prints why
@@ -173,6 +178,16 @@ def train(config: Train) -> int:
     drive = f"bc-drive {run_argument(run)}{_network_flag(run)}"
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")
     return code
+
+
+def _copied_to(runs: Url, config: Train) -> Train:
+    """The same training in a folder of this machine, copied to where runs are kept."""
+    from model.runs.runs_in_store import url_of
+
+    init, like, resume = (url_of(name, runs) for name in (config.init, config.like, config.resume))
+    is_brought = resume is not None and is_in_store(resume)  # and goes back to where it came from
+    copy_to = None if is_brought else runs
+    return replace(config, runs=RUNS, copy_to=copy_to, init=init, like=like, resume=resume)
 
 
 def _workers(ray: tuple[str, ...] | None) -> tuple[int, str] | None:
@@ -269,6 +284,8 @@ def _refuse_contradictions(config: Train) -> None:
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
         raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
+    if isinstance(config.runs, Url) and config.copy_to is not None:
+        raise UsageError(f"--runs {config.runs}: is where the run is copied to: leave out --copy-to")
     if Path(config.name).name != config.name or config.name.startswith("."):
         raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
 
@@ -278,7 +295,8 @@ def _run_of(config: Train) -> Path:
 
     if config.resume is not None:
         return find_any_run(_here(config.resume), config.runs)
-    run = config.runs / (config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S"))
+    name = config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+    run = local_path(config.runs) / name
     refuse_existing_run(run)
     return run
 
@@ -347,29 +365,33 @@ def _defaults() -> Train:
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     given.add_argument("--resume")
     given.add_argument("--like")
-    given.add_argument("--runs", type=Path, default=Train.runs)
+    given.add_argument("--runs", type=location, default=RUNS)
     given.add_argument("--network")
     with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
         flags, _ = given.parse_known_args()
-        if name := flags.resume if flags.resume is not None else flags.like:
+        name, runs = flags.resume if flags.resume is not None else flags.like, flags.runs
+        if name:
             from model.runs.network_of_run import choice_of, is_own_network
             from model.runs.provenance import training_of
             from model.runs.run_folder import CONFIG, find_any_run, load_config
             from model.runs.run_inputs import index_of, init_of, sessions_of
+            from model.runs.runs_in_store import url_of
 
+            if isinstance(runs, Url):
+                name = url_of(name, runs)
             if flags.resume is not None and is_in_store(name):
-                from model.runs.stored_run import bring_run
+                from model.runs.stored_run import bring_run_to
 
-                bring_run(name, flags.runs)
-                name = _here(name)
-            run = find_any_run(name, flags.runs)
+                run = bring_run_to(RUNS if isinstance(runs, Url) else runs, name)
+            else:
+                run = find_any_run(name, runs)
             stored = load_config(run)
             if is_own_network(stored) and flags.network is None:
                 choice_of(stored, run)  # says what to give: code is never run because a run names it
             settings = training_of(stored, str(run / CONFIG))
             if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
                 raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
-            init = init_of(run, flags.runs) if flags.resume is None else None
+            init = init_of(run, runs) if flags.resume is None else None
             return Train(
                 init=str(init) if init is not None else None,
                 index=index_of(run) or Train.index,

@@ -17,6 +17,8 @@ from rich.table import Table
 from common import UserError
 from common.command import DONE, run_command, warn
 from common.errors import printable
+from common.location import Url
+from common.location_flag import LocationFlag
 from common.output import print_result, print_table
 
 if TYPE_CHECKING:
@@ -40,9 +42,10 @@ class Runs:
 
     bc-runs
     bc-runs --sort interventions
+    bc-runs --runs s3://my-bucket/runs
     """
 
-    runs: Path = Path("runs")
+    runs: LocationFlag = Path("runs")
     """Where runs are kept."""
     sort: Literal["newest", "name", "rmse", "balanced-rmse", "correlation", "interventions"] = "newest"
     """By what to order them, the best first; errors as shares of those of always predicting the mean."""
@@ -53,12 +56,13 @@ class Runs:
 def list_runs(config: Runs) -> int:
     from model.runs.run_summary import summarize_runs
 
-    if not config.runs.is_dir():
+    if isinstance(config.runs, Path) and not config.runs.is_dir():
         what = "a file, no folder of runs" if config.runs.exists() else "no such folder"
         raise UserError(f"{config.runs}: {what}; train a run with `bc-train`, or give --runs FOLDER")
     found = list(summarize_runs(config.runs))
     if not found:
-        raise UserError(f"{config.runs}: no run in it; train one with `bc-train`")
+        flag = f" --runs {config.runs}" if isinstance(config.runs, Url) else ""
+        raise UserError(f"{config.runs}: no run in it; train one with `bc-train{flag}`")
     runs = sorted((run for run in found if not run.problem), key=lambda run: order_of(config.sort, run))
     if config.json:
         _print_json(runs)

@@ -108,7 +108,7 @@ def keep(store: Store) -> None:
         assert (folder.here / "config.json").read_text() == "second"
 
 
-REQUESTS: dict[Callable[[Store], None], int] = {upload: 11, download: 5, index: 6, read: 8, keep: 8}
+REQUESTS: dict[Callable[[Store], None], int] = {upload: 11, download: 5, index: 6, read: 8, keep: 10}
 """What is done with a store, and how many requests that is."""
 
 FAULTS_OF = {

@@ -167,7 +167,7 @@ def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
             ["rerun", "socketio", "engineio", "eventlet", "websocket", "obstore", "viz", "drive"],
         ),
         ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore"]),
-        ("viz, viz.cli", ["socketio", "eventlet", "torch", "websocket"]),
+        ("viz, viz.cli, model.runs.runs_in_store", ["socketio", "eventlet", "torch", "websocket"]),
     ],
 )
 def test_a_room_loads_only_what_it_needs(rooms: str, unloaded: list[str]) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from common.errors import did_you_mean
+from common.location import Location, Url
+from common.store_record import cached_from
 
 RUNS: Final = Path("runs")
 """Where runs are kept, unless --runs says otherwise."""
@@ -16,14 +18,16 @@ _MOST_NAMES: Final = 8
 
 
 def run_argument(run: Path) -> str:
-    """A run as an argument of a command, quoted for a shell: its name if it lies in `RUNS`, else its path."""
-    return shlex.quote(run.name if run.parent == RUNS else str(run))
+    """A run as an argument of a command, quoted for a shell: its name if it lies in `RUNS`, its URL if it is a
+    copy of one in a store, else its path."""
+    return shlex.quote(run.name if run.parent == RUNS else cached_from(run) or str(run))
 
 
-def suggest_runs(name: str, names: Sequence[str], runs: Path) -> str:
+def suggest_runs(name: str, names: Sequence[str], runs: Location) -> str:
     """The runs in `runs` that somebody who mistyped `name` may have meant."""
     if not names:
-        return f"none is in {runs}: `bc-train` makes one"
+        flag = f" --runs {runs}" if isinstance(runs, Url) else ""
+        return f"none is in {runs}: `bc-train{flag}` makes one"
     if meant := did_you_mean(name, names):
         return meant
     more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""

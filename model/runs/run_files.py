@@ -1,4 +1,4 @@
-"""Writing the files of a run: whole or not at all, with errors that name the file."""
+"""The names of a run's files, and writing them: whole or not at all, with errors that name the file."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from common import atomic_file
 from model.errors import RunWriteError
+
+WEIGHTS: Final = "model.safetensors"
+CONFIG: Final = "config.json"
+"""What makes a folder a run."""
+RESULTS_FILE: Final = "results.jsonl"
+"""What was measured of it, a line each: see kept_results.py."""
 
 
 @contextlib.contextmanager

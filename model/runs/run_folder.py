@@ -24,7 +24,8 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from common.files import remove_empty
-from common.location import is_in_store
+from common.location import Location, Url, location
+from common.store_record import read_record
 from common.untrusted import read_bounded
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import TargetName, speed_ahead_s_in
@@ -35,14 +36,16 @@ from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path, position_of
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.network_of_run import NETWORK_FILE, choice_of, picture_of, stored_targets
-from model.runs.run_arguments import run_argument, suggest_runs
+from model.runs.run_arguments import RUNS, run_argument, suggest_runs
+from model.runs.run_files import CONFIG as CONFIG
+from model.runs.run_files import WEIGHTS as WEIGHTS
 from model.runs.run_files import replaced_file, run_write_errors
+from model.runs.runs_in_store import bring_run, find_in_store
 
 FORMAT: Final = 4
 DRIVABLE: Final = (1, 2, 3, 4)
 """1 has less about its training; 2 may have a scale of its answers in its last layer; up to 3, steering is all."""
 MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
-WEIGHTS, CONFIG = "model.safetensors", "config.json"
 
 
 def create_run(
@@ -116,14 +119,18 @@ def newest_run(runs: Path) -> Path:
     return weights[-1].parent
 
 
-def find_run(name: str | None, runs: Path | str) -> Path:
+def find_run(name: str | None, runs: Location | str) -> Path:
     """A run by name (in `runs`), by path or by URL; the newest one without a name. NAME/last has a run's last
-    weights."""
-    runs = Path(runs)
+    weights. Of a run in a store, it is a copy in the user's cache."""
+    runs = location(runs)
+    if (copy := _brought(name, runs)) is not None:
+        if not (copy / WEIGHTS).is_file() and not _is_last(copy):
+            there = read_record(config_folder(copy)).url
+            raise RunError(f"{there}: its first epoch is not finished; `bc-train --resume {there}`")
+        return copy
+    runs = _here(runs)
     if name is None:
         return newest_run(runs)
-    if is_in_store(name):
-        name = _brought(name)
     for folder in (runs / name, Path(name)):
         if (folder / WEIGHTS).is_file() or _is_last(folder):
             return folder
@@ -138,21 +145,32 @@ def has_nothing_saved(run: Path) -> bool:
     return not checkpoint_path(run).exists() and not (run / WEIGHTS).exists()
 
 
-def find_any_run(name: str, runs: Path) -> Path:
+def find_any_run(name: str, runs: Location) -> Path:
     """A run by name (in `runs`), by path or by URL, also one that has not finished an epoch. Raises RunError if
     there is none."""
-    if is_in_store(name):
-        name = _brought(name)
+    if (copy := _brought(name, runs)) is not None:
+        return copy
+    runs = _here(runs)
     for folder in (runs / name, Path(name)):
         if (folder / CONFIG).is_file():
             return folder
     raise RunError(f"{runs / name}: no run there ({CONFIG} is missing); {_known(name, runs, CONFIG)}")
 
 
-def _brought(url: str) -> str:
-    from model.runs.stored_run import run_from_store  # obstore, an extra
+def _brought(name: str | None, runs: Location) -> Path | None:
+    """A copy of a run in a store, as it is there now; None for a run of this machine."""
+    of_run, _, last = (name or "").rstrip("/").rpartition("/")
+    is_last = bool(of_run) and last == LAST
+    found = find_in_store(of_run if is_last else name, runs)
+    if found is None:
+        return None
+    copy = bring_run(found)
+    return copy / LAST if is_last else copy
 
-    return str(run_from_store(url).absolute())
+
+def _here(runs: Location) -> Path:
+    """Where the path of a run begins that is not in the store where runs are kept."""
+    return RUNS if isinstance(runs, Url) else runs
 
 
 def _known(name: str, runs: Path, file: str) -> str:

@@ -58,7 +58,7 @@ def sessions_of(run: Path) -> Location | None:
     return folder if isinstance(folder, Url) or folder.is_dir() else None
 
 
-def init_of(run: Path, runs: Path) -> Path | None:
+def init_of(run: Path, runs: Location) -> Path | None:
     """The run whose weights `run` was started from, where it was, or by its name in `runs`; None if it began with
     random ones.
 
@@ -74,7 +74,8 @@ def init_of(run: Path, runs: Path) -> Path | None:
             raise ValueError("a run's name is a path")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{run / CONFIG}: does not say which run it was started from ({error})") from None
-    init = find_run(str(place) if isinstance(place, Path) and place.exists() else name, runs)
+    is_there = isinstance(place, Url) or (place is not None and place.exists())
+    init = find_run(str(place) if is_there else name, runs)
     if weights_checksum(init) != weights_sha256:
         raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
     return init

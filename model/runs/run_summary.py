@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,13 @@ from typing import Any
 import msgspec
 
 from common import UserError
+from common.location import Location
+from common.store_record import read_record
 from model.runs.history import read_epochs
 from model.runs.kept_results import KeptResult, kept_results
 from model.runs.network_of_run import stored_network, stored_targets
 from model.runs.run_folder import CONFIG, WEIGHTS, load_config, weights_checksum
+from model.runs.runs_in_store import bring_summaries
 from model.runs.training_progress import Epoch
 
 
@@ -85,15 +88,23 @@ def _share(value: float, whole: float) -> float:
     return value / whole if whole else math.nan
 
 
-def summarize_runs(runs: Path) -> Iterator[RunSummary]:
-    """Those of all runs in a folder, by name. A run that cannot be read says why."""
-    for config in sorted(runs.glob(f"*/{CONFIG}")):
-        yield summarize_run(config.parent)
+def summarize_runs(runs: Location) -> Iterator[RunSummary]:
+    """Those of all runs in a folder, by name. A run that cannot be read says why. Raises StoreError."""
+    if isinstance(runs, Path):
+        for config in sorted(runs.glob(f"*/{CONFIG}")):
+            yield summarize_run(config.parent)
+        return
+    for stored, copy in bring_summaries(runs):
+        found = summarize_run(copy)
+        problem = found.problem.replace(str(copy), str(stored.url))
+        yield replace(found, folder=str(stored.url), problem=problem)
 
 
 def summarize_run(run: Path) -> RunSummary:
-    weights = run / WEIGHTS
-    written_s = (weights if weights.exists() else run / CONFIG).stat().st_mtime
+    """That of a run, or of a copy of one whose weights are in a store only."""
+    weights, left = run / WEIGHTS, read_record(run).left.get(WEIGHTS)
+    has_weights = left is not None or weights.exists()
+    written_s = (weights if has_weights else run / CONFIG).stat().st_mtime if left is None else left.mtime_ns / 1e9
     about = run.name, str(run), datetime.fromtimestamp(written_s, UTC).isoformat(timespec="seconds")
     try:
         stored = load_config(run)
@@ -110,7 +121,7 @@ def summarize_run(run: Path) -> RunSummary:
             epochs=epochs[-1].epoch if epochs else 0,
             epochs_asked=config.training.epochs,
             **_errors(kept),
-            results=last_results(run) if weights.exists() else [],
+            results=last_results(run) if has_weights else [],
         )
     except (UserError, msgspec.ValidationError, OSError) as error:
         return RunSummary(*about, problem=" ".join(str(error).split()))
@@ -133,7 +144,8 @@ def _errors(kept: Epoch | None) -> dict[str, Any]:
 def last_results(run: Path) -> list[KeptResult]:
     """The last result of each track or recording at each speed and length, of the weights that the run has now."""
     results, _ = kept_results(run)
-    checksum = weights_checksum(run) if results else ""
+    left = read_record(run).left.get(WEIGHTS)
+    checksum = left.sha256 if left is not None else weights_checksum(run) if results else ""
     last: dict[tuple[object, ...], KeptResult] = {}
     for kept in results:
         found = kept.result

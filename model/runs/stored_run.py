@@ -1,4 +1,4 @@
-"""A run in a store: brought here to be used or gone on with, and copied there while it grows."""
+"""A run that is trained here and kept in a store: brought here to be gone on with, copied there while it grows."""
 
 from __future__ import annotations
 
@@ -9,35 +9,30 @@ from typing import Final
 
 from common import UserError
 from common.errors import UsageError
-from common.location import Location, Url, location
+from common.location import Location, Url
+from common.store_record import read_record
 from model.errors import RunError
-from model.runs.run_folder import CONFIG
+from model.runs.run_files import CONFIG
+from model.runs.runs_in_store import find_in_store, stored_run_folder
 from model.runs.training_progress import Epoch, Step
 
 _EVERY_S: Final = 60.0
 """As often as there is a new checkpoint."""
 
 
-def run_from_store(name: str) -> Path:
-    """A copy of a run in the user's cache, as it is there now. Raises RunError where there is none; StoreError."""
-    from common.stored_folder import StoredFolder  # an extra
-
-    with StoredFolder(_run_at(name), waits=True) as folder:
-        folder.bring()
-        return folder.here
-
-
-def bring_run(name: str, runs: Path) -> Path:
-    """A copy of a run among those of this machine, to go on with; what this machine has learnt of it and never
-    copied there stays. Raises RunError where there is none, or another one has its name here; StoreError."""
-    from common.stored_folder import StoredFolder  # an extra
-
-    url = _run_at(name)
-    here = runs / url.name
-    if here.exists() and not StoredFolder.is_copy(here, url):
-        raise RunError(f"{here}: is here already, and no copy of {url}; move it away, or give another --runs")
-    with StoredFolder(url, here, waits=True) as folder:
-        folder.bring(keeps_ours=True)
+def bring_run_to(runs: Path, name: str) -> Path:
+    """A copy of a run in a store, named by its URL, among those of this machine, to go on with; what this machine
+    has learnt of it and never copied there stays. Raises RunError where there is none, or another one has its name
+    here; StoreError."""
+    found = find_in_store(name, runs)
+    assert found is not None  # noqa: S101
+    here = runs / found.name
+    if here.exists() and read_record(here).url != str(found.url):
+        raise RunError(
+            f"{here}: is here already, and no copy of {found.url}; move it away, or give another --runs"
+        )
+    with stored_run_folder(found.url, here) as folder:
+        folder.bring(keeps_ours=True, objects=found.files.values())
     return here
 
 
@@ -88,20 +83,6 @@ class RunCopy:
             self._copying = self._pool.submit(self._copy)
 
     def _copy(self) -> None:
-        from common.stored_folder import StoredFolder  # an extra
-
         if (self._run / CONFIG).is_file():  # a new run that has learnt nothing is removed
-            with StoredFolder(self._url, self._run) as folder:
+            with stored_run_folder(self._url, self._run, waits=False) as folder:
                 folder.send()
-
-
-def _run_at(name: str) -> Url:
-    from common.object_store import find_object  # an extra
-
-    url = location(name)
-    assert isinstance(url, Url)  # noqa: S101
-    if find_object(url / CONFIG) is None:
-        raise RunError(
-            f"{url}: no run there ({CONFIG} is missing); `bc-train --copy-to {url.parent}` puts one there"
-        )
-    return url

@@ -1,7 +1,9 @@
-"""`bc-train --copy-to s3://...`: the run is trained here and copied there, and goes on anywhere."""
+"""`bc-train --runs s3://...` or `--copy-to s3://...`: a run is made here, copied there, and goes on anywhere."""
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from bucket import Bucket, serving_bucket
+from driving import one_line_in
 from model import find_run
 from model.cli import main
 from model.training.trainer import train
@@ -17,7 +20,8 @@ from udacity import call
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
-RUN = "s3://logs/runs/mine"
+RUNS = "s3://logs/runs"
+RUN = f"{RUNS}/mine"
 FLAGS = (
     "--recipe",
     "original",
@@ -49,8 +53,8 @@ def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
         yield served
 
 
-def begin(index: Path, *flags: str, name: str = "mine") -> int:
-    return call(main, "--index", index, "--name", name, *FLAGS, *PRECISION, *flags, "--copy-to", "s3://logs/runs")
+def begin(index: Path, *flags: str, name: str = "mine", to: str = "--copy-to") -> int:
+    return call(main, "--index", index, "--name", name, *FLAGS, *PRECISION, *flags, to, RUNS)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -65,12 +69,12 @@ def test_a_run_is_copied_and_goes_on_on_another_machine(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert begin(index, "--epochs", "1") == 0
+    assert begin(index, "--epochs", "1", to="--runs") == 0
     assert files(bucket.folder / "runs/mine") == files(Path("runs/mine"))
     (tmp_path / "two").mkdir()
     monkeypatch.chdir(tmp_path / "two")
     capsys.readouterr()
-    assert call(main, "--resume", RUN, "--index", index, "--epochs", "2") == 0
+    assert call(main, "--resume", "mine", "--runs", RUNS, "--index", index, "--epochs", "2") == 0
     assert "going on in epoch 2" in capsys.readouterr().out
     assert files(bucket.folder / "runs/mine") == files(Path("runs/mine"))
     alone = train(index, tmp_path / "alone", replace(SMALL, epochs=2)).run
@@ -78,7 +82,7 @@ def test_a_run_is_copied_and_goes_on_on_another_machine(
     # the first machine has not learnt that, and replaces nothing by what it has
     monkeypatch.chdir(tmp_path / "one")
     before = files(bucket.folder / "runs/mine")
-    assert call(main, "--resume", "mine", "--index", index, "--epochs", "3", "--copy-to", "s3://logs/runs") == 3
+    assert call(main, "--resume", "mine", "--index", index, "--epochs", "3", "--copy-to", RUNS) == 3
     assert "was written by another machine meanwhile" in " ".join(capsys.readouterr().err.split())
     assert files(bucket.folder / "runs/mine") == before
 
@@ -104,7 +108,7 @@ def test_a_run_that_cannot_be_copied_is_kept_and_the_command_for_the_rest_is_sai
     assert "runs/mine: not all of it is in s3://logs/runs/mine" in told
     assert "bc-train --resume mine" in told
     bucket.answer = lambda handler: False
-    assert call(main, "--resume", "mine", "--index", index, "--copy-to", "s3://logs/runs") == 0
+    assert call(main, "--resume", "mine", "--index", index, "--copy-to", RUNS) == 0
     assert files(bucket.folder / "runs/mine") == files(Path("runs/mine"))
 
 
@@ -118,3 +122,24 @@ def test_another_run_of_that_name_here_is_not_replaced(
     assert call(main, "--resume", RUN, "--index", index) == 1
     assert f"runs/mine: is here already, and no copy of {RUN}" in capsys.readouterr().err
     assert files(Path("runs/mine")) == {"config.json": b"ours"}
+
+
+def test_a_run_is_begun_like_another_there_and_from_its_weights(
+    bucket: Bucket, index: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert begin(index, "--epochs", "1", to="--runs") == 0
+    shutil.rmtree("runs")
+    assert begin(index, "--epochs", "1", "--init", "mine", name="more", to="--runs") == 0
+    init = json.loads((bucket.folder / "runs/more/config.json").read_text())["init"]
+    assert (init["run"], init["place"]) == ("mine", RUN)
+    shutil.rmtree("runs")
+    again = "--like", "more", "--index", index, "--runs", RUNS, *PRECISION
+    assert call(main, *again, "--name", "again") == 0
+    weights = [(bucket.folder / "runs" / name / "model.safetensors").read_bytes() for name in ("more", "again")]
+    assert weights[0] == weights[1]
+    assert sorted(path.name for path in Path("runs").iterdir()) == ["again"]
+    capsys.readouterr()
+    assert call(main, "--like", "mroe", "--runs", RUNS) == 1
+    assert "did you mean more?" in one_line_in(capsys)
+    assert call(main, "--name", "x", "--runs", RUNS, "--copy-to", RUNS) == 2
+    assert "leave out --copy-to" in one_line_in(capsys)

@@ -1,0 +1,67 @@
+"""`.store.json`, in a folder that is kept in a store and in copies of it: of which object each file is a copy.
+
+It is read without obstore: who only looks at a copy that is here needs no store.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from common.files import atomic_file
+from common.users_cache import users_cache
+
+RECORD_NAME: Final = ".store.json"
+
+
+class Copy(msgspec.Struct, frozen=True):
+    """A file, and the object that has the same content."""
+
+    size: int  # bytes
+    mtime_ns: int  # of the file, which is the same wherever it is copied to
+    e_tag: str
+    version: str | None = None
+    sha256: str = ""  # of its content; earlier versions did not write it
+
+
+class StoreRecord(msgspec.Struct, frozen=True):
+    """The content of the file."""
+
+    url: str = ""
+    files: dict[str, Copy] = {}
+    left: dict[str, Copy] = {}
+    """Of a copy that has not all files: those that it has not, or not as they are there now."""
+    told_by: str = ""
+    """Of a copy: the version of the store's own record that was read last."""
+
+
+def read_record(folder: Path) -> StoreRecord:
+    """That of a folder here; an empty one of a folder that is no copy."""
+    path = folder / RECORD_NAME
+    return record_of(path.read_bytes() if path.is_file() else b"")
+
+
+def cached_from(folder: Path) -> str:
+    """The URL of which a folder in the user's cache is a copy; empty for any other folder."""
+    is_cached = folder.absolute().is_relative_to(users_cache().absolute())
+    return read_record(folder).url if is_cached else ""
+
+
+def record_of(stored: bytes) -> StoreRecord:
+    """Of what is none, an empty one: then all is copied again."""
+    try:
+        return msgspec.json.decode(stored, type=StoreRecord)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return StoreRecord()
+
+
+def write_record(folder: Path, record: StoreRecord) -> None:
+    with atomic_file(folder / RECORD_NAME, overwrite=True) as part:
+        part.write_bytes(bytes_of(record))
+
+
+def bytes_of(record: StoreRecord) -> bytes:
+    return (json.dumps(msgspec.to_builtins(record), indent=1, sort_keys=True) + "\n").encode()

@@ -1,0 +1,157 @@
+"""Runs in a store: which there are, and copies of them in the user's cache, for which only what is new is fetched.
+
+No PyTorch is needed for it. A folder of runs there is listed in one request (for a thousand objects). Results that
+are added to a copy go up: see `send_results`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Final
+
+from common.location import Location, Url, is_in_store, location
+from common.store_record import cached_from, read_record
+from model.errors import RunError
+from model.runs.run_arguments import suggest_runs
+from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS
+from model.runs.training_progress import METRICS_FILE
+
+if TYPE_CHECKING:
+    from common.object_store import StoredObject
+    from common.stored_folder import StoredFolder
+
+SUMMARY_FILES: Final = (CONFIG, METRICS_FILE, RESULTS_FILE)
+"""What a summary of a run is made of: a few kilobytes."""
+
+ADDED_TO: Final = (RESULTS_FILE,)
+"""Files of a run to which any machine adds lines."""
+
+_AT_ONCE: Final = 8  # runs
+
+
+@dataclass(frozen=True)
+class RunInStore:
+    """A run as a listing tells of it."""
+
+    url: Url
+    files: Mapping[str, StoredObject]
+    """By their paths in the run's folder."""
+
+    @property
+    def name(self) -> str:
+        return self.url.name
+
+    @property
+    def has_weights(self) -> bool:
+        """Whether an epoch is finished."""
+        return WEIGHTS in self.files
+
+    @property
+    def written_ns(self) -> int:
+        """When its weights, or its config where it has none yet, came there; since 1970."""
+        return self.files[WEIGHTS if self.has_weights else CONFIG].written_ns
+
+
+def runs_in_store(runs: Url) -> list[RunInStore]:
+    """All runs in a folder, by name. Raises StoreError."""
+    from common.object_store import list_below  # an extra
+
+    by_run: dict[str, list[StoredObject]] = {}
+    for each in list_below(runs):
+        name, slash, _ = str(each.url).removeprefix(f"{runs}/").partition("/")
+        if slash and is_name(name):
+            by_run.setdefault(name, []).append(each)
+    found = (_run_of(runs / name, objects) for name, objects in sorted(by_run.items()))
+    return [run for run in found if CONFIG in run.files]
+
+
+def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
+    """A run by its URL, or by name where `runs` is in a store; without a name, the one whose weights were written
+    last. None for a run of this machine.
+
+    Raises RunError where there is none, and says which there are; StoreError.
+    """
+    if name is None:
+        return _newest(runs) if isinstance(runs, Url) else None
+    url = location(name) if is_in_store(name) else runs / name if is_name(name) else None
+    if not isinstance(url, Url):
+        return None
+    from common.object_store import list_below  # an extra
+
+    run = _run_of(url, list_below(url))
+    if CONFIG not in run.files:
+        names = [each.name for each in runs_in_store(url.parent)] if url.parent.key else []
+        known = suggest_runs(url.name, names, url.parent)
+        raise RunError(f"{url}: no run there ({CONFIG} is missing); {known}")
+    return run
+
+
+def bring_run(run: RunInStore, wanted: Collection[str] | None = None) -> Path:
+    """A copy of a run in the user's cache, as the listing tells of it; with `wanted`, of these files only. Raises
+    StoreError."""
+    with stored_run_folder(run.url) as folder:
+        folder.bring(objects=run.files.values(), wanted=wanted)
+        return folder.here
+
+
+def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:
+    """All runs in a folder, by name, and copies of those of their files that tell how each one is: what has not
+    changed since the last time is not fetched.
+
+    The weights are fetched of a run whose results cannot be told to be theirs otherwise, because no toolkit has
+    written its record there. Raises StoreError.
+    """
+    found = runs_in_store(runs)
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        yield from zip(found, pool.map(bring_summary, found), strict=True)
+
+
+def bring_summary(run: RunInStore) -> Path:
+    """The same of one run."""
+    here = bring_run(run, SUMMARY_FILES)
+    left = read_record(here).left.get(WEIGHTS)
+    if left is not None and not left.sha256 and RESULTS_FILE in run.files:
+        return bring_run(run, (*SUMMARY_FILES, WEIGHTS))
+    return here
+
+
+def send_results(run: Path) -> bool:
+    """Where `run` is a copy in the user's cache, add the results that were added to it to those in the store, also
+    if other machines have added some meanwhile; True if any were. Raises StoreError."""
+    place = location(cached_from(run))
+    if not isinstance(place, Url):
+        return False  # bc-train copies all of a run of this machine
+    with stored_run_folder(place) as folder:
+        return folder.send(only=(RESULTS_FILE,))
+
+
+def stored_run_folder(url: Url, here: Path | None = None, *, waits: bool = True) -> StoredFolder:
+    from common.stored_folder import StoredFolder  # an extra
+
+    return StoredFolder(url, here, waits=waits, lines=ADDED_TO)
+
+
+def url_of(name: str | None, runs: Url) -> str | None:
+    """What names a run in `runs` (NAME, or NAME/last) as its URL; another run, and none, as they are."""
+    first, _, rest = (name or "").partition("/")
+    return f"{runs}/{name}" if is_name(first) and rest in ("", "last") else name
+
+
+def is_name(name: str) -> bool:
+    """Whether this is a run's name, and no path."""
+    is_plain = PurePosixPath(name).name == name and not set(name) & set("\\:")
+    return is_plain and bool(name) and not name.startswith(".")
+
+
+def _newest(runs: Url) -> RunInStore:
+    trained = [run for run in runs_in_store(runs) if run.has_weights]
+    if not trained:
+        raise RunError(f"{runs}: no trained run in it; train one with `bc-train --runs {runs}`")
+    return max(trained, key=lambda run: (run.written_ns, run.name))
+
+
+def _run_of(url: Url, objects: Iterable[StoredObject]) -> RunInStore:
+    return RunInStore(url, {str(each.url).removeprefix(f"{url}/"): each for each in objects})
