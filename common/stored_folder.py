@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -109,30 +109,33 @@ class StoredFolder(Closeable):
         left = {name: _as_told(there[name], told.get(name)) for name in set(differ).difference(fetched)}
         self._write_record(left, told_by)
 
-    def forget(self, name: str) -> None:
-        """Remove a file here that is not there, and never was."""
-        if name not in self._copies:
-            (self.here / name).unlink(missing_ok=True)
+    def forget(self, *names: str) -> None:
+        """Remove files here that are not there, and never were: by their names, or a folder's, with a slash."""
+        for path in self._files():
+            name = path.relative_to(self.here).as_posix()
+            if name not in self._copies and any(_is_it_or_in_it(name, each) for each in names):
+                path.unlink()
 
     def send(self, first: Sequence[str] = (), only: Collection[str] | None = None) -> bool:
-        """Make the other folder hold what this one does; True if anything had to be done. The files of `first` go
-        up before all others, which go in the order in which they were written; with `only`, no others.
+        """Make the other folder hold what this one does; True if anything had to be done.
+
+        The files of `first` go up before all others, one after the other; of a folder among them, with a slash,
+        several at once. The others go in the order in which they were written. Last, those that are gone here go.
+        With `only`, no others go up, and none is removed.
 
         Raises ObjectChangedError where another machine has written one of them: that and all behind it stay as
         they are there. StoreError.
         """
         files = {path.relative_to(self.here).as_posix(): path.stat().st_mtime_ns for path in self._files()}
         changed = [name for name in files if self._is_changed(name) and (only is None or name in only)]
-        changed.sort(key=lambda name: (name not in first, files[name], name))
+        changed.sort(key=lambda name: (files[name], name))
+        groups = [[name for name in changed if _is_it_or_in_it(name, each)] for each in first]
+        groups += [[name] for name in changed if not any(_is_it_or_in_it(name, each) for each in first)]
         gone = sorted(self._copies.keys() - files.keys()) if only is None else []
         try:
-            for name in changed:
-                self._copies[name] = self._put(name)
-            for name in gone:
-                there = find_object(self.url.joined(name))
-                if there is not None and there.version == _seen(self._copies[name]).name:
-                    remove(there.url)
-                del self._copies[name]
+            for group in groups:
+                _do_at_once(self._put, group)
+            _do_at_once(self._remove, gone)
         finally:
             left = {name: copy for name, copy in self._record.left.items() if name not in changed}
             self._write_record(left, self._record.told_by)
@@ -140,7 +143,16 @@ class StoredFolder(Closeable):
             self._put_record(changed, gone)
         return bool(changed or gone)
 
-    def _put(self, name: str) -> Copy:
+    def _put(self, name: str) -> None:
+        self._copies[name] = self._sent(name)
+
+    def _remove(self, name: str) -> None:
+        there = find_object(self.url.joined(name))
+        if there is not None and there.version == _seen(self._copies[name]).name:
+            remove(there.url)
+        del self._copies[name]
+
+    def _sent(self, name: str) -> Copy:
         path = self.here / name
         for is_last in (*(False,) * _MOST_WRITERS, True):
             status, sha256 = path.stat(), _sha256_of(path)
@@ -237,6 +249,20 @@ def cached_copy(url: Url) -> Path:
     """Where the copy of a folder in a store lies in the user's cache, if there is one."""
     digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
     return users_cache() / "folders" / digest / (url.name or url.bucket)
+
+
+def _do_at_once(do: Callable[[str], None], names: Sequence[str]) -> None:
+    """Raises what one of the calls does; those that have not begun are not made then."""
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        try:
+            list(pool.map(do, names))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
+    return name == file_or_folder or (file_or_folder.endswith("/") and name.startswith(file_or_folder))
 
 
 def _seen(copy: Copy) -> Seen:

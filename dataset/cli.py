@@ -95,7 +95,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
         )
     put()
     code = print_log_notices(indexed, config.folder, config.sessions)
-    for notice in _one_sided(indexed, config.config):
+    for notice in _one_sided(indexed, config):
         code = warn(notice)
     if others:  # said here, so that training need not
         names = ", ".join(map(printable, others))
@@ -141,17 +141,17 @@ def _refuse_contradictions(config: Index) -> None:
             condition.check(FRAMES_SCHEMA.empty_table())
 
 
-def _one_sided(indexed: Indexed, config: IndexConfig) -> list[str]:
+def _one_sided(indexed: Indexed, config: Index) -> list[str]:
     """A line for a split without samples, unless that is what was asked for."""
     counts = indexed.counts.values()
     if not any(count.training for count in counts):
         return [
-            f"{indexed.path}: no sample for training: all frames are held out, in the gap, excluded, unusable, or"
+            f"{config.index}: no sample for training: all frames are held out, in the gap, excluded, unusable, or"
             " without a label"
         ]
-    if config.validation_share > 0 and not any(count.validation for count in counts):
+    if config.config.validation_share > 0 and not any(count.validation for count in counts):
         return [
-            f"{indexed.path}: no sample for validation, the drives are too short; give a smaller --block-s, or"
+            f"{config.index}: no sample for validation, the drives are too short; give a smaller --block-s, or"
             " hold out whole sessions with --validation SESSION"
         ]
     return []

@@ -27,16 +27,18 @@ from recorder.log.check import check
 from repository import ROOT
 
 VERSIONS = sorted(path.name for path in DATA.iterdir())
+WITH_DIVIDED = [version for version in VERSIONS if (DATA / version / "divided").is_dir()]
 WITH_RUN = [version for version in VERSIONS if (DATA / version / "run").is_dir()]
 
 
-def expected(version: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((DATA / version / "expected.json").read_text(encoding="utf-8"))
+def expected(version: str, name: str = "expected") -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((DATA / version / f"{name}.json").read_text(encoding="utf-8"))
     return found
 
 
 def test_this_version_has_files_and_all_of_them_are_small() -> None:
     assert VERSION in WITH_RUN, "python tests/helpers/kept_files.py"
+    assert VERSION in WITH_DIVIDED, "python tests/helpers/kept_files.py"
     assert sum(path.stat().st_size for path in DATA.rglob("*") if path.is_file()) <= 1_000_000
 
 
@@ -61,6 +63,22 @@ def test_indexes_are_learnt_from_as_they_are_and_built_anew(version: str, tmp_pa
     copy = shutil.copytree(folder, tmp_path / version)
     build_index([copy / "toy.mcap"], copy / "index")
     with Samples(copy / "index") as samples:
+        assert samples.metadata["format"] == SAMPLES_FORMAT
+
+
+@pytest.mark.parametrize("version", WITH_DIVIDED)
+def test_divided_indexes_are_learnt_from_as_they_are_and_built_anew(version: str, tmp_path: Path) -> None:
+    told, folder = expected(version, "expected_divided"), DATA / version
+    with Samples(folder / "divided") as samples:
+        assert samples.fingerprint == told["fingerprint"]
+        np.testing.assert_allclose(samples.table["label"], told["labels"], atol=1e-6)
+        assert set(samples.table["session"].to_pylist()) == {"more", "toy"}
+    with load(folder / "divided", batch=8) as loader:
+        assert next(loader.epoch(1)).pictures.shape == (8, 128, 128, 3)
+    copy = shutil.copytree(folder, tmp_path / version)
+    build_index([copy / "toy.mcap"], copy / "divided")
+    assert not (copy / "divided" / "samples").exists()
+    with Samples(copy / "divided") as samples:
         assert samples.metadata["format"] == SAMPLES_FORMAT
 
 

@@ -177,7 +177,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     if missing := set(config.validation) - set(names):
         raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
     refuse_file(index)
-    for folder in (index / FRAMES_FOLDER, index / IMAGE_CHECKS_FOLDER, index / LAGS_FOLDER):
+    for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER, LAGS_FOLDER, SAMPLES_FOLDER)):
         # what is written and deleted in a link would be somebody else's
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
@@ -483,7 +483,7 @@ def _up_to_date(
         parts = Division.of(stored)
         if stored["format"] != (DIVIDED_FORMAT if is_divided else SAMPLES_FORMAT) or (parts is None) == is_divided:
             return None
-        if parts is not None and {path.stem for path in (index / SAMPLES_FOLDER).iterdir()} != set(parts.sessions):
+        if parts is not None and not all(Path(str(place)).is_file() for place in parts.places(index)):
             return None
         return Balance.from_dict(stored["balance"]), counts, labels
     except (OSError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):

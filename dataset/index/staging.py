@@ -1,14 +1,13 @@
 """An index changes whole or not at all: what is new is written beside it first, and then all of it gets its name.
 
 Several files cannot be renamed in one step. So the frames files that are replaced, or whose sessions the new index
-does not hold, are moved out first, and so are divided samples; then the new samples.parquet comes, then the new
-frames and divided samples. At every moment the files in `frames` are of sessions that samples.parquet holds, and
-were made from the same logs; and those in `samples` are its parts.
+does not hold, are moved out first, and divided samples come beside the old ones; then the new samples.parquet
+comes, then the new frames, and what samples.parquet does not name goes. At every moment the files in `frames` are
+of sessions that samples.parquet holds, and were made from the same logs; and the parts that it names are there.
 
     index/new.XXXXXX.part/samples.parquet, state.json, frames/SESSION.parquet   what is new
-    index/new.XXXXXX.part/samples/SESSION.parquet                               where samples are divided
+    index/new.XXXXXX.part/samples/DIGEST/SESSION.parquet                        where samples are divided
     index/new.XXXXXX.part/old/SESSION.parquet                                   what was moved out
-    index/new.XXXXXX.part/old_samples/SESSION.parquet
 
 `old` tells that everything new was on the disk: what a killed build left is then carried through, or else removed.
 """
@@ -26,11 +25,10 @@ from common.interrupts import uninterrupted
 from dataset.errors import DatasetError, index_write_errors
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
 from dataset.parquet_file import read_metadata
-from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME
+from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME, Division, folders_of_parts
 
 _STAGE: Final = "new"
 _OLD: Final = "old"
-_OLD_SAMPLES: Final = "old_samples"
 _LEFT_BY_OLDER_VERSIONS: Final = (SAMPLES_NAME, STATE_NAME)  # they wrote parts of these into the index itself
 
 
@@ -84,7 +82,6 @@ def _publish_all(stage: Path, index: Path) -> None:
     """Give the new files their names; as often as it was stopped half-way, it goes on where it was."""
     frames, old = index / FRAMES_FOLDER, stage / _OLD
     samples = stage / SAMPLES_NAME
-    parts, old_parts = index / SAMPLES_FOLDER, stage / _OLD_SAMPLES
     try:
         old.mkdir(exist_ok=True)
         if samples.exists():
@@ -93,15 +90,11 @@ def _publish_all(stage: Path, index: Path) -> None:
             replaced = [frames / file.name for file in (stage / FRAMES_FOLDER).iterdir()]
             for file in [*gone, *filter(Path.exists, replaced)]:
                 file.replace(old / file.name)
-            if "parts" in (read_metadata(index / SAMPLES_NAME) or {}) and parts.exists():
-                parts.replace(old_parts)
-            if parts.exists() and (stage / SAMPLES_FOLDER).exists():
-                raise DatasetError(f"{parts}: not of this index, which needs that name; move it away")
+            _bring_parts(stage, index)
             samples.replace(index / SAMPLES_NAME)
     except BaseException as error:
         with contextlib.suppress(OSError):  # if that fails too, the next build carries it through
-            if old_parts.exists():
-                old_parts.replace(parts)
+            _remove_other_parts(index)
             for file in old.iterdir():
                 file.replace(frames / file.name)
             old.rmdir()
@@ -111,11 +104,34 @@ def _publish_all(stage: Path, index: Path) -> None:
     frames.mkdir(exist_ok=True)
     for file in sorted((stage / FRAMES_FOLDER).iterdir()):
         file.replace(frames / file.name)
-    if (stage / SAMPLES_FOLDER).exists():
-        (stage / SAMPLES_FOLDER).replace(parts)
+    _remove_other_parts(index)
     if (stage / STATE_NAME).exists():
         publish(stage / STATE_NAME, index / STATE_NAME, overwrite=True)
     shutil.rmtree(stage, ignore_errors=True)
+
+
+def _bring_parts(stage: Path, index: Path) -> None:
+    """Give new divided samples their names; where some were lost, the others have the same bytes."""
+    for folder in folders_of_parts(stage):
+        there = index / SAMPLES_FOLDER / folder.name
+        there.mkdir(parents=True, exist_ok=True)
+        for file in folder.iterdir():
+            file.replace(there / file.name)
+
+
+def _remove_other_parts(index: Path) -> None:
+    """Remove divided samples that samples.parquet does not name."""
+    there = folders_of_parts(index)
+    try:
+        parts = Division.of(read_metadata(index / SAMPLES_NAME) or {}) if there else None
+    except (KeyError, TypeError, ValueError):  # damaged: which of them are its own nobody knows
+        return
+    for folder in there:
+        if parts is None or folder != parts.folder(index):
+            shutil.rmtree(folder, ignore_errors=True)
+    if there:
+        with contextlib.suppress(OSError):
+            (index / SAMPLES_FOLDER).rmdir()
 
 
 def _is_ours(file: Path) -> bool:

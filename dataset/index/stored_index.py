@@ -1,8 +1,9 @@
 """An index in a store: brought here, built here, and then put there, whole or not at all.
 
-What is read of it there is samples.parquet. That goes up first, on the condition that it is still the one which
-came down: of two machines that index at once one wins, and the other is told. The rest is what the next build, on
-any machine, need not do again; until it is up, that build reads some logs once more.
+What is read of it there is samples.parquet, and divided samples, if it has some. These go up first, beside the old
+ones, and then samples.parquet, on the condition that it is still the one which came down: of two machines that
+index at once one wins, and the other is told. The rest is what the next build, on any machine, need not do again;
+until it is up, that build reads some logs once more. Divided samples that samples.parquet names no more go last.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from typing import TYPE_CHECKING
 from common.errors import ObjectChangedError, UsageError
 from common.location import Location
 from dataset.errors import DatasetError
-from dataset.index.build_state import STATE_NAME
-from dataset.samples.samples_format import SAMPLES_NAME
+from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
+from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME
 
 if TYPE_CHECKING:
     from common.stored_folder import StoredFolder
@@ -41,13 +42,12 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
 
     with StoredFolder(index) as folder:
         folder.bring()
-        for name in (SAMPLES_NAME, STATE_NAME):  # of a build that could not be put there
-            folder.forget(name)
+        folder.forget(SAMPLES_NAME, STATE_NAME, f"{SAMPLES_FOLDER}/")  # of a build that could not be put there
         yield folder.here, lambda: _put(folder)
 
 
 def _put(folder: StoredFolder) -> None:
     try:
-        folder.send(first=[SAMPLES_NAME])
+        folder.send(first=[f"{SAMPLES_FOLDER}/", SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
     except ObjectChangedError as error:
         raise DatasetError(f"{error}; give the command again: it begins with what is there") from None

@@ -1,7 +1,7 @@
 """Samples of so many frames that one process should not hold them: a file a session, each made by a task.
 
-    index/samples.parquet             no rows; what they were made from, and how they were balanced
-    index/samples/SESSION.parquet     the samples of a session
+    index/samples.parquet                   no rows; what they were made from, and how they were balanced
+    index/samples/DIGEST/SESSION.parquet    the samples of a session
 
 Balancing needs of each session only how many candidates every bin has. From these follows what is used of each
 (`dataset.samples.balance.shares`), and each is drawn by itself: with a generator of its own, because one for all
@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +31,9 @@ from dataset.samples.filter import Condition
 from dataset.samples.sample_choice import choose_share, count_candidates
 from dataset.samples.samples_format import (
     DIVIDED_FORMAT,
-    SAMPLES_FOLDER,
     SAMPLES_SCHEMA,
     Balance,
+    Division,
     SessionCounts,
     SessionLabels,
 )
@@ -92,19 +92,20 @@ def write_divided_samples(
     candidates = np.stack([counted[number][0] for number in range(len(sessions))])
     usable = [counted[number][1] for number in range(len(sessions))]
     counts = {session.name: counted[number][2] for number, session in enumerate(sessions)}
+    made_from = [counted[number][3] for number in range(len(sessions))]
     if not any(usable):
         raise nothing_usable(config, counts)
     balance, of_sessions = _divide(candidates, config)
     metadata = samples_metadata(config, logs, labels, balance, counts)
-    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode()).hexdigest()
-    folder = path.parent / SAMPLES_FOLDER
-    folder.mkdir()
+    digest = hashlib.sha256(json.dumps([metadata, made_from], sort_keys=True).encode()).hexdigest()
     with_samples = [number for number in range(len(sessions)) if usable[number]]
+    parts = Division(digest, tuple(sessions[number].name for number in with_samples))
+    folder = Path(str(parts.folder(path.parent)))
+    folder.mkdir(parents=True)
     calls = [(sessions[number], of_sessions[number], folder, digest) for number in with_samples]
     for _ in track(tasks(_write, calls), "writing samples", len(calls)):
         pass
-    parts = {"digest": digest, "sessions": [sessions[number].name for number in with_samples]}
-    write_table(path, SAMPLES_SCHEMA.empty_table(), {"format": DIVIDED_FORMAT, **metadata, "parts": parts})
+    write_table(path, SAMPLES_SCHEMA.empty_table(), {"format": DIVIDED_FORMAT, **metadata, "parts": asdict(parts)})
     return balance, counts
 
 
@@ -117,11 +118,14 @@ def _divide(candidates: NDArray[np.int64], config: IndexConfig) -> tuple[Balance
     return Balance(before, quota.originals + quota.copies, per_bin, short), shares(quota, candidates)
 
 
-def _count(session: _Session) -> tuple[NDArray[np.int64], int, SessionCounts]:
+def _count(session: _Session) -> tuple[NDArray[np.int64], int, SessionCounts, str]:
     """Of each bin how many candidates for training a session has; how many of its frames can be used, and why
-    others cannot."""
+    others cannot; the SHA-256 of its frames file."""
     usable, counts = session.usable()
-    return count_candidates(usable.label, usable.is_training, session.config), len(usable.label), counts
+    with session.frames.open("rb") as stream:
+        made_from = hashlib.file_digest(stream, "sha256").hexdigest()
+    candidates = count_candidates(usable.label, usable.is_training, session.config)
+    return candidates, len(usable.label), counts, made_from
 
 
 def _write(session: _Session, share: Quota, folder: Path, digest: str) -> None:

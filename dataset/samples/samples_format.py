@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePath
@@ -24,7 +25,7 @@ READABLE_FORMATS: Final = (4, 5, 6)
 """4 has no labels of other targets than steering; 6 has its samples in files beside it, one a session."""
 
 SAMPLES_FOLDER: Final = "samples"
-"""Where they are then; `samples.parquet` has no rows."""
+"""Where they are then, in a folder for each digest; `samples.parquet` has no rows."""
 
 DIVIDED_FROM_FRAMES: Final = 100_000_000
 """From so many frames on samples are divided: in one file, they would take the driver 12 GB and minutes."""
@@ -54,25 +55,45 @@ SAMPLES_SCHEMA: Final = pa.schema(
 )
 
 
+_DIGEST: Final = re.compile("[0-9a-f]{64}")
+_FOLDER_OF_DIGEST: Final = re.compile("[0-9a-f]{16}")
+
+
 @dataclass(frozen=True)
 class Division:
-    """How samples are divided into files."""
+    """How samples are divided into files.
+
+    Their folder is named by what they were made from: new ones are there, whole, beside the old ones, before
+    `samples.parquet` names them.
+    """
 
     digest: str  # SHA-256 of what all of them were made from, which each of them has, too
     sessions: tuple[str, ...]  # that have samples, in the order of these
 
+    def folder(self, index: Location) -> Location:
+        return index / SAMPLES_FOLDER / self.digest[:16]
+
     def places(self, index: Location) -> list[Location]:
-        return [index / SAMPLES_FOLDER / f"{session}.parquet" for session in self.sessions]
+        return [self.folder(index) / f"{session}.parquet" for session in self.sessions]
 
     @classmethod
     def of(cls, metadata: Mapping[str, Any]) -> Division | None:
         """None where all samples are in one file. Raises KeyError, TypeError or ValueError for what is none."""
         if "parts" not in metadata:
             return None
-        sessions = tuple(map(str, metadata["parts"]["sessions"]))
-        if any(PurePath(name).name != name for name in sessions):
-            raise ValueError("a session whose name leads elsewhere")
-        return cls(str(metadata["parts"]["digest"]), sessions)
+        digest, sessions = str(metadata["parts"]["digest"]), tuple(map(str, metadata["parts"]["sessions"]))
+        if not _DIGEST.fullmatch(digest) or any(PurePath(name).name != name for name in sessions):
+            raise ValueError("parts whose names lead elsewhere")
+        return cls(digest, sessions)
+
+
+def folders_of_parts(index: Path) -> list[Path]:
+    """The folders of divided samples that are there, of whatever digest."""
+    try:
+        found = sorted((index / SAMPLES_FOLDER).iterdir())
+    except OSError:
+        return []
+    return [path for path in found if _FOLDER_OF_DIGEST.fullmatch(path.name) and not path.is_symlink()]
 
 
 def sample_files(index: Path) -> list[Path]:

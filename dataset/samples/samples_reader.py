@@ -32,6 +32,7 @@ from dataset.frames.frames_file import log_place
 from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
+from dataset.samples.fetched_parts import part_files_here
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Division
 from recorder import Log, LogError
@@ -115,6 +116,11 @@ class Samples(Closeable):
 
     def _source(self) -> Path | pa.BufferReader:
         return self._file if isinstance(self._file, Path) else pa.BufferReader(self._file)
+
+    @cached_property
+    def _part_files(self) -> list[Path]:
+        """The files of divided samples, on this machine."""
+        return part_files_here(self._parts, self.path.parent) if self._parts is not None else []
 
     @cached_property
     def _columns(self) -> list[str]:
@@ -268,11 +274,10 @@ class Samples(Closeable):
                 yield file.read_row_group(group, columns)
         if self._parts is None:
             return
-        for place in self._parts.places(self.path.parent):
-            part = place if isinstance(place, Path) else pa.BufferReader(_fetched(place))
+        for part in self._part_files:
             with pq.ParquetFile(part, read_dictionary=words, page_checksum_verification=True) as file:
                 if json.loads(file.schema_arrow.metadata[METADATA_KEY])["digest"] != self._parts.digest:
-                    raise ValueError(f"{place} is not of it")
+                    raise ValueError(f"{part} is not of it")
                 for group in range(file.num_row_groups):
                     yield file.read_row_group(group, columns)
 

@@ -17,6 +17,8 @@ from dataset import DatasetError, IndexConfig, Samples, build_index, load
 from dataset.index.leaks import find_leaks
 from dataset.samples.balance import PerBin, quota_of, shares
 from logs import write_log
+from recorder import Log
+from recorder.log.tags import Tag, add_tag, tags_path
 from web.data.index_view import session_bins_sketch, view_index
 
 CONFIG = IndexConfig(labels="as-recorded", block_s=3.0, gap_s=0.5, validation_share=0.3)
@@ -39,12 +41,18 @@ def files_of(index: Path) -> dict[str, bytes]:
     return {str(path.relative_to(index)): path.read_bytes() for path in sorted(index.rglob("*.parquet"))}
 
 
+def parts(index: Path) -> str:
+    """The folder in which the only divided samples of an index are."""
+    (folder,) = (index / "samples").iterdir()
+    return folder.relative_to(index).as_posix()
+
+
 def test_divided_samples_are_balanced_as_those_of_one_file_and_every_session_has_its_share(tmp_path: Path) -> None:
     logs = write_logs(tmp_path)
     one = build_index(logs, tmp_path / "one", CONFIG)
     divided = build_index(logs, tmp_path / "divided", CONFIG, divide_from_frames=1)
     files = [path for path in files_of(tmp_path / "divided") if not path.startswith("frames")]
-    assert files == [*(f"samples/drive {n}.parquet" for n in range(3)), "samples.parquet"]
+    assert files == [*(f"{parts(tmp_path / 'divided')}/drive {n}.parquet" for n in range(3)), "samples.parquet"]
     assert divided.balance.as_dict() == one.balance.as_dict()
     assert divided.counts == one.counts
     tables = [indexed.samples.to_pylist() for indexed in (one, divided)]
@@ -119,7 +127,7 @@ def test_it_is_the_same_again_whatever_was_there_before_and_is_not_built_again_f
     before = {path: path.stat().st_ino for path in (tmp_path / "a").rglob("*.parquet")}
     build_index(logs, tmp_path / "a", CONFIG, divide_from_frames=1)
     assert {path: path.stat().st_ino for path in (tmp_path / "a").rglob("*.parquet")} == before
-    (tmp_path / "a" / "samples" / "drive 1.parquet").unlink()
+    (tmp_path / "a" / parts(tmp_path / "a") / "drive 1.parquet").unlink()
     build_index(logs, tmp_path / "a", CONFIG, divide_from_frames=1)
     assert files_of(tmp_path / "a") == files_of(tmp_path / "b")
     build_index(logs[:2], tmp_path / "a", CONFIG, divide_from_frames=1)
@@ -162,22 +170,42 @@ def test_parts_that_are_missing_or_of_another_index_are_told(tmp_path: Path) -> 
     logs = write_logs(tmp_path)
     build_index(logs, tmp_path / "index", CONFIG, divide_from_frames=1)
     build_index(logs, tmp_path / "other", IndexConfig(labels="as-recorded", seed=7), divide_from_frames=1)
-    shutil.copy(tmp_path / "other" / "samples" / "drive 1.parquet", tmp_path / "index" / "samples")
+    here, there = (tmp_path / name / parts(tmp_path / name) for name in ("index", "other"))
+    shutil.copy(there / "drive 1.parquet", here)
     is_told = pytest.raises(DatasetError, match=r"drive 1\.parquet is not of it")
     with Samples(tmp_path / "index") as samples, is_told:
         _ = samples.table
-    (tmp_path / "index" / "samples" / "drive 0.parquet").unlink()
+    (here / "drive 0.parquet").unlink()
     with Samples(tmp_path / "index") as samples, pytest.raises(DatasetError, match=r"drive 0\.parquet"):
         _ = samples.table
 
 
 def test_a_folder_of_that_name_that_is_somebody_elses_stays(tmp_path: Path) -> None:
     logs = write_logs(tmp_path)
+    mine = tmp_path / "index" / "samples" / "mine.txt"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    build_index(logs, tmp_path / "index", CONFIG, divide_from_frames=1)
+    assert len(files_of(tmp_path / "index")) == 7
     build_index(logs, tmp_path / "index", CONFIG)
-    (tmp_path / "index" / "samples").mkdir()
-    (tmp_path / "index" / "samples" / "mine.txt").write_text("mine")
-    before = files_of(tmp_path / "index")
-    with pytest.raises(DatasetError, match="not of this index, which needs that name; move it away"):
+    assert list(mine.parent.iterdir()) == [mine]
+    mine.unlink()
+    mine.parent.rmdir()
+    mine.parent.write_text("a file")
+    with pytest.raises(DatasetError, match="samples: not a plain folder; remove it"):
         build_index(logs, tmp_path / "index", CONFIG, divide_from_frames=1)
-    assert files_of(tmp_path / "index") == before
-    assert (tmp_path / "index" / "samples" / "mine.txt").exists()
+
+
+def test_samples_of_other_frames_are_others_also_where_their_number_is_the_same(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "a.mcap", [0.1, 0.2] * 100)
+    folders = set[str]()
+    with Log(log) as opened:
+        fingerprint = opened.fingerprint
+    for row in (10, 12):  # of the same block, with the same steering
+        tags_path(log).unlink(missing_ok=True)
+        add_tag(log, fingerprint, Tag(row, row, "exclude"))
+        indexed = build_index([log], tmp_path / "index", CONFIG, divide_from_frames=1)
+        assert indexed.counts["a"].excluded == 3
+        assert row not in indexed.samples["row"].to_pylist()
+        folders.add(parts(tmp_path / "index"))
+    assert len(folders) == 2

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pytest
 
+import dataset.cli
 from bucket import Bucket, serving_bucket
 from common.location import Url
-from dataset import Samples
+from dataset import DatasetError, Samples, build_index, load
 from dataset.cli import main
 from logs import write_log
 from udacity import call
@@ -94,13 +99,10 @@ def test_a_session_that_has_gone_goes_there_too(bucket: Bucket) -> None:
     assert [name for name in files(bucket) if name.startswith("frames/")] == ["frames/1.parquet"]
 
 
-@pytest.mark.parametrize("is_first", [pytest.param(True, marks=pytest.mark.long), False])
-def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
-    bucket: Bucket, is_first: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    if not is_first:
-        assert index() == 0
-    drive(bucket, 1)
+def let_another_machine_index(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
+    """While this one puts samples.parquet there: the other one comes first, with session 1 alone. What it leaves
+    there, once it was."""
+    left: dict[str, bytes] = {}
 
     def meanwhile(handler: Any) -> bool:
         if handler.command == "PUT" and handler.path.endswith("index/samples.parquet"):
@@ -108,11 +110,21 @@ def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
             use_machine("two", monkeypatch)
             assert index("1") == 0
             use_machine("one", monkeypatch)
-            other.update(files(bucket))
+            left.update(files(bucket))
         return False
 
-    other: dict[str, bytes] = {}
     bucket.answer = meanwhile
+    return left
+
+
+@pytest.mark.parametrize("is_first", [pytest.param(True, marks=pytest.mark.long), False])
+def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
+    bucket: Bucket, is_first: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not is_first:
+        assert index() == 0
+    drive(bucket, 1)
+    other = let_another_machine_index(bucket, monkeypatch)
     capsys.readouterr()
     assert index() == 1
     told = " ".join(capsys.readouterr().err.split())
@@ -155,3 +167,119 @@ def test_a_name_that_leads_elsewhere_is_refused(bucket: Bucket, capsys: pytest.C
     (bucket.folder / "index/.hidden").write_text("x")
     assert index() == 1
     assert f"{Url('s3', 'logs', 'index/.hidden')}: a name that no file here may have" in capsys.readouterr().err
+
+
+# Of a hundred million frames: samples in a file a session
+
+
+@pytest.fixture
+def divided(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> Bucket:
+    """Two sessions, of which any number of frames are many."""
+    monkeypatch.setattr(dataset.cli, "build_index", partial(build_index, divide_from_frames=1))
+    drive(bucket, 1)
+    return bucket
+
+
+def samples_in(place: Path | str) -> pa.Table:
+    with Samples(place) as samples:
+        return samples.table
+
+
+def test_divided_samples_are_in_a_bucket_as_on_a_disk_whichever_sessions_come_change_and_go(
+    divided: Bucket, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes: list[Callable[[], None]] = [
+        lambda: None,
+        lambda: drive(divided, 2),
+        lambda: (divided.folder / "sessions/0.mcap").unlink(),
+    ]
+    for number, change in enumerate(changes):
+        change()
+        assert index(place="disk") == 0
+        told = capsys.readouterr().out
+        use_machine(f"{number}", monkeypatch)  # what it needs comes from the bucket
+        assert index() == 0
+        assert capsys.readouterr().out.replace(INDEX, "disk") == told
+        here = {path.relative_to("disk").as_posix(): path.read_bytes() for path in Path("disk").rglob("*.parquet")}
+        assert {name: data for name, data in files(divided).items() if name.endswith(".parquet")} == here
+        assert sum(name.startswith("samples/") for name in here) == 2 + (number == 1)
+    divided.requests.clear()
+    use_machine("another", monkeypatch)
+    assert index("--check") == 0
+    assert divided.count("PUT") == divided.count("DELETE") == 0
+
+
+def test_wherever_an_upload_is_cut_samples_that_are_named_are_there(
+    divided: Bucket, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert index() == 0
+    before = samples_in(INDEX)
+    drive(divided, 2)
+    moments: list[Path] = []
+
+    def keep(handler: Any) -> bool:
+        if handler.command in ("PUT", "DELETE"):  # what is there before it is what a cut would leave
+            with divided.lock:
+                moments.append(tmp_path / f"moments/{len(moments)}")
+                shutil.copytree(divided.folder / "index", moments[-1])
+        return False
+
+    divided.answer = keep
+    assert index() == 0
+    divided.answer = lambda handler: False
+    after = samples_in(INDEX)
+    found = [samples_in(moment) for moment in moments]
+    is_new = [table.equals(after) for table in found]
+    assert is_new == sorted(is_new)
+    assert is_new.count(False) == 3 + 1  # before each part, and before samples.parquet
+    assert is_new.count(True) == 1 + 1 + 2 + 1  # frames, state.json, the old parts, and the record of all of it
+    assert all(table.equals(after if new else before) for table, new in zip(found, is_new, strict=True))
+
+
+def test_what_a_cut_upload_has_left_of_divided_samples_goes_with_the_next_index(
+    divided: Bucket, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    divided.answer = lambda handler: (
+        handler.command == "PUT" and handler.path.endswith("index/samples.parquet") and handler.fail(403, "No")
+    )
+    assert index() == 1
+    assert [name for name in files(divided) if name.startswith("samples/")]
+    divided.answer = lambda handler: False
+    drive(divided, 2)
+    use_machine("two", monkeypatch)
+    assert index() == 0
+    assert sessions() == ["0", "1", "2"]
+    assert sum(name.startswith("samples/") for name in files(divided)) == 3
+    other = let_another_machine_index(divided, monkeypatch)
+    use_machine("one", monkeypatch)
+    drive(divided, 3)
+    assert index() == 1
+    assert "written by another machine meanwhile" in " ".join(capsys.readouterr().err.split())
+    assert other.items() <= files(divided).items()
+    assert set(samples_in(INDEX)["session"].to_pylist()) == {"1"}
+    assert index() == 0
+    assert sessions() == ["0", "1", "2", "3"]
+    assert sum(name.startswith("samples/") for name in files(divided)) == 4
+
+
+def test_divided_samples_come_here_once_and_those_of_an_earlier_index_go(divided: Bucket, tmp_path: Path) -> None:
+    assert index() == 0
+    divided.requests.clear()
+    with load(INDEX, batch=8), load(INDEX, "validation", batch=8), Samples(INDEX) as samples:
+        assert samples.fingerprint
+    fetched = [path for method, path, _ in divided.requests if method == "GET" and "/samples/" in path]
+    assert len(fetched) == len(set(fetched)) == 2
+    kept = tmp_path / "caches/one/samples"
+    (earlier,) = kept.glob("*/*")
+    drive(divided, 2)
+    assert index() == 0
+    assert set(samples_in(INDEX)["session"].to_pylist()) == {"0", "1", "2"}
+    (later,) = kept.glob("*/*")
+    assert later.name != earlier.name
+    with Samples(INDEX) as samples:  # and somebody indexes once more
+        drive(divided, 3)
+        assert index() == 0
+        shutil.rmtree(kept)
+        told = "0.parquet is not there, which samples.parquet names; give the command again"
+        with pytest.raises(DatasetError, match=re.escape(told)):
+            _ = samples.table
