@@ -75,6 +75,7 @@ _RIGHTS: Final = {
 }
 
 _asked_by = 0  # the process that has asked a store first
+_is_hurried = False
 
 # The first request of a process to a bucket shall fail within seconds; those of a training that has run for hours
 # wait a minute for the network.
@@ -88,6 +89,8 @@ _PATIENT: Final[RetryConfig] = {
     "retry_timeout": timedelta(seconds=90),
     "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=15), "base": 2},
 }
+_TIMEOUT: Final = timedelta(minutes=5)  # of a request, with all of its bytes
+_HURRIED: Final = timedelta(seconds=15)
 
 
 @dataclass(frozen=True, order=True)
@@ -420,7 +423,7 @@ def _store(url: Url, is_patient: bool) -> ObjectStore:
             ' anew (a DataLoader: multiprocessing_context="spawn")'
         )
     _note_process()
-    return _bucket(url.scheme, url.bucket, is_patient)
+    return _bucket(url.scheme, url.bucket, is_patient and not _is_hurried, _HURRIED if _is_hurried else _TIMEOUT)
 
 
 def _note_process() -> None:
@@ -429,10 +432,10 @@ def _note_process() -> None:
 
 
 @cache
-def _bucket(scheme: str, bucket: str, is_patient: bool) -> ObjectStore:
+def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> ObjectStore:
     config: dict[str, Any] = _s3_config() if scheme == "s3" else {}
     client: ClientConfig = {
-        "timeout": timedelta(minutes=5),
+        "timeout": timeout,
         "connect_timeout": timedelta(seconds=5),
         "allow_http": True,  # as the endpoint that a person names has it; those of the three are https://
     }
@@ -481,6 +484,17 @@ def _aws_profile() -> dict[str, str]:
             if parser.has_section(section):
                 found.update(parser.items(section))
     return found
+
+
+@contextlib.contextmanager
+def hurried() -> Iterator[None]:
+    """Let every request of this process fail within seconds: people wait for what a server of pages reads."""
+    global _is_hurried
+    before, _is_hurried = _is_hurried, True
+    try:
+        yield
+    finally:
+        _is_hurried = before
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from starlette.routing import Mount
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from common.location import Url
 from web.data.attention import Attention
 from web.data.cache_folder import CacheFolder
 from web.data.drive_view import DriveViews
@@ -45,6 +46,7 @@ from web.pages.workbench import Workbench
 from web.server.error_pages import HANDLERS
 from web.server.request_guard import RequestGuard
 
+_FROM_STORES: Final = 8  # logs
 _OF_A_LOG: Final = (
     session_routes,
     log_file_routes,
@@ -58,14 +60,28 @@ _OF_A_LOG: Final = (
 
 @contextlib.contextmanager
 def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterator[ASGIApp]:
-    """The app, until the context is left."""
+    """The app, until the context is left. Raises UserError where a folder is in a store, and what reads stores is
+    not installed."""
+    with contextlib.ExitStack() as stack:
+        if folders.are_in_stores:
+            from common.object_store import hurried  # an extra
+
+            stack.enter_context(hurried())
+        yield stack.enter_context(_app(folders, host, token, cache))
+
+
+@contextlib.contextmanager
+def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterator[ASGIApp]:
     pool = ThreadPoolExecutor(1, "reading logs")
-    logs = OpenLogs()
+    # of a store, several at a time: an answer takes long, however little is asked for
+    from_stores = ThreadPoolExecutor(_FROM_STORES, "reading from stores")
+    pools = {place: from_stores if isinstance(getattr(folders, place), Url) else pool for place in PLACES}
+    logs = OpenLogs(folders)
     kept = CacheFolder(cache)
     pool.submit(kept.tidy)
-    cards = SessionCards(folders, kept, pool)
+    cards = SessionCards(folders, kept, pools)
     cards.cards("sessions", 0)  # before anybody asks: reading begins
-    checks = PictureChecks(folders.index, kept)
+    checks = PictureChecks(folders.index_here, kept)
     runs = RunCards(folders)
     viewers = RerunViewers()
     predictions = Predictions(cache)
@@ -74,8 +90,8 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         kept,
         logs,
         cards,
-        DriveViews(kept, pool),
-        WhereSearches(folders.index, pool),
+        DriveViews(folders, kept, pools["drives"]),
+        WhereSearches(folders, pools["sessions"]),
         checks,
         runs,
         Jobs(cache),
@@ -103,6 +119,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         viewers.close()
         predictions.close()
         pool.shutdown(cancel_futures=True)
+        from_stores.shutdown(cancel_futures=True)
         runs.close()
         checks.close()
         logs.close()

@@ -10,6 +10,8 @@ from common import UserError
 from common.command import DONE, check_port, run_command
 from common.errors import counted, printable
 from common.interrupts import stop_signals
+from common.location import Location, Url
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 
 
@@ -27,13 +29,13 @@ class Web:
     connection is not encrypted."""
     open: bool = False
     """Open the browser."""
-    sessions: Path = Path("sessions")
+    sessions: LocationFlag = Path("sessions")
     """Where sessions are kept."""
-    index: Path = Path("index")
+    index: LocationFlag = Path("index")
     """Where the index is kept."""
     runs: Path = Path("runs")
     """Where runs are kept."""
-    drives: Path = Path("drives")
+    drives: LocationFlag = Path("drives")
     """Where drives are kept."""
 
 
@@ -80,9 +82,12 @@ def serve(config: Web) -> int:
 
 
 def _check_folders(config: Web) -> None:
-    """Raise UserError for a file where a folder was expected; say which of those that were named are not there."""
+    """Raise UserError for a file where a folder was expected; say which of those that were named are not there.
+    Stores are asked by the pages."""
     for name in ("sessions", "index", "runs", "drives"):
-        folder: Path = getattr(config, name)
+        folder: Location = getattr(config, name)
+        if isinstance(folder, Url):
+            continue
         if folder.exists() and not folder.is_dir():
             raise UserError(f"--{name} {folder}: a file; a folder was expected")
         if not folder.exists() and folder != getattr(Web, name):

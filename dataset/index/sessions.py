@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from common.errors import did_you_mean, printable
 from common.location import Location, Url, absolute, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
-from dataset.index.build_state import Stats, read_state, sources_of
+from dataset.index.build_state import Stat, Stats, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 from recorder.log.log_info import logs_in
@@ -74,16 +74,20 @@ def sessions_not_indexed(index: Path | str, folder: Location | str) -> list[str]
 
     Those that somebody chose not to have in it, and those that could not be read, were reported when it was built.
     """
-    index = Path(index)
+    return logs_not_indexed(Path(index), finished_logs(location(folder)), Stats())
+
+
+def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Location], Stat]) -> list[str]:
+    """The same of these logs, with what is known of the files that their frames are made of."""
     held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
     if not isinstance(held, dict):
         return []
     state = read_state(index)
-    found, stats = [], Stats()
-    for log in finished_logs(location(folder)):
+    found = []
+    for log in logs:
         name = session_name(log)
         entry = state.logs.get(name)
-        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index, stats))
+        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index, stat))
         if name not in held and not is_reported:
             found.append(name)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from dataclasses import dataclass, field
@@ -98,16 +99,16 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
     return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
 
 
-def describe(path: Location, *, look: bool = False, with_tags: bool = True) -> LogInfo:
-    """`look`: also at some pictures, for the lag of the steering. Raises LogError if the log cannot be read or,
-    `with_tags`, its tags."""
-    with Log(path, brief=True) as log:
+def describe(place: Location | Log, *, look: bool = False, with_tags: bool = True) -> LogInfo:
+    """Of a log by its place, or one that is open. `look`: also at some pictures, for the lag of the steering.
+    Raises LogError if the log cannot be read or, `with_tags`, its tags."""
+    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place, brief=True) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
         quality = _quality(log)
         driven_s = _seconds(quality.get("driven_s")) if quality else None
-        by_content = tags_by_content(path) if with_tags else {}
+        by_content = tags_by_content(log.path) if with_tags else {}
         fingerprint = log.fingerprint if by_content else ""  # without tags, it need not be made
         rate_s = duration_s if driven_s is None else driven_s
         steering, lag = _steering(log, quality), None
@@ -116,7 +117,7 @@ def describe(path: Location, *, look: bool = False, with_tags: bool = True) -> L
 
             lag = measure_lag(log)
         return LogInfo(
-            path=str(path),
+            path=str(log.path),
             size_bytes=log.size,
             start=(datetime.fromtimestamp(first_ns // 10**9, UTC)).isoformat() if first_ns < 2**62 else "",
             duration_s=duration_s,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from common.location import Location
 from driving import PATIENCE_S
 from web.app import workbench_app
 from web.data.project_folders import ProjectFolders
@@ -56,10 +57,11 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(folder: Path, host: str = "127.0.0.1", token: str = "") -> Iterator[Served]:
-    """The workbench over the folders of a project; its cache is in `folder`, too. It listens on loopback, whatever
-    it believes its `host` to be."""
-    folders = ProjectFolders(*(folder / name for name in ("sessions", "index", "runs", "drives")))
+def served(folder: Path, host: str = "127.0.0.1", token: str = "", at: Location | None = None) -> Iterator[Served]:
+    """The workbench over the folders of a project, which is `at` another place if one is given; its cache is in
+    `folder`, too. It listens on loopback, whatever it believes its `host` to be."""
+    within = at or folder
+    folders = ProjectFolders(within / "sessions", within / "index", folder / "runs", within / "drives")
     with workbench_app(folders, host, token, folder / "cache") as app:
         server = WorkbenchServer(app, "127.0.0.1", 0)
         server.start()

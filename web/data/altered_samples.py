@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-from pathlib import Path
 from typing import Any, Final
 
 import cv2
@@ -14,14 +13,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from common.errors import printable
+from common.location import Location, absolute
 from dataset import Samples
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL
 from dataset.preprocess import Image
-from dataset.samples.samples_format import SAMPLES_NAME
 from dataset.samples.samples_reader import LOADED
 from web.data.cache_folder import CacheFolder
-from web.data.file_versions import version_of
 
 SHOWN: Final = 12
 _COLUMNS: Final = (*LOADED, "row", "camera", "recorded")
@@ -51,14 +49,14 @@ class AlteredSamples(msgspec.Struct, frozen=True):
     shown: list[AlteredSample]
 
 
-def altered_samples(index: Path, others: int, cache: CacheFolder) -> AlteredSamples:
-    """`SHOWN` of them; each number `others` shows others. Raises UserError where the index or its logs cannot be
-    read."""
-    key = f"altered 2 {index.resolve()} {version_of(index / SAMPLES_NAME)} {others}"
+def altered_samples(index: Location, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
+    """`SHOWN` of those of an index of this version; each number `others` shows others. Raises UserError where the
+    index or its logs cannot be read."""
+    key = f"altered 2 {absolute(index)} {version} {others}"
     return cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
 
-def _read(index: Path, others: int) -> AlteredSamples:
+def _read(index: Location, others: int) -> AlteredSamples:
     with Samples(index) as samples:
         table = samples.of_split("train", _COLUMNS)
         altered = table.filter(pc.or_(pc.not_equal(table["alteration"], ""), table["flip"]))

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.location import Location
 from web.data.file_versions import version_of
 from web.data.project_folders import RUN_CONFIG
 from web.data.run_networks import WEIGHTS, check_network
@@ -33,7 +34,7 @@ class Attention:
         self._lock = threading.Lock()
         self._networks: dict[Path, tuple[str, PictureNetwork, PictureSpec]] = {}
 
-    def overlay(self, run: Path, log: Path, encoded: bytes) -> bytes:
+    def overlay(self, run: Path, log: Location, encoded: bytes) -> bytes:
         """A PNG with the shape of the picture: coloured where the network looks, dark where it sees nothing.
 
         Raises RunError for a run that cannot be loaded, or a network of which it cannot be told; WebError for code
@@ -56,7 +57,7 @@ class Attention:
                 raise RunError(f"{run}: {error}") from None
         return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], seen)
 
-    def _network(self, run: Path, log: Path) -> tuple[PictureNetwork, PictureSpec]:
+    def _network(self, run: Path, log: Location) -> tuple[PictureNetwork, PictureSpec]:
         import torch
 
         from model.runs.run_folder import load_network, picture_of_run

@@ -3,49 +3,69 @@
 from __future__ import annotations
 
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, wait
-from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from common import UserError
+from common.errors import StoreError
+from common.location import Location
 
+Place = TypeVar("Place", bound=Location)
 Result = TypeVar("Result")
 
+_AGAIN_S: Final = 10.0  # after a store did not answer
 
-class Background(Generic[Result]):
+
+class _Asked(NamedTuple, Generic[Result]):
+    version: str
+    future: Future[Result | UserError]
+    at_s: float
+
+    def is_of(self, version: str) -> bool:
+        """Whether what it makes is, or will be, the result of that version: what a store did not answer is not."""
+        if self.version != version:
+            return False
+        is_late = time.monotonic() >= self.at_s + _AGAIN_S
+        if not is_late or not self.future.done() or self.future.cancelled():
+            return True
+        return not isinstance(self.future.result(), StoreError)
+
+
+class Background(Generic[Place, Result]):
     """A result for each file, made anew when its version is another one."""
 
-    def __init__(self, pool: Executor, make: Callable[[Path, str], Result]) -> None:
+    def __init__(self, pool: Executor, make: Callable[[Place, str], Result]) -> None:
         """`make` takes a file and its version. What it raises is the result, as UserError."""
         self._pool = pool
         self._make = make
         self._lock = threading.Lock()
-        self._futures: dict[Path, tuple[str, Future[Result | UserError]]] = {}
+        self._asked: dict[Place, _Asked[Result]] = {}
         self.done = 0
         """Grows with every result: pages that have not shown it yet ask again."""
 
-    def results(self, versions: Iterable[tuple[Path, str]], patience_s: float) -> dict[Path, Result | UserError]:
+    def results(self, versions: Iterable[tuple[Place, str]], patience_s: float) -> dict[Place, Result | UserError]:
         """Those that are there after `patience_s` at most. Of files that are not among these, nothing is kept."""
         with self._lock:
-            before, self._futures = self._futures, {}
+            before, self._asked = self._asked, {}
             for path, version in versions:
                 known = before.pop(path, None)
-                if known is None or known[0] != version:
+                if known is None or not known.is_of(version):
                     if known is not None:
-                        known[1].cancel()
-                    known = version, self._pool.submit(self._run, path, version)
-                self._futures[path] = known
-            for _, gone in before.values():
-                gone.cancel()
-            futures = {path: future for path, (_, future) in self._futures.items()}
+                        known.future.cancel()
+                    known = _Asked(version, self._pool.submit(self._run, path, version), time.monotonic())
+                self._asked[path] = known
+            for gone in before.values():
+                gone.future.cancel()
+            futures = {path: asked.future for path, asked in self._asked.items()}
         wait(futures.values(), patience_s)
         # one that was cancelled is of a version that another request has seen replaced
         there = ((path, future) for path, future in futures.items() if future.done() and not future.cancelled())
         return {path: future.result() for path, future in there}
 
-    def _run(self, path: Path, version: str) -> Result | UserError:
+    def _run(self, path: Place, version: str) -> Result | UserError:
         try:
             return self._make(path, version)
         except UserError as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
@@ -13,13 +12,14 @@ import numpy as np
 
 from common import UserError
 from common.errors import printable
+from common.location import Location, absolute
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log import topics
 from recorder.log.session_car import max_steering_deg_of
 from web.data.background import Background
 from web.data.cache_folder import CacheFolder
-from web.data.session_cards import glance_version
+from web.data.project_folders import ProjectFolders
 
 _MOST_POINTS: Final = 1500
 _MOST_EVENTS: Final = 200
@@ -59,24 +59,28 @@ class DriveView(msgspec.Struct, frozen=True):
 class DriveViews:
     """Those of all drives that are shown."""
 
-    def __init__(self, cache: CacheFolder, pool: Executor) -> None:
+    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
+        self._folders = folders
         self._cache = cache
-        self._views = Background(pool, self._view)
+        self._views = Background[Location, DriveView](pool, self._view)
 
     @property
     def done(self) -> int:
         return self._views.done
 
-    def views(self, logs: Iterable[Path], patience_s: float) -> dict[Path, DriveView | UserError]:
+    def views(self, logs: Iterable[Location], patience_s: float) -> dict[Location, DriveView | UserError]:
         """Of those that could be read by then; a UserError says why one cannot be."""
-        return self._views.results([(path, glance_version(path)) for path in logs], patience_s)
+        return self._views.results([(path, self._folders.version_of_log(path)) for path in logs], patience_s)
 
-    def _view(self, log: Path, version: str) -> DriveView:
-        key = f"drive 2 {log.resolve()} {version}"
-        return self._cache.struct(key, DriveView, lambda: _read(log))
+    def _view(self, log: Location, version: str) -> DriveView:
+        def read() -> DriveView:
+            self._folders.refuse_unanswered(log)
+            return _read(log)
+
+        return self._cache.struct(f"drive 2 {absolute(log)} {version}", DriveView, read)
 
 
-def _read(path: Path) -> DriveView:
+def _read(path: Location) -> DriveView:
     with Log(path) as log:
         states = log.vehicle()
         rows, time_ns, mph = (states[name].to_numpy() for name in ("row", "log_time_ns", "speed_mph"))

@@ -8,7 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-_GROWING_STEP: Final = 22  # bits: a log that is being recorded counts as changed every 4 MB, not every second
+from common.location import Location
+from dataset.index.build_state import Stat
+
+_GROWING_STEP: Final = 22  # bits: an unfinished log is read in full, so every 4 MB, not after each of its seconds
 _PART: Final = ".part"
 
 
@@ -22,6 +25,23 @@ def version_of(*paths: Path) -> str:
             digest.update(b"none;")
         else:
             digest.update(f"{status.st_dev},{status.st_ino},{status.st_size},{status.st_mtime_ns};".encode())
+    return digest.hexdigest()[:16]
+
+
+def version_of_growing(path: Path) -> str:
+    """Of a file that is being written to: it changes now and then."""
+    try:
+        status = path.stat()
+    except OSError:
+        return "none"
+    return f"{status.st_ino:x}.{status.st_size >> _GROWING_STEP:x}"
+
+
+def version_of_stats(found: Iterable[tuple[Location, Stat]]) -> str:
+    """Of objects in a store, by their sizes and ETags."""
+    digest = hashlib.sha256()
+    for place, stat in found:
+        digest.update(f"{place},{stat};".encode())
     return digest.hexdigest()[:16]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import cv2
@@ -25,8 +26,10 @@ def film_strip(log: Log) -> bytes:
     strip = np.full((HEIGHT_PX, PICTURES * WIDTH_PX, 3), _NO_PICTURE, np.uint8)
     found = (log.pictures(camera_topic(camera)) for camera in CAMERAS)
     pictures = next((each for each in found if len(each.sequence)), None)
-    for number in range(PICTURES):
-        shown = _thumbnail(log, pictures, (number + 0.5) / PICTURES)
+    with ThreadPoolExecutor(PICTURES) as pool:  # of a log in a store, each takes a request
+        shares = [(number + 0.5) / PICTURES for number in range(PICTURES)]
+        thumbnails = list(pool.map(lambda share: _thumbnail(log, pictures, share), shares))
+    for number, shown in enumerate(thumbnails):
         left = number * WIDTH_PX
         if shown is None:
             corners = (left + 8, 8), (left + WIDTH_PX - 8, HEIGHT_PX - 8)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
+from common.location import Location, Url
 from dataset.config import IndexConfig
 from web.data.project_folders import ProjectFolders, key_of
 from web.errors import WebError
@@ -57,6 +58,7 @@ class JobForm:
     fields: tuple[Field, ...]
     folders: tuple[tuple[str, str], ...]  # flags, and the folder of the project that each names
     made: Callable[[Mapping[str, str]], str]
+    to_store: str = ""  # the flag that names the folder of its sessions instead, if that is in a store
     fills_project: bool = False  # where none of the project's folders is there yet: `--folder` is theirs
 
     def words(self, values: Mapping[str, str], folders: ProjectFolders) -> list[str]:
@@ -74,9 +76,10 @@ class JobForm:
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
         for flag, name in self.folders:
-            folder: Path = getattr(folders, name)
+            folder: Location = getattr(folders, name)
             if folder != getattr(ProjectFolders(), name):
-                words.append(f"{flag}={folder}")
+                is_there = self.to_store and isinstance(folder, Url)
+                words.append(f"{self.to_store if is_there else flag}={folder}")
         return words
 
     def fills(self, folders: ProjectFolders) -> bool:
@@ -138,6 +141,7 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         (("--sessions", "sessions"),),
         _session,
+        to_store="--copy-to",  # where it is recorded, logs are on this machine
     ),
     JobForm(
         "import",
@@ -150,6 +154,7 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         (("--sessions", "sessions"),),
         _session,
+        to_store="--copy-to",  # where it is recorded, logs are on this machine
     ),
     JobForm(
         "index",

@@ -12,8 +12,10 @@ from typing import Final
 
 from common.errors import printable
 from common.files import PART_SUFFIX, final_path
+from common.location import Location
 from common.locks import is_being_written
 from recorder.log.recover import recovered_name
+from web.data.project_folders import why_unchangeable
 from web.errors import WebError
 
 _SUFFIX: Final = ".mcap"
@@ -37,26 +39,30 @@ class LogJob:
     name: str
     title: str
     about: str
-    words: Callable[[Path, Path, NewLogAsked, Mapping[str, Path]], Sequence[str]]
+    words: Callable[[Location, Location, NewLogAsked, Mapping[str, Location]], Sequence[str]]
     """Of the command line behind `bc-log NAME LOG`, for a log, the new one, what is asked, and all logs by key."""
     new: Callable[[Path], Path] | None = None
     has_rows: bool = False
     has_others: bool = False
     first_made: Callable[[Path], Path] | None = None  # where the command gives the names
 
+    @property
+    def makes_logs(self) -> bool:
+        return self.new is not None or self.first_made is not None
 
-def _nothing(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
+
+def _nothing(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
     return []
 
 
-def _trim(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
+def _trim(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
     rows = [_row(asked.first, "first row"), _row(asked.last, "last row")]
     if rows[0] > rows[1]:
         raise WebError(f"rows {rows[0]} to {rows[1]}: the first row, then the last one", 422)
     return ["--rows", *map(str, rows), f"--to={new}"]
 
 
-def _merge(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
+def _merge(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
     if not asked.others:
         raise WebError("choose at least one other log to merge it with", 422)
     others = []
@@ -67,7 +73,7 @@ def _merge(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -
     return [*others, f"--to={new}"]
 
 
-def _recover(log: Path, new: Path, asked: NewLogAsked, logs: Mapping[str, Path]) -> list[str]:
+def _recover(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
     return [f"--to={new}"]
 
 
@@ -124,12 +130,16 @@ def log_job(name: str) -> LogJob:
 
 
 def command_line(
-    job: LogJob, log: Path, asked: NewLogAsked, logs: Mapping[str, Path]
+    job: LogJob, log: Location, asked: NewLogAsked, logs: Mapping[str, Location]
 ) -> tuple[list[str], Path | None]:
     """The words of the command, and the log that it makes, or the first of several; None for none.
 
     Raises WebError for what cannot be one, and where a log of the new name is there already.
     """
+    if not isinstance(log, Path):
+        if job.makes_logs:
+            raise WebError(why_unchangeable(log), 409)
+        return ["bc-log", job.name, str(log), *job.words(log, log, asked, logs)], None
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
         raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
     new = log.with_name(_name(asked.new) if asked.new else job.new(log).name) if job.new else log

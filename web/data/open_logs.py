@@ -7,14 +7,15 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from recorder import Log
+from common.location import Location, Url
+from recorder import Log, LogError
+from recorder.log.chunk_cache import ChunkCache, default_cache
 from recorder.log.row_quality import States
-from web.data.file_versions import version_of
+from web.data.project_folders import ProjectFolders
 
 _KEPT_OPEN: Final = 8
 
@@ -22,11 +23,18 @@ _KEPT_OPEN: Final = 8
 class OpenLog:
     """An open log with what several requests need of it."""
 
-    def __init__(self, path: Path, version: str) -> None:
-        self.log = Log(path)
+    def __init__(self, path: Location, version: str, cache: ChunkCache | None) -> None:
+        self.log = Log(path, cache=cache)
         self.version = version
-        """Of the file, by `version_of`."""
+        """Of the file, by `ProjectFolders.version_of`."""
         self.users = 0
+        if isinstance(path, Url):  # a page's requests come at once: each would ask the store for the same
+            try:
+                with contextlib.suppress(LogError):  # who needs its rows is told
+                    _ = self.states
+            except BaseException:
+                self.log.close()
+                raise
 
     @cached_property
     def states(self) -> States:
@@ -47,31 +55,22 @@ class OpenLogs:
     """The logs that were asked for last. A log is closed when it is not kept any more and nobody uses it: another
     file may else get the number of its descriptor while somebody reads."""
 
-    def __init__(self) -> None:
+    def __init__(self, folders: ProjectFolders) -> None:
+        self._folders = folders
         self._lock = threading.Lock()
-        self._kept: OrderedDict[Path, OpenLog] = OrderedDict()
+        self._kept: OrderedDict[Location, OpenLog] = OrderedDict()
+        self._opening: dict[Location, threading.Lock] = {}
 
     @contextlib.contextmanager
-    def open(self, path: Path) -> Iterator[OpenLog]:
-        """Raises LogError if it cannot be read."""
-        version = version_of(path)
-        with self._lock:
-            found = self._kept.get(path)
-            if found is not None and found.version != version:
-                self._drop(path)
-                found = None
-            if found is not None:
-                self._kept.move_to_end(path)
-                found.users += 1
+    def open(self, path: Location) -> Iterator[OpenLog]:
+        """Raises LogError if it cannot be read, StoreError."""
+        version = self._folders.version_of(path)
+        found = self._used(path, version)
         if found is None:
-            opened = OpenLog(path, version)
             with self._lock:
-                if path in self._kept:  # two asked at once
-                    self._drop(path)
-                self._kept[path] = found = opened
-                found.users += 1
-                while len(self._kept) > _KEPT_OPEN:
-                    self._drop(next(iter(self._kept)))
+                opening = self._opening.setdefault(path, threading.Lock())
+            with opening:  # who asks meanwhile gets the same one
+                found = self._used(path, version) or self._opened(path, version)
         try:
             yield found
         finally:
@@ -80,10 +79,39 @@ class OpenLogs:
                 if not found.users and self._kept.get(path) is not found:
                     found.log.close()
 
+    def _used(self, path: Location, version: str) -> OpenLog | None:
+        """The log as it is kept open, with one user more."""
+        with self._lock:
+            found = self._kept.get(path)
+            if found is not None and found.version != version:
+                self._drop(path)
+                found = None
+            if found is not None:
+                self._kept.move_to_end(path)
+                found.users += 1
+        return found
+
+    def _opened(self, path: Location, version: str) -> OpenLog:
+        self._folders.refuse_unanswered(path)
+        opened = OpenLog(path, version, self._cache if isinstance(path, Url) else None)
+        with self._lock:
+            if path in self._kept:  # of another version
+                self._drop(path)
+            self._kept[path] = opened
+            opened.users += 1
+            while len(self._kept) > _KEPT_OPEN:
+                self._drop(next(iter(self._kept)))
+        return opened
+
+    @cached_property
+    def _cache(self) -> ChunkCache:
+        return default_cache()  # that of trainings: what was looked at need not be fetched for them
+
     def drop_changed(self) -> None:
         """Close those whose files were deleted or replaced: an open file keeps its space on the disk."""
         with self._lock:
-            for path in [path for path, kept in self._kept.items() if kept.version != version_of(path)]:
+            versions = {path: self._folders.version_of(path) for path in self._kept}
+            for path in [path for path, kept in self._kept.items() if kept.version != versions[path]]:
                 self._drop(path)
 
     def close(self) -> None:
@@ -91,7 +119,7 @@ class OpenLogs:
             for path in list(self._kept):
                 self._drop(path)
 
-    def _drop(self, path: Path) -> None:
+    def _drop(self, path: Location) -> None:
         dropped = self._kept.pop(path)
         if not dropped.users:
             dropped.log.close()

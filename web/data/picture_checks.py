@@ -10,10 +10,12 @@ from pathlib import Path
 
 from common import UserError
 from common.errors import printable
+from common.location import Location
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_file import session_name
 from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from recorder import Log
+from recorder.log.chunk_cache import default_cache
 from web.data.cache_folder import CacheFolder
 
 
@@ -53,7 +55,7 @@ class PictureChecks:
         with self._lock:
             return self._asked.get(fingerprint)
 
-    def start(self, path: Path, fingerprint: str) -> None:
+    def start(self, path: Location, fingerprint: str) -> None:
         """Begin with a check, if it is not under way."""
         with self._lock:
             known = self._asked.get(fingerprint)
@@ -66,14 +68,14 @@ class PictureChecks:
         self._is_stopped = True
         self._pool.shutdown(cancel_futures=True)
 
-    def _check(self, path: Path, fingerprint: str, checking: Checking) -> None:
+    def _check(self, path: Location, fingerprint: str, checking: Checking) -> None:
         def on_decoded(count: int) -> None:
             checking.pictures += count
             if self._is_stopped:
                 raise _StoppedError
 
         try:
-            with Log(path) as log:  # of its own: a page may close the other
+            with Log(path, cache=default_cache()) as log:  # of its own: a page may close the other
                 found = check_images(log, on_decoded)
             write_image_check(self._kept, fingerprint, fingerprint, found)
         except _StoppedError:

@@ -19,11 +19,13 @@ import numpy as np
 
 from common import UserError
 from common.errors import printable
+from common.location import location
 from common.output import print_result
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH
 from model.evaluation.predict_log import predict_log
 from model.metrics import measure
+from recorder.log_copy_cli import brought_here
 from viz.preview_command import end_with_parent
 from web.data.predictions import Measured, WorstMoment
 from web.errors import WebError
@@ -39,7 +41,8 @@ def main() -> None:
     threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
     log, run, fingerprint, result = sys.argv[1:]
     try:
-        found = _predict(Path(log), Path(run))
+        with brought_here([location(log)]) as (here,):
+            found = _predict(here, Path(run))
         if found.about["log_fingerprint"] != fingerprint:
             raise WebError("the log has been replaced since this page was opened: reload it")
         _write(found, Path(result))

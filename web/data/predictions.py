@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import subprocess
+import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -21,9 +22,10 @@ from numpy.typing import NDArray
 
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
+from common.location import Location
 from web.data.file_versions import version_of
 from web.data.own_process import own_process
-from web.data.project_folders import RUN_CONFIG
+from web.data.project_folders import RUN_CONFIG, as_word
 from web.data.run_networks import WEIGHTS
 from web.errors import WebError
 
@@ -140,14 +142,14 @@ class Predictions:
         with self._lock:
             return self._asked.get(key)
 
-    def start(self, key: str, log: Path, log_fingerprint: str, run: Path, pictures: int) -> None:
+    def start(self, key: str, log: Location, log_fingerprint: str, run: Path, pictures: int) -> None:
         """Begin with it, if it is not under way."""
         with self._lock:
             known = self._asked.get(key)
             if known is not None and not (known.is_done or known.is_stopped):
                 return
             self._asked[key] = asked = Predicting(pictures)
-        words = [str(log.absolute()), str(run.absolute()), log_fingerprint, str(self._path(key).absolute())]
+        words = [as_word(log), str(run.absolute()), log_fingerprint, str(self._path(key).absolute())]
         self._pool.submit(self._run, asked, words)
 
     def stop(self, key: str) -> None:
@@ -173,6 +175,11 @@ class Predictions:
 
     def _run(self, asked: Predicting, words: list[str]) -> None:
         leave_signals_to_main_thread()
+        # of its own: a process that is killed leaves its copy of a log in a store behind
+        with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
+            self._run_in(temporary, asked, words)
+
+    def _run_in(self, temporary: str, asked: Predicting, words: list[str]) -> None:
         try:
             with self._lock:
                 if self._is_closed or asked.is_stopped:
@@ -184,7 +191,7 @@ class Predictions:
                     stdin=subprocess.PIPE,  # it ends with this process
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,
-                    env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                    env={**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": temporary},
                     start_new_session=True,
                 )
             with process:

@@ -1,15 +1,29 @@
-"""The folders that the workbench shows. Names in addresses are looked up in listings, never joined to a path."""
+"""The folders that the workbench shows, on this machine or in stores. Names in addresses are looked up in
+listings, never joined to a path.
+
+What pages know of a log without reading it comes from here: for one of this machine from its file system, for one
+in a store from a listing of its folder, which is asked for seldom.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
+import shlex
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Final, Literal, get_args
 
+from common.errors import StoreError
+from common.files import PART_SUFFIX
+from common.location import Location, Url
+from dataset.index.build_state import Stat, stat_of
 from recorder.log.log_info import logs_in
+from recorder.log.tags import tags_path
+from web.data.file_versions import version_of, version_of_folder, version_of_growing, version_of_stats
+from web.data.stored_folders import StoredCopy, StoreListings
 from web.errors import WebError
 
 Place = Literal["sessions", "drives"]
@@ -19,45 +33,126 @@ PLACES: Final[tuple[Place, ...]] = get_args(Place)
 RUN_CONFIG: Final = "config.json"  # what makes a folder a run: `model.runs.run_folder.CONFIG`, without PyTorch
 
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+_LOG: Final = ".mcap"
 
 
 @dataclass(frozen=True)
 class ProjectFolders:
     """Where the commands keep what they write; none of them need be there yet."""
 
-    sessions: Path = Path("sessions")
-    index: Path = Path("index")
+    sessions: Location = Path("sessions")
+    index: Location = Path("index")
     runs: Path = Path("runs")
-    drives: Path = Path("drives")
-    _found: dict[tuple[Place, str], Path] = field(default_factory=dict, init=False, repr=False)  # by a listing
+    drives: Location = Path("drives")
+    _found: dict[tuple[Place, str], Location] = field(default_factory=dict, init=False, repr=False)  # by a listing
+    _listings: StoreListings = field(default_factory=StoreListings, init=False, repr=False, compare=False)
+
+    @property
+    def are_in_stores(self) -> bool:
+        """True if any of them is."""
+        return any(isinstance(folder, Url) for folder in (self.sessions, self.index, self.runs, self.drives))
 
     @property
     def are_new(self) -> bool:
         """True while none of them is there."""
-        return not any(folder.exists() for folder in (self.sessions, self.index, self.runs, self.drives))
+        every = (self.sessions, self.index, self.runs, self.drives)
+        return not any(isinstance(folder, Url) or folder.exists() for folder in every)
 
     @property
     def parent(self) -> Path | None:
         """The folder that all of them are in by their usual names; None if they are elsewhere."""
+        if isinstance(self.sessions, Url):
+            return None
         parent = self.sessions.parent
         usual = (parent / name for name in ("sessions", "index", "runs", "drives"))
         return parent if (self.sessions, self.index, self.runs, self.drives) == tuple(usual) else None
 
-    def logs(self, place: Place) -> dict[str, Path]:
-        """The logs of a folder by the key that they have in addresses; {} where there is no such folder."""
-        return {key_of(path): path for path in logs_in(getattr(self, place))}
+    @cached_property
+    def _index_copy(self) -> StoredCopy | None:
+        return StoredCopy(self.index) if isinstance(self.index, Url) else None
 
-    def log(self, place: Place, key: str) -> Path:
-        """Raises WebError if no log of that key is there (any more)."""
-        path = self._found.get((place, key))
-        if path is not None and path.is_file():  # a folder of a thousand logs is not listed for each picture
-            return path
-        path = self.logs(place).get(key)
-        if path is None:
+    @property
+    def index_here(self) -> Path:
+        """The index, or the copy of it that pages read."""
+        return self.index if isinstance(self.index, Path) else self._index_copy.here  # type: ignore[union-attr]
+
+    def look_at_index(self) -> str:
+        """Bring what has changed of an index in a store; why what is here is not what is there, or ""."""
+        if self._index_copy is None:
+            return ""
+        self._index_copy.look()
+        return self._index_copy.problem
+
+    def logs(self, place: Place) -> dict[str, Location]:
+        """The logs of a folder by the key that they have in addresses; {} where there is no such folder."""
+        folder: Location = getattr(self, place)
+        if isinstance(folder, Path):
+            return {key_of(path): path for path in logs_in(folder)}
+        self.look(place)
+        return {key_of(url): url for url in self._listings.objects(folder) if url.suffix == _LOG}
+
+    def look(self, place: Place) -> None:
+        """List a folder in a store anew, if the last time is some seconds ago."""
+        folder: Location = getattr(self, place)
+        if isinstance(folder, Url):
+            self._listings.look(folder)
+
+    def problem(self, place: Place) -> str:
+        """Why what is shown of a folder may not be what is in it: its store does not answer, or refuses."""
+        folder: Location = getattr(self, place)
+        return self._listings.problem(folder) if isinstance(folder, Url) else ""
+
+    def log(self, place: Place, key: str) -> Location:
+        """Raises WebError if no log of that key is there (any more), or if its store does not answer."""
+        known = self._found.get((place, key))
+        if known is not None and self._is_there(known):  # a thousand logs are not listed for each picture
+            return known
+        found = self.logs(place).get(key)
+        if found is None:
+            if problem := self.problem(place):
+                raise WebError(problem, 503)
             folder = getattr(self, place)
             raise WebError(f"{folder}: no log {key!r} in it; it may have been deleted, renamed or moved", 404)
-        self._found[place, key] = path
-        return path
+        self._found[place, key] = found
+        return found
+
+    def _is_there(self, log: Location) -> bool:
+        return log.is_file() if isinstance(log, Path) else self._listings.find(log) is not None
+
+    def stat(self, place: Location) -> Stat:
+        """Size, and time of modification or ETag, of a log or what lies beside it; None where there is none."""
+        if isinstance(place, Path):
+            return stat_of(place)
+        found = self._listings.find(place)
+        return None if found is None else (found.size, found.version)
+
+    def version_of(self, place: Location) -> str:
+        """Of a log, or what lies beside it: it changes when that is written to, replaced, or removed."""
+        return version_of(place) if isinstance(place, Path) else version_of_stats([(place, self.stat(place))])
+
+    def version_of_log(self, place: Location) -> str:
+        """The same of a log, as lists tell it apart: one that is being recorded changes all the time."""
+        if isinstance(place, Path) and place.name.endswith(PART_SUFFIX):
+            return version_of_growing(place)
+        return self.version_of(place)
+
+    def version_of_folder(self, place: Place) -> str:
+        """Of the logs in a folder, and what lies beside them. Nothing is read; a store is asked now and then."""
+        folder: Location = getattr(self, place)
+        if isinstance(folder, Path):
+            return version_of_folder(folder)
+        self.look(place)
+        objects = self._listings.objects(folder)
+        return version_of_stats((url, self.stat(url)) for url in objects) + self.problem(place)
+
+    def refuse_unanswered(self, log: Location) -> None:
+        """Raise StoreError, at once, for a log whose store has not answered when it was last asked."""
+        if isinstance(log, Url) and (problem := self._listings.problem(log.parent)):
+            raise StoreError(problem)
+
+    def has_tags(self, log: Location) -> bool:
+        """False for a log in a store with no tags beside it: nobody need ask for them."""
+        return isinstance(log, Path) or self.stat(tags_path(log)) is not None
 
     def run_folders(self) -> dict[str, Path]:
         """The runs by the key that they have in addresses, also those that cannot be read."""
@@ -71,10 +166,25 @@ class ProjectFolders:
         return path
 
 
-def key_of(path: Path) -> str:
+def why_unchangeable(log: Location) -> str:
+    """Why a log, and its tags, cannot be changed from its page; "" if they can be."""
+    if isinstance(log, Path):
+        return ""
+    return (
+        "this log is in a store, where nothing is changed from here;"
+        f" `{shlex.join(['bc-log', 'copy', str(log), 'sessions'])}` brings it to this machine"
+    )
+
+
+def as_word(log: Location) -> str:
+    """A log in the command line of a process that may work in another folder."""
+    return str(log.absolute() if isinstance(log, Path) else log)
+
+
+def key_of(path: Location) -> str:
     """What a file or folder is called in addresses: its name (without .mcap) where that is plain, else a hash of
     it: a name may hold whatever a file system takes, even bytes that are no text."""
-    name = path.name.removesuffix(".mcap")
+    name = path.name.removesuffix(_LOG)
     if _PLAIN.fullmatch(name):
         return name
     return "~" + hashlib.sha256(os.fsencode(path.name)).hexdigest()[:20]

@@ -11,20 +11,23 @@ import http.client
 import os
 import secrets
 import shlex
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Final
 
 from common.command import FAILED
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
+from common.location import Location, Url
 from common.versions import version_of
 from web.data.own_process import own_process
+from web.data.project_folders import as_word
 from web.errors import WebError
 
 MOST: Final = 2
@@ -43,7 +46,7 @@ _HINT: Final = "; Ctrl-C ends"  # where to open it, which is done here
 class RerunViewer:
     """The process that serves one log to a viewer."""
 
-    def __init__(self, log: Path, *, is_growing: bool) -> None:
+    def __init__(self, log: Location, *, is_growing: bool) -> None:
         """Raises WebError if it cannot be started."""
         self.key = secrets.token_hex(8)
         self.web_port, self.data_port = _free_ports(2)
@@ -51,9 +54,13 @@ class RerunViewer:
         self._is_ended = False
         self.notes: list[str] = []
         """What bc-play has said, such as what it had to leave out; an error last."""
-        words = [str(log.absolute()), "--web", f"--web-port={self.web_port}", f"--port={self.data_port}"]
+        if isinstance(log, Url):
+            self.notes.append("a copy of the log comes from its store first")
+        words = [as_word(log), "--web", f"--web-port={self.web_port}", f"--port={self.data_port}"]
         line = own_process("web.data.rerun_process", *words, *(["--follow"] if is_growing else []))
-        environment = {**os.environ, "COLUMNS": "400", "NO_COLOR": "1"}
+        # of its own: a process that is killed leaves its copy of a log in a store behind
+        self._temporary = tempfile.mkdtemp(prefix="bc-web-")
+        environment = {**os.environ, "COLUMNS": "400", "NO_COLOR": "1", "TMPDIR": self._temporary}
         try:
             # its stdin ends with this process, and then it does; a group of its own, so that nothing of it stays
             self._process = subprocess.Popen(
@@ -65,6 +72,7 @@ class RerunViewer:
                 start_new_session=True,
             )
         except OSError as error:
+            shutil.rmtree(self._temporary, ignore_errors=True)
             raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
         self._reader = threading.Thread(target=self._read, name="rerun", daemon=True)
         self._reader.start()
@@ -110,6 +118,7 @@ class RerunViewer:
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
         self._process.wait()
+        shutil.rmtree(self._temporary, ignore_errors=True)
 
     def _read(self) -> None:
         leave_signals_to_main_thread()
@@ -129,7 +138,7 @@ class RerunViewers:
         self._open: dict[str, RerunViewer] = {}  # the oldest first
         self._endings: list[threading.Thread] = []
 
-    def open(self, log: Path, *, is_growing: bool) -> RerunViewer:
+    def open(self, log: Location, *, is_growing: bool) -> RerunViewer:
         """Serve a log. Raises WebError where Rerun is not installed, or cannot be started."""
         if find_spec("rerun") is None or find_spec("rerun_cli") is None:
             raise WebError("Rerun is not installed here: `pip install rerun-sdk` brings it", 501)
@@ -178,7 +187,7 @@ class RerunViewers:
             ending.join()
 
 
-def command_of(log: Path) -> str:
+def command_of(log: Location) -> str:
     """The command that opens the same beside the browser."""
     return printable(shlex.join(["bc-play", str(log)]))
 

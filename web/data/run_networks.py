@@ -6,12 +6,13 @@ import shlex
 from pathlib import Path
 from typing import Final
 
+from common.location import Location
 from web.errors import WebError
 
 WEIGHTS: Final = "model.safetensors"  # `model.runs.run_folder.WEIGHTS`, without PyTorch
 
 
-def check_network(run: Path, log: Path) -> None:
+def check_network(run: Path, log: Location) -> None:
     """Raises WebError for a run whose network is code of one's own, with the command that shows it over a log;
     RunError for a run of a later version, or one that cannot be read."""
     from model.runs.network_of_run import is_own_network, network_flag, stored_network

@@ -5,19 +5,19 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Final
 
 import msgspec
 import pyarrow.compute as pc
 
 from common import UserError
-from common.errors import printable
+from common.errors import StoreError, printable
 from common.files import PART_SUFFIX
+from common.location import Location, absolute
 from common.locks import is_being_written
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames, session_name
@@ -31,9 +31,6 @@ from web.data.background import Background
 from web.data.cache_folder import CacheFolder
 from web.data.file_versions import version_of
 from web.data.project_folders import PLACES, Place, ProjectFolders, key_of
-
-_GROWING_STEP: Final = 22  # bits: an unfinished log is read in full, so not after each of its seconds
-
 
 TagRows = tuple[str, int, int]
 """A tag as an index keeps it: its name, its first and its last row."""
@@ -76,7 +73,7 @@ class SessionCard:
     """A log in the list. `info` is None while it is being read, and where `problem` says why it cannot be."""
 
     key: str
-    path: Path
+    path: Location
     version: str
     info: LogInfo | None
     problem: str
@@ -120,13 +117,13 @@ class SessionCard:
 class SessionCards:
     """The cards of all logs of a folder, read on a thread and cached between starts."""
 
-    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
+    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pools: Mapping[Place, Executor]) -> None:
         self._folders = folders
         self._cache = cache
         self._lock = threading.Lock()
-        self._glances = {place: Background(pool, self._glance) for place in PLACES}
-        self._shares = {place: Background(pool, self._share) for place in PLACES}
-        self._tags: dict[Path, tuple[tuple[str, str], TagsBeside | UserError]] = {}
+        self._glances = {place: Background[Location, Glance](pools[place], self._glance) for place in PLACES}
+        self._shares = {place: Background[Path, Share](pools[place], self._share) for place in PLACES}
+        self._tags: dict[Location, tuple[tuple[str, str], TagsBeside | UserError]] = {}
 
     @property
     def done(self) -> int:
@@ -136,10 +133,11 @@ class SessionCards:
     def cards(self, place: Place, patience_s: float) -> list[SessionCard]:
         """Of all logs in that folder, by name; those that cannot be read in that time have no `info` yet."""
         logs = self._folders.logs(place)
-        versions = [(path, glance_version(path)) for path in logs.values()]
+        versions = [(path, self._folders.version_of_log(path)) for path in logs.values()]
         glances = self._glances[place].results(versions, patience_s)
-        state = read_state(self._folders.index)
-        frames = {path: frames_path(self._folders.index, path) for path in logs.values()}
+        index = self._folders.index_here
+        state = read_state(index)
+        frames = {path: frames_path(index, path) for path in logs.values()}
         held = [frames[path] for path in logs.values() if session_name(path) in state.logs]
         shares = self._shares[place].results([(path, version_of(path)) for path in held], patience_s)
         return [
@@ -147,17 +145,25 @@ class SessionCards:
             for path, version in versions
         ]
 
-    def tags(self, path: Path, fingerprint: str) -> TagsBeside:
+    def info(self, path: Location) -> LogInfo:
+        """What the page of a log says of it; of one in a store, what is kept. Raises LogError, StoreError."""
+        if isinstance(path, Path):
+            return describe(path, with_tags=False)
+        return self._glance(path, self._folders.version_of_log(path)).info
+
+    def tags(self, path: Location, fingerprint: str) -> TagsBeside:
         """Those beside the log, from memory while their file is unchanged. Raises LogError for a broken file."""
-        key = version_of(tags_path(path)), fingerprint
+        key = self._folders.version_of(tags_path(path)), fingerprint
         with self._lock:
             known = self._tags.get(path)
         if known is None or known[0] != key:
             found: TagsBeside | UserError
             try:
-                by_content = tags_by_content(path)
+                by_content = self._tags_by_content(path, key[0])
                 tags = sorted(by_content.pop(fingerprint, ()))
                 found = TagsBeside(key[0], tags, sum(map(len, by_content.values())))
+            except StoreError:
+                raise  # the next one may get an answer
             except UserError as error:
                 found = error
             with self._lock:
@@ -166,9 +172,22 @@ class SessionCards:
             raise known[1]
         return known[1]
 
-    def _card(self, path: Path, version: str, glance: Glance | UserError | None, index: InIndex) -> SessionCard:
+    def _tags_by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
+        if isinstance(path, Path):
+            return tags_by_content(path)
+        if not self._folders.has_tags(path):
+            return {}
+        self._folders.refuse_unanswered(path)
+        key = f"tags 1 {path} {version}"
+        return self._cache.struct(key, dict[str, set[Tag]], lambda: tags_by_content(path))
+
+    def _card(
+        self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
+    ) -> SessionCard:
         problem, tags_problem, counts = "", "", Counter[str]()
-        if isinstance(glance, UserError):
+        if isinstance(glance, StoreError):
+            tags_problem, glance = printable(str(glance)), None  # it is not known to be damaged
+        elif isinstance(glance, UserError):
             problem, glance = printable(str(glance)), None
         if glance is not None:
             try:
@@ -187,18 +206,21 @@ class SessionCards:
             is_recording=path.name.endswith(PART_SUFFIX) and is_being_written(path),
         )
 
-    def _glance(self, path: Path, version: str) -> Glance:
-        key = f"glance 1 {path.resolve()} {version}"
-        return self._cache.struct(key, Glance, lambda: _read_glance(path))
+    def _glance(self, path: Location, version: str) -> Glance:
+        def read() -> Glance:
+            self._folders.refuse_unanswered(path)
+            return _read_glance(path)
 
-    def _in_index(self, path: Path, state: BuildState, share: Share | UserError | None) -> InIndex:
+        return self._cache.struct(f"glance 1 {absolute(path)} {version}", Glance, read)
+
+    def _in_index(self, path: Location, state: BuildState, share: Share | UserError | None) -> InIndex:
         session = session_name(path)
         built = state.logs.get(session)
         if built is None:
             return InIndex("left out by choice" if session in state.passed_over else "not in the index")
-        if built.sources[0] != str(path.resolve()):
+        if built.sources[0] != str(absolute(path)):
             return InIndex("not in the index", "it has another log of that name")
-        sources = sources_of(session, path, self._folders.index)
+        sources = sources_of(session, path, self._folders.index_here, self._folders.stat)
         if built.sources != sources and not (
             _but_tags(built.sources) == _but_tags(sources) and self._has_tags_of(share, path, built.fingerprint)
         ):
@@ -209,7 +231,7 @@ class SessionCards:
             return InIndex("in the index", printable(str(share)))
         return InIndex("in the index", "", share.frames if share else {})
 
-    def _has_tags_of(self, share: Share | UserError | None, path: Path, fingerprint: str) -> bool:
+    def _has_tags_of(self, share: Share | UserError | None, path: Location, fingerprint: str) -> bool:
         """Whether the tags beside a log are those that the index has: what was tagged since was undone."""
         if not isinstance(share, Share):
             return False
@@ -224,18 +246,7 @@ class SessionCards:
         return self._cache.struct(key, Share, lambda: _read_share(path))
 
 
-def glance_version(path: Path) -> str:
-    """The version of a log, as the list tells it apart."""
-    if not path.name.endswith(PART_SUFFIX):
-        return version_of(path)
-    try:
-        status = path.stat()
-    except OSError:
-        return "none"
-    return f"{status.st_ino:x}.{status.st_size >> _GROWING_STEP:x}"
-
-
-def frames_path(index: Path, log: Path) -> Path:
+def frames_path(index: Path, log: Location) -> Path:
     return index / FRAMES_FOLDER / f"{session_name(log)}.parquet"
 
 
@@ -249,11 +260,11 @@ def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
     return counts
 
 
-def _read_glance(path: Path) -> Glance:
+def _read_glance(path: Location) -> Glance:
     # a path may be no text; of what is kept, nothing depends on where it was
-    info = describe(path, with_tags=False)
-    info = dataclasses.replace(info, path="", notice=printable(info.notice))
-    with Log(path) as log:
+    with Log(path, brief=True) as log:
+        info = describe(log, with_tags=False)
+        info = dataclasses.replace(info, path="", notice=printable(info.notice))
         return Glance(info, log.fingerprint)
 
 

@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 
 from common import UserError
 from common.errors import printable
+from common.location import Location
 from dataset.config import IndexConfig
 from dataset.frames.frames_file import FRAMES_SCHEMA
 from dataset.frames.frames_table import frames_table
@@ -21,24 +22,23 @@ from dataset.samples.filter import Condition
 from recorder import Log
 from recorder.log.tags import read_tags, tags_path
 from web.data.background import Background
-from web.data.file_versions import version_of
-from web.data.session_cards import glance_version
+from web.data.project_folders import ProjectFolders
 
 _MOST_SEARCHES: Final = 8  # of which the results are kept
 _LONGEST: Final = 2000  # characters of a condition
 
-Found = Mapping[Path, int]
+Found = Mapping[Location, int]
 """Rows of each log that has been looked at."""
 
 
 class WhereSearches:
     """Conditions that pages have asked for last, with what was found so far."""
 
-    def __init__(self, index: Path, pool: Executor) -> None:
-        self._index = index
+    def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
+        self._folders = folders
         self._pool = pool
         self._lock = threading.Lock()
-        self._searches: OrderedDict[str, Background[int]] = OrderedDict()
+        self._searches: OrderedDict[str, Background[Location, int]] = OrderedDict()
         self._done = 0  # of searches that are not kept any more
 
     @property
@@ -46,7 +46,7 @@ class WhereSearches:
         with self._lock:
             return self._done + sum(search.done for search in self._searches.values())
 
-    def rows(self, where: str, logs: Sequence[Path], patience_s: float) -> Found:
+    def rows(self, where: str, logs: Sequence[Location], patience_s: float) -> Found:
         """How many rows the condition holds for, of each log that could be looked at in that time; 0 where a log
         cannot be read. Raises UserError if it is no condition."""
         if len(where) > _LONGEST:
@@ -55,15 +55,20 @@ class WhereSearches:
             search = self._searches.get(where)
         if search is None:
             _check(where)
-            search = Background(self._pool, lambda path, version: _rows_of(path, self._index, where))
+            search = Background[Location, int](self._pool, lambda path, version: self._rows_of(path, where))
             with self._lock:
                 self._searches[where] = search
                 while len(self._searches) > _MOST_SEARCHES:
                     _, dropped = self._searches.popitem(last=False)
                     self._done += dropped.done
-        versions = [(path, f"{glance_version(path)} {version_of(tags_path(path))}") for path in logs]
+        version_of, version_of_log = self._folders.version_of, self._folders.version_of_log
+        versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
         found = search.results(versions, patience_s)
         return {path: rows if isinstance(rows, int) else 0 for path, rows in found.items()}
+
+    def _rows_of(self, path: Location, where: str) -> int:
+        self._folders.refuse_unanswered(path)
+        return _rows_of(path, self._folders.index_here, where)
 
 
 def _check(where: str) -> None:
@@ -73,7 +78,7 @@ def _check(where: str) -> None:
         raise UserError(printable(str(error))) from None
 
 
-def _rows_of(path: Path, index: Path, where: str) -> int:
+def _rows_of(path: Location, index: Path, where: str) -> int:
     with Log(path) as log:
         frames: pa.Table = frames_table(log, index, IndexConfig(), read_tags(path, log.fingerprint))
     chosen = frames["row"].filter(pa.array(Condition(where).holds(frames)))

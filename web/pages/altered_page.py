@@ -8,7 +8,9 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
-from web.data.altered_samples import altered_samples
+from dataset.samples.samples_format import SAMPLES_NAME
+from web.data.altered_samples import AlteredSamples, altered_samples
+from web.data.file_versions import version_of
 from web.data.project_folders import key_of
 from web.errors import WebError
 from web.pages.workbench import Workbench
@@ -16,12 +18,14 @@ from web.server.templates import render
 
 
 def altered_routes(bench: Workbench) -> list[Route]:
-    def folder_of(trial: str) -> Path:
-        return bench.trials.get(trial) if trial else bench.folders.index
+    def samples_of(trial: str, others: int) -> AlteredSamples:
+        index = bench.trials.get(trial) if trial else bench.folders.index
+        here = index if isinstance(index, Path) else bench.folders.index_here
+        return altered_samples(index, version_of(here / SAMPLES_NAME), others, bench.cache)
 
     def rows(request: Request) -> Response:
         trial, others = request.query_params.get("trial", ""), _number(request.query_params.get("others", "0"))
-        found = altered_samples(folder_of(trial), others, bench.cache)
+        found = samples_of(trial, others)
         shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(found.shown)]
         return HTMLResponse(render("altered_rows.html", found=found, shown=shown, trial=trial, others=others))
 
@@ -29,7 +33,7 @@ def altered_routes(bench: Workbench) -> list[Route]:
         """The picture as it was driven (0), or as training sees it (1)."""
         number, which = request.path_params["number"], request.path_params["which"]
         trial, others = request.query_params.get("trial", ""), _number(request.query_params.get("others", "0"))
-        shown = altered_samples(folder_of(trial), others, bench.cache).shown
+        shown = samples_of(trial, others).shown
         if number >= len(shown) or which > 1 or not shown[number].pictures[which]:
             raise WebError(f"no such picture of sample {number}", 404)
         return Response(shown[number].jpeg(which), media_type="image/jpeg")

@@ -7,7 +7,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from dataset.index.build_state import STATE_NAME
-from web.data.file_versions import version_of, version_of_folder
+from web.data.file_versions import version_of
 from web.pages.workbench import Workbench
 
 
@@ -29,8 +29,9 @@ def change_routes(bench: Workbench) -> list[Route]:
 def sessions_version(bench: Workbench) -> str:
     """It changes with the logs and their tags, with the index, and with each log that has been read."""
     folders = bench.folders
-    built = version_of(folders.index / STATE_NAME)
-    return f"{version_of_folder(folders.sessions)} {built} {bench.cards.done + bench.searches.done}"
+    folders.look_at_index()
+    built = version_of(folders.index_here / STATE_NAME)
+    return f"{folders.version_of_folder('sessions')} {built} {bench.cards.done + bench.searches.done}"
 
 
 def runs_version(bench: Workbench) -> str:
@@ -39,4 +40,4 @@ def runs_version(bench: Workbench) -> str:
 
 
 def drives_version(bench: Workbench) -> str:
-    return f"{version_of_folder(bench.folders.drives)} {bench.cards.done + bench.drives.done}"
+    return f"{bench.folders.version_of_folder('drives')} {bench.cards.done + bench.drives.done}"

@@ -38,7 +38,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
         cards = bench.cards.cards("drives", _PATIENCE_S)
         runs = bench.folders.run_folders()
         shown: list[dict[str, Any]] = []
-        problems = []
+        problems = list(filter(None, [bench.folders.problem("drives")]))
         for card in sorted(cards, key=lambda card: card.info.start if card.info else "", reverse=True):
             found = views.get(card.path)
             view = found if isinstance(found, DriveView) and card.info else None

@@ -17,7 +17,7 @@ from common import UserError
 from common.errors import counted, printable
 from dataset.index.build_state import STATE_NAME
 from dataset.index.leaks import find_leaks
-from dataset.index.sessions import sessions_not_indexed
+from dataset.index.sessions import logs_not_indexed
 from web.data.file_versions import version_of
 from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
 from web.data.job_forms import INDEX_FIELDS, form_of
@@ -37,18 +37,21 @@ def index_routes(bench: Workbench) -> list[Route]:
     def folder_of(request: Request) -> Path:
         """The index, or the trial that is asked for."""
         trial = request.query_params.get("trial", "")
-        return bench.trials.get(trial) if trial else bench.folders.index
+        return bench.trials.get(trial) if trial else bench.folders.index_here
 
     def page(request: Request) -> Response:
         values = dict(request.query_params)
         trial = values.pop("trial", "")
         told: dict[str, Any] = {"trial": trial, "values": values, "fields": INDEX_FIELDS, "version": ""}
-        told["version_of_index"] = version_of(bench.folders.index / STATE_NAME)
+        store_problem = bench.folders.look_at_index()
+        here = bench.folders.index_here
+        told["version_of_index"] = version_of(here / STATE_NAME)
         told["known"] = sorted(
             printable(path.name.removesuffix(".mcap")) for path in bench.folders.logs("sessions").values()
         )
-        told["now"], told["problem"] = _view(bench.folders.index)
+        told["now"], problem = _view(here)
         told["folder"] = printable(str(bench.folders.index))
+        told["problem"] = store_problem or problem.replace(printable(str(here)), told["folder"])
         told["stale"] = _stale()
         told["then"], told["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")
         told["settings"] = _changed(told["now"], told["then"])
@@ -61,13 +64,14 @@ def index_routes(bench: Workbench) -> list[Route]:
         cards = bench.cards.cards("sessions", _PATIENCE_S)
         names = {card.name for card in cards if card.index.words == "changed since"}
         with contextlib.suppress(UserError):
-            found = sessions_not_indexed(bench.folders.index, bench.folders.sessions)
+            logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
+            found = logs_not_indexed(bench.folders.index_here, logs, bench.folders.stat)
             names |= set(map(printable, found))
         return sorted(names)
 
     def _runs() -> list[tuple[str, str]]:
         """The runs that were trained on the index as it is now, and their pages."""
-        now = index_checksum(bench.folders.index)
+        now = index_checksum(bench.folders.index_here)
         found = bench.folders.run_folders().items()
         return [(printable(path.name), f"/runs/{key}") for key, path in found if origin_of(path).index == now]
 
@@ -95,7 +99,7 @@ def index_routes(bench: Workbench) -> list[Route]:
     def _start_trial(values: dict[str, str]) -> str:
         form = form_of(_INDEX_FORM)
         form.words(values, bench.folders)  # before a folder is made
-        key, folder = bench.trials.new(bench.folders.index)
+        key, folder = bench.trials.new(bench.folders.index_here)
         words = form.words(values, dataclasses.replace(bench.folders, index=folder))
         kept = {name: value for name, value in values.items() if value and name != "form"}
         return bench.jobs.start(words, f"/index?{urlencode({'trial': key, **kept})}").key

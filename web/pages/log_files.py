@@ -9,11 +9,11 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from common.car import CAMERAS, Camera
+from common.location import absolute
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
 from web.data.film_strip import film_strip
 from web.data.project_folders import Place
-from web.data.session_cards import glance_version
 from web.data.steering_sketch import steering_sketch
 from web.errors import WebError
 from web.pages.workbench import Workbench
@@ -25,24 +25,24 @@ _JPEG_START: Final = b"\xff\xd8\xff"
 def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     def strip(request: Request) -> Response:
         path = bench.folders.log(place, request.path_params["log"])
-        version = glance_version(path)
+        version = bench.folders.version_of_log(path)
 
         def make() -> bytes:
             with bench.logs.open(path) as opened:
                 return film_strip(opened.log)
 
-        data = bench.cache.get(f"strip 1 {path.resolve()} {version}", make)
+        data = bench.cache.get(f"strip 1 {absolute(path)} {version}", make)
         return Response(data, media_type="image/jpeg", headers=_kept(request, version))
 
     def sketch(request: Request) -> Response:
         path = bench.folders.log(place, request.path_params["log"])
-        version = glance_version(path)
+        version = bench.folders.version_of_log(path)
 
         def make() -> bytes:
             with bench.logs.open(path) as opened:
                 return steering_sketch(opened.states.steering)
 
-        data = bench.cache.get(f"sketch 2 {path.resolve()} {version}", make)
+        data = bench.cache.get(f"sketch 2 {absolute(path)} {version}", make)
         return Response(data, media_type="image/svg+xml", headers=_kept(request, version))
 
     def picture(request: Request) -> Response:

@@ -14,6 +14,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
+from common.location import Location, Url
 from web.data.log_jobs import LOG_JOBS, NewLogAsked, command_line, log_job
 from web.data.project_folders import Place, key_of
 from web.pages.form_values import form_pairs
@@ -45,12 +46,14 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
     return [Route(f"{at}/command", command), Route(at, start, methods=["POST"])]
 
 
-def shown_log_jobs(log: Path) -> list[dict[str, Any]]:
-    """What the page of a log offers, with the names that new logs get unless another one is given."""
+def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
+    """What the page of a log offers, with the names that new logs get unless another one is given. Of a log in a
+    store, no new ones are made."""
     return [
         {
             "job": job,
-            "new": printable(job.new(log).name.removesuffix(".mcap")) if job.new else "",
+            "new": printable(job.new(log).name.removesuffix(".mcap")) if job.new and isinstance(log, Path) else "",
+            "is_refused": job.makes_logs and isinstance(log, Url),
         }
         for job in LOG_JOBS
     ]

@@ -13,6 +13,7 @@ from starlette.routing import Route
 
 from common.errors import printable
 from common.files import PART_SUFFIX
+from common.location import Location
 from common.locks import is_being_written
 from recorder.log.topics import camera_topic
 from web.data.open_logs import OpenLog
@@ -62,7 +63,7 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
 
 
 def _told(
-    bench: Workbench, path: Path, opened: OpenLog, log: str, run: Path, *, is_start: bool
+    bench: Workbench, path: Location, opened: OpenLog, log: str, run: Path, *, is_start: bool
 ) -> dict[str, object]:
     fingerprint = opened.log.fingerprint
     if fingerprint != log:

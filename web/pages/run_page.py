@@ -55,7 +55,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             "summary": card.summary,
             "settings": _settings(path) if not card.problem else {},
             "sessions": _sessions(bench.folders, card),
-            "is_of_index": _is_of_index(path, bench.folders.index),
+            "is_of_index": _is_of_index(path, bench.folders.index_here),
             "results": _results(bench.folders, card),
             "drives": _drives(bench, path.name),
             **_worst(bench, path, card, request.query_params.get("epoch", "")),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 from starlette.requests import Request
@@ -13,14 +12,13 @@ from starlette.routing import Route
 from common.car import CAMERAS
 from common.errors import printable
 from common.files import PART_SUFFIX
+from common.location import Location, Url
 from common.locks import is_being_written
-from recorder.log.log_info import describe
 from recorder.log.tags import EXCLUDE, names_used, tags_path
 from recorder.log.topics import camera_topic
-from web.data.file_versions import version_of
 from web.data.odd_stretches import odd_stretches
 from web.data.open_logs import OpenLog
-from web.data.project_folders import Place
+from web.data.project_folders import Place, why_unchangeable
 from web.data.rerun_viewers import command_of
 from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import change_tags
@@ -29,12 +27,12 @@ from web.server.templates import render
 
 
 def session_routes(bench: Workbench, place: Place) -> list[Route]:
-    def path_of(request: Request) -> Path:
+    def path_of(request: Request) -> Location:
         return bench.folders.log(place, request.path_params["log"])
 
     def page(request: Request) -> Response:
         path = path_of(request)
-        info = describe(path, with_tags=False)
+        info = bench.cards.info(path)
         name = printable(path.name.removesuffix(".mcap"))
         return HTMLResponse(
             render(
@@ -46,6 +44,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 cameras=CAMERAS,
                 path=printable(str(path)),
                 log_jobs=shown_log_jobs(path),
+                why_no_new_logs=printable(why_unchangeable(path)),
                 others=_others(bench, place, path),
                 play_command=command_of(path),
                 runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
@@ -54,10 +53,13 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def version(request: Request) -> Response:
         """What tells whether `state`, `rows` or `tags` have to be asked for again."""
+        bench.folders.look(place)
         bench.logs.drop_changed()
         path = path_of(request)
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
-        return JSONResponse({"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing})
+        version_of = bench.folders.version_of
+        told = {"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing}
+        return JSONResponse(told | {"problem": bench.folders.problem(place)})
 
     def state(request: Request) -> Response:
         path = path_of(request)
@@ -96,7 +98,12 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def known_names(request: Request) -> Response:
         """The names that tags have in this folder."""
-        return JSONResponse(sorted(names_used(path_of(request).parent)))
+        folder = path_of(request).parent
+        if isinstance(folder, Url):  # by what is kept of the logs, not by asking for each file of tags
+            used = {EXCLUDE}.union(*(card.tags for card in bench.cards.cards(place, 0)))
+        else:
+            used = names_used(folder)
+        return JSONResponse(sorted(used))
 
     async def change(request: Request) -> Response:
         return await change_tags(bench, path_of(request), request)
@@ -114,7 +121,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     ]
 
 
-def _others(bench: Workbench, place: Place, path: Path) -> list[tuple[str, str]]:
+def _others(bench: Workbench, place: Place, path: Location) -> list[tuple[str, str]]:
     """Keys and names of the finished logs beside it."""
     logs = bench.folders.logs(place).items()
     return [
@@ -124,7 +131,7 @@ def _others(bench: Workbench, place: Place, path: Path) -> list[tuple[str, str]]
     ]
 
 
-def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
+def _state(bench: Workbench, path: Location, opened: OpenLog) -> dict[str, object]:
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
     return {
@@ -132,7 +139,9 @@ def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
-        "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
+        "problem": printable(log.notice),
+        # tags of what is not finished would be lost with its recovery
+        "why_no_tags": printable(log.notice or why_unchangeable(path)),
         "odd": [
             (stretch.flag, stretch.first, stretch.last)
             for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())

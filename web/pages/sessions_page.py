@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 from starlette.requests import Request
@@ -14,6 +13,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
+from common.location import Location
 from recorder.log_list_cli import SORTED_BY
 from web.data.job_forms import form_of
 from web.data.session_cards import SessionCard
@@ -89,7 +89,12 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         found = list_sessions(bench, asked)
         folder = bench.folders.sessions
         demo = printable(shlex.join(form_of("demo").words({}, bench.folders)))
-        return {"found": found, "folder": printable(str(folder)), "demo": demo}
+        return {
+            "found": found,
+            "folder": printable(str(folder)),
+            "demo": demo,
+            "problem": bench.folders.problem("sessions"),
+        }
 
     return [
         Route("/", front),
@@ -106,7 +111,7 @@ def list_sessions(bench: Workbench, asked: Asked) -> Listed:
     looked: int | None = None
     problem = ""
     if asked.where:
-        readable: dict[Path, SessionCard] = {card.path: card for card in chosen if not card.problem}
+        readable: dict[Location, SessionCard] = {card.path: card for card in chosen if not card.problem}
         try:
             counts = bench.searches.rows(asked.where, list(readable), _PATIENCE_S)
         except UserError as error:

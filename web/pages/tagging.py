@@ -12,8 +12,10 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from common.errors import did_you_mean, printable
+from common.location import Location, Url
 from recorder.log.edit import check_rows
 from recorder.log.tags import Tag, add_tag, check_name, names_used, remove_tag
+from web.data.project_folders import why_unchangeable
 from web.errors import WebError
 from web.pages.workbench import Workbench
 
@@ -27,7 +29,7 @@ class TagChange(msgspec.Struct, forbid_unknown_fields=True):
     log: str
 
 
-async def change_tags(bench: Workbench, path: Path, request: Request) -> Response:
+async def change_tags(bench: Workbench, path: Location, request: Request) -> Response:
     # no form of another page can send this type unasked
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise WebError("a change of tags is sent as application/json", 415)
@@ -35,6 +37,8 @@ async def change_tags(bench: Workbench, path: Path, request: Request) -> Respons
         change = msgspec.json.decode(await request.body(), type=TagChange)
     except (msgspec.MsgspecError, UnicodeError) as error:
         raise WebError(f"not a change of tags: {error}", 422) from None
+    if isinstance(path, Url):
+        raise WebError(why_unchangeable(path), 409)
     return JSONResponse(await run_in_threadpool(_changed, bench, path, change))
 
 

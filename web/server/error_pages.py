@@ -12,7 +12,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import Scope
 
 from common import UserError
-from common.errors import printable
+from common.errors import StoreError, printable
 from common.output import safe_line
 from web.errors import WebError
 from web.server.templates import render
@@ -30,7 +30,7 @@ def error_answer(scope: Scope, error: WebError) -> Response:
 def on_user_error(request: Request, error: Exception) -> Response:
     """A file, a name or a value that is not what was expected."""
     if not isinstance(error, WebError):
-        error = WebError(str(error), 422)
+        error = WebError(str(error), 503 if isinstance(error, StoreError) else 422)
     return error_answer(request.scope, error)
 
 

@@ -29,6 +29,7 @@ export class LogData extends EventTarget {
     this.tags = [];
     this.names = [];
     this.tagsVersion = null; // of the file, as it was when it was read
+    this.storeProblem = ""; // why the store that the log is in does not answer
     this.busyUntil = 0;
   }
 
@@ -71,7 +72,7 @@ export class LogData extends EventTarget {
   }
 
   tell(problem) {
-    this.dispatchEvent(new CustomEvent("problem", { detail: problem || this.state?.problem || "" }));
+    this.dispatchEvent(new CustomEvent("problem", { detail: problem || this.state?.why_no_tags || "" }));
   }
 
   /** Where a row is among the rows: the first that is not before it or, `isLast`, the last that is not behind it. */
@@ -102,6 +103,7 @@ export class LogData extends EventTarget {
     this.isLooking = true;
     try {
       const found = await (await ask(`${this.address}/version`)).json();
+      if (found.problem !== this.storeProblem) this.tell((this.storeProblem = found.problem));
       if (found.log !== this.state.version) await this.changed(found);
       if (found.tags !== this.tagsVersion) {
         this.tagsVersion = found.tags; // asked for once, also where they cannot be read

@@ -1,0 +1,243 @@
+"""`bc-web` over folders in a store shows what it shows of folders here, and asks the store for little."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import dataset.cli
+import recorder.log_cli
+from bucket import Bucket, serving_bucket
+from drives import a_drive
+from driving import road_jpeg
+from logs import START_NS, write_log
+from udacity import call
+from waiting import wait_until
+from web.data import refreshed
+from workbench import Served, served
+
+TURNING = [0.05 * (row % 9 - 4) for row in range(120)]
+SETTINGS = "--labels", "as-recorded", "--block-s", "1", "--gap-s", "0"
+
+
+@pytest.fixture(scope="module")
+def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bucket]:
+    """A project in a bucket: sessions, one of them tagged, one damaged; an index of two; a drive."""
+    folder = tmp_path_factory.mktemp("project")
+    with pytest.MonkeyPatch.context() as patched, serving_bucket(folder / "server", patched) as found:
+        patched.setenv("BC_CACHE", str(folder / "cache"))
+        sessions = found.folder / "sessions"
+        for number, name in enumerate(("first", "second", "third")):
+            start_ns = START_NS + (number << 45)
+            write_log(sessions / f"{name}.mcap", TURNING, lambda _, row: road_jpeg(row), start_ns=start_ns)
+        (sessions / "broken.mcap").write_bytes(b"no log")
+        (sessions / "notes.txt").write_text("no log")
+        a_drive(found.folder / "drives" / "one.mcap", "a-run")
+        tag = "tag", sessions / "second.mcap", "exclude", "--rows", 3, 12
+        assert call(recorder.log_cli.main, *tag) == 0
+        there = "--sessions", found.url("sessions"), "--index", found.url("index")
+        assert call(dataset.cli.main, "first", "second", *there, *SETTINGS) == 0
+        yield found
+
+
+@pytest.fixture
+def serve(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], Served]]:
+    """Begin a workbench over the bucket, on a machine that has seen nothing of it; the one before ends. A store is
+    asked for a listing once, unless a test says otherwise."""
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(refreshed, "EVERY_S", math.inf)
+    bucket.pass_all()
+    running = []
+
+    def begin() -> Served:
+        end()
+        manager = served(tmp_path, at=bucket.url())
+        found = manager.__enter__()
+        running.append(manager)
+        return found
+
+    def end() -> None:
+        while running:
+            running.pop().__exit__(None, None, None)
+
+    try:
+        yield begin
+    finally:
+        bucket.pass_all()
+        end()
+
+
+def read(bench: Served, path: str) -> str:
+    """A list, when all that it shows is read."""
+    bench.get("/changes")
+
+    def whole() -> str:
+        text = bench.get(path).text
+        return "" if "reading" in text or "being read" in text else text
+
+    return wait_until(whole)
+
+
+def asked_for(bucket: Bucket) -> list[str]:
+    """What the store was asked for since it was last looked at, in the order of names: objects by their keys,
+    listings by their prefixes; but for the index, which may still be on its way."""
+    asked = [path for _, path, _ in bucket.requests]
+    bucket.requests.clear()
+    found = [re.sub(r"^/logs/([^?]*).*|^/logs\?.*prefix=(\w+)%2F.*", r"\1\2", path) for path in asked]
+    return sorted(key for key in found if not key.startswith("index"))
+
+
+def test_what_is_shown_is_what_is_shown_of_a_disk(
+    bucket: Bucket, serve: Callable[[], Served], tmp_path: Path
+) -> None:
+    disk = tmp_path / "disk"
+    for name in ("sessions", "drives"):
+        shutil.copytree(bucket.folder / name, disk / name)
+    here = "--sessions", disk / "sessions", "--index", disk / "index"
+    assert call(dataset.cli.main, "first", "second", *here, *SETTINGS) == 0
+    there = serve()
+
+    def plain(text: str) -> str:
+        text = text.replace("s3://logs/", f"{disk}/")
+        return re.sub(r'\?v=\w+|data-version="[^"]*"|name="version_of_index" value="[^"]*"', "", text)
+
+    with served(disk) as local:
+        for path in ("/sessions", "/sessions?only=with+tags", "/drives", "/index"):
+            assert plain(read(there, path)) == plain(read(local, path))
+        at = "/sessions/second"
+        for path in ("rows", "tags", "strip.jpg", "steering.svg", "pictures/left/7", "links", "names"):
+            found, expected = there.get(f"{at}/{path}"), local.get(f"{at}/{path}")
+            assert found.status == expected.status == 200
+            if path == "tags":
+                assert found.json | {"version": ""} == expected.json | {"version": ""}
+            else:
+                assert found.body == expected.body
+        own = {"version": "", "why_no_tags": ""}
+        assert there.get(f"{at}/state").json | own == local.get(f"{at}/state").json | own
+        assert there.get("/index/second/split").body == local.get("/index/second/split").body
+        assert there.get("/index.leaks").body == local.get("/index.leaks").body
+        altered = "/index.altered/0/1.jpg"
+        assert there.get(altered).body == local.get(altered).body
+        shown = "/drives.rows?log=one"
+        assert plain(there.get(shown).text) == plain(local.get(shown).text)
+
+
+def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve: Callable[[], Served]) -> None:
+    bench = serve()
+    read(bench, "/sessions.rows")
+    found = Counter(asked_for(bucket))
+    logs = [f"sessions/{name}.mcap" for name in ("broken", "first", "second", "third")]
+    assert sorted(found) == ["drives", "sessions", *logs[:3], "sessions/second.tags.jsonl", logs[3]]
+    assert found["sessions"] == found["sessions/second.tags.jsonl"] == 1
+    assert max(found[log] for log in logs) <= 3
+    for _ in range(20):  # windows
+        for path in (
+            "/changes",
+            "/sessions.rows",
+            "/sessions/first",
+            "/sessions/first/version",
+            "/sessions/first/names",
+        ):
+            assert bench.get(path).status == 200
+    assert asked_for(bucket) == []
+    for path in ("strip.jpg", "steering.svg"):
+        bench.get(f"/sessions/first/{path}")
+    for row in range(len(TURNING)):
+        assert bench.get(f"/sessions/first/pictures/center/{row}").body == road_jpeg(row)
+    assert set(asked_for(bucket)) == {"sessions/first.mcap"}
+    for row in range(len(TURNING)):
+        assert bench.get(f"/sessions/first/pictures/center/{row}").body == road_jpeg(row)
+    assert asked_for(bucket) == []
+    bench = serve()
+    read(bench, "/sessions.rows")
+    bench.get("/sessions/first/strip.jpg")
+    assert asked_for(bucket) == ["drives", "sessions", "sessions/broken.mcap"]  # perhaps it can be read by now
+
+
+def test_what_changes_there_is_seen(
+    bucket: Bucket, serve: Callable[[], Served], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refreshed, "EVERY_S", 0.0)
+    bench = serve()
+    before = bench.get("/sessions/first/version").json
+    read(bench, "/sessions.rows")
+    log = bucket.folder / "sessions" / "fourth.mcap"
+    write_log(log, TURNING[:77], lambda _, row: road_jpeg(row))
+    wait_until(lambda: "77 rows" in read(bench, "/sessions.rows"))
+    asked = f"/sessions/fourth/pictures/center/3?v={bench.get('/sessions/fourth/state').json['version']}"
+    assert bench.get(asked).status == 200
+    write_log(log, TURNING[:88], lambda _, row: road_jpeg(row + 1), overwrite=True)
+    wait_until(lambda: "88 rows" in read(bench, "/sessions.rows"))
+    assert bench.get(asked).status == 409
+    tag = "tag", log, "slow", "--rows", 3, 12
+    assert call(recorder.log_cli.main, *tag) == 0
+    wait_until(lambda: "slow 10" in read(bench, "/sessions.rows"))
+    assert call(recorder.log_cli.main, *tag, "--remove") == 0
+    log.unlink()
+    log.with_name("fourth.tags.jsonl").unlink()
+    wait_until(lambda: "fourth" not in read(bench, "/sessions.rows"))
+    assert bench.get("/sessions/fourth").status == 404
+    assert bench.get("/sessions/first/version").json == before
+
+
+def test_a_store_that_does_not_answer_is_a_line_on_the_page(
+    bucket: Bucket, serve: Callable[[], Served], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refreshed, "EVERY_S", 0.0)
+    hold = threading.Event()
+    bucket.answer = lambda passing: not hold.wait() or passing.fail(403, "AccessDenied")
+    try:
+        bench = serve()
+        for path in ("/sessions", "/drives"):  # while nothing comes
+            page = bench.get(path)
+            assert (page.status, "the store has not answered yet" in page.text) == (200, True)
+        assert bench.get("/index").status == bench.get("/runs").status == bench.get("/jobs").status == 200
+        missing = bench.get("/sessions/first")
+        assert (missing.status, "has not answered yet" in missing.json["error"]) == (503, True)
+    finally:
+        hold.set()
+    for path in ("/sessions.rows", "/drives.rows", "/index"):
+        wait_until(lambda path=path: "the store refuses that to these credentials" in bench.get(path).text)  # type: ignore[misc]
+    bucket.pass_all()
+    wait_until(lambda: "120 rows" in read(bench, "/sessions.rows"))
+    wait_until(lambda: "refuses" not in bench.get("/sessions.rows").text)
+    assert bench.get("/sessions/first/pictures/center/3").status == 200
+    bucket.answer = lambda passing: passing.fail(403, "AccessDenied")
+    wait_until(lambda: "refuses" in bench.get("/sessions.rows").text)
+    assert "120 rows" in bench.get("/sessions.rows").text  # what is known of it stays
+    assert bench.get("/sessions/first/pictures/center/3").status == 200
+    for path in ("first/pictures/center/100", "third/state"):
+        refused = bench.get(f"/sessions/{path}")
+        assert (refused.status, "refuses" in refused.json["error"]) == (503, True)
+
+
+def test_what_changes_logs_says_what_to_do_instead(bucket: Bucket, serve: Callable[[], Served]) -> None:
+    bench = serve()
+    copy = "`bc-log copy s3://logs/sessions/first.mcap sessions` brings it to this machine"
+    state = bench.get("/sessions/first/state").json
+    assert copy in state["why_no_tags"]
+    change = b'{"action": "add", "name": "x", "rows": [0, 1], "log": "%s"}' % state["fingerprint"].encode()
+    refused = bench.ask("POST", "/sessions/first/tags", change, Content_Type="application/json")
+    assert (refused.status, copy in refused.json["error"]) == (409, True)
+    assert copy in bench.get("/sessions/first").text
+    for job in ("trim", "split", "merge", "recover"):
+        assert copy in bench.get(f"/sessions/first/make/{job}/command?first=0&last=1").text
+        assert (
+            bench.ask(
+                "POST", f"/sessions/first/make/{job}", b"", Content_Type="application/x-www-form-urlencoded"
+            ).status
+            == 409
+        )
+    command = "bc-log check s3://logs/sessions/first.mcap"
+    assert bench.get("/sessions/first/make/check/command").text == command
+    record = bench.get("/jobs.command?form=record&name=new").text
+    assert (
+        record == "bc-record --name=new --copy-to=s3://logs/sessions" or "--copy-to=s3://logs/sessions" in record
+    )
