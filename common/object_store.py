@@ -7,7 +7,6 @@ later and later, where a store does not answer, answers 5xx, or is cut off. What
 
 from __future__ import annotations
 
-import configparser
 import contextlib
 import itertools
 import os
@@ -26,6 +25,7 @@ from common.closeable import Closeable
 from common.errors import NoSuchObjectError, ObjectChangedError, ObjectExistsError, StoreError, UserError
 from common.location import Url
 from common.random_access import Range
+from common.s3_settings import obstore_s3_config
 
 try:
     import obstore
@@ -433,7 +433,7 @@ def _note_process() -> None:
 
 @cache
 def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> ObjectStore:
-    config: dict[str, Any] = _s3_config() if scheme == "s3" else {}
+    config: dict[str, Any] = obstore_s3_config() if scheme == "s3" else {}
     client: ClientConfig = {
         "timeout": timeout,
         "connect_timeout": timedelta(seconds=5),
@@ -446,44 +446,6 @@ def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> O
         retry_config=_PATIENT if is_patient else _IMPATIENT,
     )
     return store
-
-
-def _s3_config() -> dict[str, Any]:
-    """What of the usual configuration obstore does not find by itself: it reads the environment, not ~/.aws."""
-    given = os.environ
-    # one object at a time is deleted here, and not every store knows how to delete many
-    config: dict[str, Any] = {"disable_bulk_delete": True}
-    if "AWS_COPY_IF_NOT_EXISTS" not in given:
-        config["copy_if_not_exists"] = "multipart"
-    profile = _aws_profile()
-    if "AWS_ACCESS_KEY_ID" not in given:
-        for name in ("aws_access_key_id", "aws_secret_access_key", "aws_session_token"):
-            if name in profile:
-                config[name] = profile[name]
-    if not given.keys() & {"AWS_REGION", "AWS_DEFAULT_REGION"} and "region" in profile:
-        config["region"] = profile["region"]
-    endpoint = given.get("AWS_ENDPOINT_URL_S3") or given.get("AWS_ENDPOINT_URL") or profile.get("endpoint_url")
-    if endpoint:
-        config["endpoint"] = endpoint
-    return config
-
-
-def _aws_profile() -> dict[str, str]:
-    """The chosen profile of ~/.aws/config and ~/.aws/credentials."""
-    name = os.environ.get("AWS_PROFILE", "default")
-    home = Path.home() / ".aws"
-    files = (
-        (os.environ.get("AWS_CONFIG_FILE", home / "config"), name if name == "default" else f"profile {name}"),
-        (os.environ.get("AWS_SHARED_CREDENTIALS_FILE", home / "credentials"), name),
-    )
-    found: dict[str, str] = {}
-    for file, section in files:
-        parser = configparser.RawConfigParser()
-        with contextlib.suppress(OSError, UnicodeDecodeError, configparser.Error):
-            parser.read(file, "utf-8")
-            if parser.has_section(section):
-                found.update(parser.items(section))
-    return found
 
 
 @contextlib.contextmanager
@@ -503,7 +465,7 @@ def _told(url: Url) -> Iterator[None]:
     try:
         yield
     except (failures.BaseError, FileNotFoundError) as error:  # of what is not there, it raises Python's own
-        raise _as_told(url, error, " ".join(str(error).split())) from None
+        raise as_told(url, error, " ".join(str(error).split())) from None
 
 
 def _is_out_of_range(text: str) -> bool:
@@ -518,7 +480,8 @@ def _is_no_bucket(text: str) -> bool:
     return "NoSuchBucket" in text or "ContainerNotFound" in text or "specified bucket does not exist" in text
 
 
-def _as_told(url: Url, error: Exception, text: str) -> StoreError:
+def as_told(url: Url, error: Exception, text: str) -> StoreError:
+    """The error to raise, in one line, for what a store's client has raised, and says in `text`."""
     bucket = f"{url.scheme}://{url.bucket}"
     if isinstance(error, failures.AlreadyExistsError):
         return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
@@ -557,9 +520,10 @@ def _reason(text: str) -> str:
     status = re.search(r"[Ss]erver returned non-2xx status code: (\d+ [A-Z][\w ]*?):", text)
     if status:
         return f"the store answers {status[1]}{_code(text)}"
-    if "onnect" in text and ("refused" in text or "error trying to connect" in text or "dns" in text.lower()):
+    unreachable = ("refused", "error trying to connect", "dns", "could not connect", "connect timeout")
+    if "onnect" in text and any(each in text.lower() for each in unreachable):
         return "the store cannot be reached"
-    if _is_cut_off(text):
+    if _is_cut_off(text) or "Connection was closed" in text:
         return "the connection to the store was cut, again and again; give the command again"
     plain = text.partition(" Debug source:")[0]
     return f"the store does not answer as it should: {plain[:300]}"

@@ -26,18 +26,23 @@ _MOST_NAMED: Final = 8
 
 @dataclass(frozen=True)
 class CopyLogs:
-    """Copy logs, and their tags, to a store or from one: whole or not at all, every CRC compared. A copy that was
-    stopped goes on where it was: what is there already is left alone. Nothing is replaced unasked."""
+    """Copy logs, and their tags, to a store or from one: whole or not at all, every CRC compared. Give the same
+    command again after one that was stopped: it goes on where that was. What is there already is left alone, and
+    nothing is replaced unasked."""
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
     """The logs, or folders of them, and at last where to: s3://BUCKET/FOLDER, a folder here, or a name that ends
     in .mcap for a single log."""
     force: bool = False
     """Replace logs and tags of the same names."""
+    abort: bool = False
+    """Copy nothing: remove from the store what copies of these logs have left there that were stopped."""
 
     def run(self) -> int:
         if len(self.places) < 2:
             raise UsageError("give the logs and where to: `bc-log copy sessions/lake.mcap s3://BUCKET/sessions`")
+        if self.abort:
+            return _abort(self.places[:-1], self.places[-1])
         return copy_logs(self.places[:-1], self.places[-1], overwrite=self.force)
 
 
@@ -52,7 +57,8 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
             task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=_size(log), note="")
             try:
-                done = copy_log(log, target, overwrite=overwrite, on_bytes=partial(progress.advance, task))
+                on_bytes, on_left = partial(progress.advance, task), partial(_print_left, log, target)
+                done = copy_log(log, target, overwrite=overwrite, on_bytes=on_bytes, on_left=on_left)
             except (UserError, OSError) as error:
                 told = error if isinstance(error, UserError) else UserError(f"{log}: {error.strerror}")
                 codes.append(print_error(prog, told))
@@ -67,6 +73,28 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
         failed = codes.count(FAILED)
         print_message(f"{counted(failed, 'log')} of {len(pairs):,} not copied; the same command copies the rest")
     return FAILED if FAILED in codes else max(codes)
+
+
+def _print_left(log: Location, target: Location, size: int) -> None:
+    """Say that an upload is not for nothing, and who is rid of it."""
+    print_message(
+        f"{size / 1e6:,.1f} MB of {log} stay in the store: `bc-log copy {log} {target}` goes on with them,"
+        " --abort removes them"
+    )
+
+
+def _abort(places: Sequence[Location], to: Location) -> int:
+    """Remove what uploads that were stopped have left."""
+    if not isinstance(to, Url) or to.scheme != "s3":
+        raise UsageError(
+            f"{to}: only uploads to s3:// are gone on with, and so only those leave anything to remove"
+        )
+    from common.resumable_upload import remove_unfinished  # botocore, an extra
+
+    targets = [target for _, target in _pairs(places, to) if isinstance(target, Url)]
+    for target in targets:
+        print_result(f"{target}: {counted(remove_unfinished(target), 'unfinished upload')} removed")
+    return DONE
 
 
 def refuse_copying(to: Location) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket, serving_bucket
+from bucket import Bucket, in_parts_of, serving_bucket, unfinished_parts
 from common.location import Url
 from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index
@@ -75,6 +75,13 @@ def upload(store: Store) -> None:
     assert files(store.bucket.folder / "new") == files(store.here)
 
 
+def upload_in_parts(store: Store) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        in_parts_of(patch, -(-(store.here / "a.mcap").stat().st_size // 3))
+        upload(store)
+    assert unfinished_parts(store.bucket) == []
+
+
 def download(store: Store) -> None:
     copied = copy_log(store.url, store.made / "a.mcap")
     assert (copied.is_new, copied.notice) == (True, "")
@@ -108,11 +115,19 @@ def keep(store: Store) -> None:
         assert (folder.here / "config.json").read_text() == "second"
 
 
-REQUESTS: dict[Callable[[Store], None], int] = {upload: 11, download: 5, index: 6, read: 8, keep: 10}
+REQUESTS: dict[Callable[[Store], None], int] = {
+    upload: 11,
+    upload_in_parts: 10,
+    download: 5,
+    index: 6,
+    read: 8,
+    keep: 10,
+}
 """What is done with a store, and how many requests that is."""
 
 FAULTS_OF = {
     upload: ("hung up", "lost", "cut"),
+    upload_in_parts: ("hung up", "lost", "truncated"),
     download: ("cut", "truncated"),
     index: ("cut", "truncated"),
     keep: ("lost", "truncated"),

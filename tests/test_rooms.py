@@ -164,9 +164,12 @@ def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
     [
         (
             "dataset, model, model.training",
-            ["rerun", "socketio", "engineio", "eventlet", "websocket", "obstore", "viz", "drive"],
+            ["rerun", "socketio", "engineio", "eventlet", "websocket", "obstore", "botocore", "viz", "drive"],
         ),
-        ("recorder, simulator", ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore"]),
+        (
+            "recorder, simulator",
+            ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore", "botocore"],
+        ),
         ("viz, viz.cli, model.runs.runs_in_store", ["socketio", "eventlet", "torch", "websocket"]),
     ],
 )

@@ -1,7 +1,9 @@
 """Copying logs between this machine and a store: whole or not at all, compared by fingerprint, over nothing.
 
-To a store: the parts make an object NAME.mcap.XXXXXX.part, which gets its name in the store itself, and only if
-nobody has taken that meanwhile. From a store: NAME.mcap.XXXXXX.part grows on the disk, named after the object's
+To S3: the parts become an object of that name when all are there (`common.resumable_upload`); an upload that was
+stopped stays, and is gone on with. To other stores, and of a log of one part: they make an object
+NAME.mcap.XXXXXX.part, which gets its name in the store itself. Either only if nobody has taken the name
+meanwhile. From a store: NAME.mcap.XXXXXX.part grows on the disk, named after the object's
 ETag, so that a copy which was stopped goes on where it was; every CRC in it is compared before it gets its name.
 """
 
@@ -37,7 +39,8 @@ from recorder.log.check import is_whole
 from recorder.log.reader import Log
 from recorder.log.tags import MOST_BYTES, tags_path
 
-_PART_BYTES: Final = 1 << 23
+PART_BYTES: Final = 1 << 23
+"""Of what is sent, or asked for, at once."""
 OnBytes: TypeAlias = Callable[[int], object]
 """Is told how many bytes more are copied."""
 
@@ -53,15 +56,22 @@ class Copied:
 
 
 def copy_log(
-    log: Location, to: Location, *, overwrite: bool = False, on_bytes: OnBytes = lambda more: None
+    log: Location,
+    to: Location,
+    *,
+    overwrite: bool = False,
+    on_bytes: OnBytes = lambda more: None,
+    on_left: OnBytes = lambda size: None,
 ) -> Copied:
     """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
+
+    Before anything is raised, `on_left` is told how many bytes of an upload the next one goes on with.
 
     Raises LogError for a log that is unfinished or damaged, UserError where something else has the name (unless
     `overwrite`), or one of the places is of the wrong kind; StoreError.
     """
     if isinstance(log, Path) and isinstance(to, Url):
-        return _upload(log, to, overwrite, on_bytes)
+        return _upload(log, to, overwrite, on_bytes, on_left)
     if isinstance(log, Url) and isinstance(to, Path):
         return _download(log, to, overwrite, on_bytes)
     if isinstance(log, Url):
@@ -69,7 +79,7 @@ def copy_log(
     raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
 
 
-def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
+def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes, on_left: OnBytes) -> Copied:
     with Log(log) as opened:  # says of what is no log that it is none
         size, fingerprint = opened.size, opened.file_fingerprint
     if (there := find_object(url)) is not None:
@@ -80,6 +90,34 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
         raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
+    if url.scheme == "s3" and size > PART_BYTES:
+        _put_resumably(log, url, fingerprint, overwrite, on_bytes, on_left)
+    else:
+        _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
+    return Copied(url, size, True, _upload_tags(log, url, overwrite))
+
+
+def _put_resumably(
+    log: Path, url: Url, fingerprint: str, overwrite: bool, on_bytes: OnBytes, on_left: OnBytes
+) -> None:
+    from common.resumable_upload import ResumableUpload  # botocore
+
+    upload = ResumableUpload(url, log, PART_BYTES)
+    try:
+        upload.send(overwrite=overwrite, on_bytes=on_bytes)
+    except BaseException as error:
+        is_done = False
+        if isinstance(error, StoreError):  # its answer was lost, or another process was faster with this very log
+            with contextlib.suppress(StoreError):
+                is_done = _is_there(url, log.stat().st_size, fingerprint)
+        if not is_done:
+            if upload.left:
+                on_left(upload.left)
+            raise
+    _refuse_other(url, log, fingerprint)
+
+
+def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: bool, on_bytes: OnBytes) -> None:
     is_small = size <= MOST_IN_ONE_REQUEST  # what is more is written under its own name at once
     made = url.with_name(f"{url.name}.{secrets.token_hex(3)}{PART_SUFFIX}") if is_small and not overwrite else url
     try:
@@ -88,8 +126,7 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
         except StoreError:  # it is there all the same, if nothing but the answer was lost
             if not _is_there(made, size, fingerprint):
                 raise
-        if _fingerprint(made) != fingerprint:
-            raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
+        _refuse_other(made, log, fingerprint)
         if made != url:
             try:
                 name_new(made, url)
@@ -102,7 +139,12 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
             with uninterrupted(), contextlib.suppress(StoreError):  # what was raised first says more
                 remove(made)
         raise
-    return Copied(url, size, True, _upload_tags(log, url, overwrite))
+
+
+def _refuse_other(made: Url, log: Path, fingerprint: str) -> None:
+    """Raise LogError if what has come is not what was sent."""
+    if _fingerprint(made) != fingerprint:
+        raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
 
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:
@@ -114,7 +156,7 @@ def _is_there(url: Url, size: int, fingerprint: str) -> bool:
 def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
     """The bytes of a file. `free`: an object that must not be there when all have been given."""
     with log.open("rb") as stream:
-        while data := stream.read(_PART_BYTES):
+        while data := stream.read(PART_BYTES):
             yield data
             on_bytes(len(data))
     if free is not None and find_object(free) is not None:
@@ -140,8 +182,8 @@ def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copie
             begun = min(stream.tell(), source.size)
             stream.truncate(begun)
             on_bytes(begun)
-            starts = range(begun, source.size, _PART_BYTES)
-            for data in source.read_many((at, min(_PART_BYTES, source.size - at)) for at in starts):
+            starts = range(begun, source.size, PART_BYTES)
+            for data in source.read_many((at, min(PART_BYTES, source.size - at)) for at in starts):
                 stream.write(data)
                 on_bytes(len(data))
             stream.flush()

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import botocore.endpoint
+import localbucket
 import pytest
 
 from common import object_store
@@ -13,6 +17,7 @@ from common.location import Url
 from faulty_proxy import Answer as Answer
 from faulty_proxy import FaultyProxy, serving
 from places import KEYS, Handler
+from recorder.log import copy_log
 
 
 class Bucket(FaultyProxy):
@@ -25,6 +30,18 @@ class Bucket(FaultyProxy):
 
     def url(self, key: str = "") -> Url:
         return Url("s3", "logs", key)
+
+
+def in_parts_of(patch: pytest.MonkeyPatch, size: int) -> None:
+    """Logs are sent in parts of so many bytes, which no store would take, and asked for again without a wait."""
+    patch.setattr(copy_log, "PART_BYTES", size)
+    patch.setattr(localbucket, "MIN_PART_SIZE", 0)
+    patch.setattr(botocore.endpoint, "time", SimpleNamespace(time=time.time, sleep=lambda duration_s: None))
+
+
+def unfinished_parts(bucket: Bucket) -> list[Path]:
+    """The parts that the server keeps of uploads which are not finished."""
+    return sorted((bucket.folder.parent / localbucket.UPLOADS_DIR).glob("*/[0-9]*"))
 
 
 @contextlib.contextmanager
