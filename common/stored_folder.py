@@ -87,8 +87,9 @@ class StoredFolder(Closeable):
         Raises UserError for a file that was, or whose name cannot be here; StoreError.
         """
         found = list_below(self.url) if objects is None else objects
-        there = {str(each.url).removeprefix(f"{self.url}/"): each for each in found}
-        record = there.pop(RECORD_NAME, None)
+        objects_by_name = {str(each.url).removeprefix(f"{self.url}/"): each for each in found}
+        record = objects_by_name.get(RECORD_NAME)
+        there = {name: each for name, each in objects_by_name.items() if not _is_hidden(name)}
         differ = [name for name, each in there.items() if self._differs(name, each, keeps_ours=keeps_ours)]
         for name in self._copies.keys() - there.keys():
             is_ours = keeps_ours or name in self._lines
@@ -195,7 +196,7 @@ class StoredFolder(Closeable):
 
     def _differs(self, name: str, there: StoredObject, *, keeps_ours: bool) -> bool:
         """Whether a file has to be fetched for the folder here to hold it. Raises UserError as `bring` does."""
-        if any(not part or part.startswith(".") or "\\" in part or ":" in part for part in name.split("/")):
+        if any(not part or "\\" in part or ":" in part for part in name.split("/")):
             raise UserError(f"{there.url}: a name that no file here may have; remove it there")
         ours = self._copies.get(name)
         is_ours = ours is not None and _seen(ours).name == there.version
@@ -263,6 +264,11 @@ def _do_at_once(do: Callable[[str], None], names: Sequence[str]) -> None:
 
 def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
     return name == file_or_folder or (file_or_folder.endswith("/") and name.startswith(file_or_folder))
+
+
+def _is_hidden(name: str) -> bool:
+    """Of locks and the like, which other programs may have copied there."""
+    return any(part.startswith(".") for part in name.split("/"))
 
 
 def _seen(copy: Copy) -> Seen:

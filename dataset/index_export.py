@@ -10,9 +10,10 @@ import msgspec
 import numpy as np
 
 from common import UserError
+from common.location import Location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
-from dataset.index.build_state import FRAMES_FOLDER
+from dataset.index.stored_index import frames_here
 from dataset.samples.filter import Condition
 from dataset.samples.frame_choice import choose_frames
 from dataset.samples.samples_format import SessionLabels
@@ -21,7 +22,7 @@ from recorder.lerobot.export import Exported, export_lerobot
 from recorder.lerobot.log_episodes import ChosenRows
 
 
-def export_index(index: Path, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
+def export_index(index: Location, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
     """Write the rows that `index` uses as the new LeRobot dataset `folder`, and which side of the split each is on
     (`split`).
 
@@ -42,11 +43,12 @@ def export_index(index: Path, folder: Path, *, where: str | None = None, **optio
     return export_lerobot(list(by_path), folder, chosen=by_path, cameras=cameras, **options)
 
 
-def _chosen_rows(index: Path, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
+def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
     """By session."""
     config = samples.settings
     condition = None if config.where is None else Condition(config.where)
     further = None if where is None else Condition(where)
+    frames_folder = frames_here(index)
     chosen: dict[str, ChosenRows] = {}
     for session in samples.sources:
         try:
@@ -55,7 +57,7 @@ def _chosen_rows(index: Path, samples: Samples, where: str | None) -> Mapping[st
             raise DatasetError(
                 f"{samples.path}: does not say how {session} was learnt; run `bc-index` again"
             ) from None
-        frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet")
+        frames = read_frames(frames_folder / f"{session}.parquet")
         choice = choose_frames(frames, config, plan, condition)
         is_used = choice.is_chosen if further is None else choice.is_chosen & further.holds(frames)
         row, first = np.unique(frames["row"].to_numpy()[is_used], return_index=True)

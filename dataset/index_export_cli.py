@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from common.command import run_command, usage_errors
+from common.location_flag import LocationFlag
 from dataset.errors import DatasetError
 from recorder.log_export_cli import print_exported, refuse_no_text
 
@@ -21,7 +22,7 @@ class ExportIndex:
 
     lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """The new folder of the dataset."""
-    index: Path = Path("index")
+    index: LocationFlag = Path("index")
     """The index."""
     where: str | None = None
     """Only rows that fulfil this condition, too: SQL on the index's columns."""

@@ -29,6 +29,8 @@ from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
 
 if TYPE_CHECKING:
     from drive.drive_session import DriveSession
+    from drive.evaluation.aggregation import AggregationRound
+    from drive.evaluation.closed_loop import LogFolder
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,11 @@ class Drive:
     network: str | None = None
     """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
     log: LocationFlag | None = None
-    """Where the drive is logged; by default drives/DATE.mcap. With a URL (s3://BUCKET/drives/NAME.mcap) it is
+    """Where the drive is logged; by default DATE.mcap in --drives. With a URL (s3://BUCKET/drives/NAME.mcap) it is
     logged as drives/NAME.mcap, and copied when it is finished."""
+    drives: LocationFlag = Path("drives")
+    """Folder for the drive's log, or with --aggregate for all of them; with a URL (s3://BUCKET/drives) logs are
+    made in drives/, and copied there."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
     """Start the built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED), and end when it has
     driven."""
@@ -64,7 +69,7 @@ class Drive:
     --simulator, each round drives the simulator that connects."""
     epochs: int = 5
     """Epochs of each training of --aggregate."""
-    sessions: Path = Path("sessions")
+    sessions: LocationFlag = Path("sessions")
     """Where the logs are that the run was trained on, for --aggregate."""
     speed: float = 10.0
     """Set speed in mph."""
@@ -90,8 +95,8 @@ class Drive:
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     seed: int = 0
     """Seed of the first reset of --gym's environment."""
-    runs: Path = Path("runs")
-    """Where runs are kept."""
+    runs: LocationFlag = Path("runs")
+    """Where runs are kept; those that --aggregate trains are made in runs/ and copied there, if that is a URL."""
     force: bool = False
     """Replace a log of the same name, and the file of --viewer."""
 
@@ -110,7 +115,7 @@ def drive(config: Drive) -> int:
         return _aggregate(config, settings)
     if config.log is not None and config.log.suffix != ".mcap":
         raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
-    path = config.log or Path("drives") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
+    path = config.log or config.drives / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     if not isinstance(path, Url):
         return _drive_to(path, config, settings)
     from recorder.log_copy_cli import copy_recording, refuse_taken_name
@@ -196,6 +201,8 @@ def _load_named(config: Drive, run: Path) -> None:
 
 def _refuse_contradictions(config: Drive) -> None:
     """Raise UsageError for flags that would be passed over, and for what is no port."""
+    if config.log is not None and (flags := flags_given(config, "drives")):
+        raise UsageError(f"{flags}: is for a log that --log does not name: give one of both")
     if config.environment.gym is not None:
         others = ("simulator", "laps", "real_time", "takeover", "aggregate", "server", "host", "port")
         if flags := flags_given(config, *others, "epochs", "sessions"):
@@ -303,11 +310,13 @@ def _print_drives(sessions: Sequence[DriveSession]) -> int:
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
     """Drive and train by turns."""
-    from drive.evaluation.aggregation import Aggregation, AggregationFolders, AggregationRound, check_rounds
+    from drive.evaluation.aggregation import Aggregation, AggregationFolders, check_rounds
+    from drive.evaluation.closed_loop import LogFolder
     from drive.evaluation.external_simulator import ExternalSimulator
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
     from model import TrainConfig, find_run
     from model.runs.network_of_run import network_settings
+    from model.runs.run_arguments import RUNS
     from model.runs.run_folder import load_config
 
     rounds: list[AggregationRound] = []
@@ -321,7 +330,9 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     simulator: BuiltInSimulator | ExternalSimulator = ExternalSimulator(config.laps, config.host, config.port)
     if config.simulator is not None:
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
-    folders = AggregationFolders(config.sessions, Path("drives"), config.runs)
+    drives = LogFolder.of(config.drives)
+    runs = config.runs if isinstance(config.runs, Path) else RUNS
+    folders = AggregationFolders(config.sessions, drives.here, runs)
     run = find_run(config.run, config.runs)
     _load_named(config, run)
     training = replace(training, **network_settings(load_config(run), run))
@@ -329,6 +340,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     try:
         for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):
             rounds.append(done)
+            codes.append(_copy_round(config, done, drives, runs / done.run if len(rounds) > 1 else None))
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:
             table = Table(box=None, pad_edge=False)
@@ -341,6 +353,16 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
                 table.add_row(each.run, laps, f"{each.interventions:,}", autonomy, str(each.log))
             print_table(table)
     return max(codes)
+
+
+def _copy_round(config: Drive, done: AggregationRound, drives: LogFolder, trained: Path | None) -> int:
+    """Copy what an aggregation's round has made to where that is kept in a store; the exit code."""
+    from model.runs.stored_run import RunCopy
+
+    problems = [drives.copy(done.log.name, False)[1]]
+    if trained is not None and isinstance(config.runs, Url):
+        problems.append(RunCopy(trained, config.runs / trained.name).finish())
+    return max([DONE, *(warn(problem) for problem in problems if problem)])
 
 
 def main() -> None:

@@ -17,8 +17,10 @@ from rich.table import Table
 
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
 from common.errors import UsageError, counted, printable
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result, print_table
 from common.progress import track
+from common.random_access import is_there
 from common.tasks import RayAddress, tasks_of
 
 if TYPE_CHECKING:
@@ -44,12 +46,13 @@ class Sweep:
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
     """What is varied, seeds, and what is driven."""
-    index: Path = Path("index")
-    """The index to train on."""
-    runs: Path = Path("runs")
-    """Where runs are kept."""
-    logs: Path = Path("drives")
-    """Folder for the drives' logs."""
+    index: LocationFlag = Path("index")
+    """The index to train on: a folder, or the URL of one in a store."""
+    runs: LocationFlag = Path("runs")
+    """Where runs are kept. With a URL (s3://BUCKET/runs) each is made in runs/, and copied there: what one machine
+    has done, no other one does again."""
+    logs: LocationFlag = Path("drives")
+    """Folder for the drives' logs; with a URL (s3://BUCKET/drives) they are made in drives/, and copied there."""
     ray: RayAddress = None
     """Train and drive on a Ray cluster, each training with its drives as a task; all of its nodes see these
     folders by the same paths."""
@@ -73,7 +76,7 @@ def sweep(config: Sweep) -> int:
     from drive.evaluation.sweep_plan import read_sweep
 
     plan = read_sweep(config.file)
-    if not (config.index / SAMPLES_NAME).exists():
+    if not is_there(config.index / SAMPLES_NAME):
         raise missing_index(config.index)
     print_message(
         f"bc-sweep: {counted(len(plan.trainings), 'training')}, each with {counted(len(plan.drives), 'drive')}"
@@ -96,13 +99,15 @@ def sweep(config: Sweep) -> int:
     failed = [swept for swept in done if swept.failure]
     if failed:
         warn(f"{counted(len(failed), 'training')} of {len(done):,} failed; the same command tries them again")
-    return DONE if not failed else FAILED if len(failed) == len(done) else DONE_BUT_SKIPPED
+    if failed:
+        return FAILED if len(failed) == len(done) else DONE_BUT_SKIPPED
+    return DONE_BUT_SKIPPED if any(swept.problems for swept in done) else DONE
 
 
 def _print_one(swept: Swept, *, as_json: bool) -> None:
     run = swept.training.run
-    if swept.failure:
-        warn(f"{run}: {swept.failure}")
+    for problem in (*([f"{run}: {swept.failure}"] if swept.failure else []), *swept.problems):
+        warn(problem)
     if as_json:
         summary = None if swept.summary is None else {**asdict(swept.summary), "results": swept.summary.drives}
         settings = asdict(swept.training.config)

@@ -12,7 +12,10 @@ import tyro
 
 from common.command import DONE, run_command, warn
 from common.errors import UsageError
+from common.location_flag import LocationFlag
 from common.output import print_message, print_result
+from common.store_record import cached_from
+from model.runs.run_arguments import RUNS
 
 
 @dataclass(frozen=True)
@@ -23,14 +26,15 @@ class Export:
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run, by name or folder."""
     onnx: Annotated[tuple[()] | tuple[Path] | None, tyro.conf.arg(metavar="[FILE]")] = None
-    """Where to write the ONNX file; without a name, into the run's folder: NAME.onnx."""
+    """Where to write the ONNX file; without a name, NAME.onnx in the run's folder, or here if the run is in a
+    store."""
     hub: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """The new folder to write for the hub; nothing is uploaded."""
     license: str | None = None
     """The licence that the hub's card names, such as mit or cc-by-4.0; without, it says that none is stated."""
     network: str | None = None
     """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
-    runs: Path = Path("runs")
+    runs: LocationFlag = RUNS
     """Where runs are kept."""
     force: bool = False
     """Replace a file of the same name."""
@@ -59,9 +63,10 @@ def _refuse_contradictions(config: Export) -> None:
 
 def _export_onnx(run: Path, config: Export) -> int:
     from model.onnx_export import export_onnx
-    from model.runs.run_folder import run_name
+    from model.runs.run_folder import config_folder, run_name
 
-    path = config.onnx[0] if config.onnx else run / f"{run_name(run)}.onnx"
+    folder = Path() if cached_from(config_folder(run)) else run
+    path = config.onnx[0] if config.onnx else folder / f"{run_name(run)}.onnx"
     difference = export_onnx(run, path, overwrite=config.force)
     print_result(f"{path}: written; steering in ONNX Runtime and in PyTorch: largest difference {difference:.1g}")
     return DONE

@@ -27,6 +27,10 @@ def play(config: Play) -> int:
         from recorder.log_copy_cli import brought_here
 
         (check_video_flags if config.video is not None else check_viewer_flags)(config)
+        if len(config.places) == 1 and config.places[0].suffix != ".mcap":
+            from model.runs.runs_in_store import bring_curves
+
+            return play(replace(config, places=(bring_curves(str(config.places[0])),)))
         with brought_here(config.places) as logs:
             return play(replace(config, places=logs))
     check_files(config)

@@ -28,7 +28,8 @@ class Play:
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The log to open, finished or not, or several to compare, or the folder of a run (runs/NAME). Of a log in a
-    store (s3://BUCKET/LOG), a copy comes to this machine while it is shown."""
+    store (s3://BUCKET/LOG), a copy comes to this machine while it is shown; of a run there (s3://BUCKET/runs/NAME),
+    its curves."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
     )
@@ -61,7 +62,7 @@ class Play:
     """Show where these networks look, over what they see (VisualBackProp)."""
     write: Path | None = None
     """Keep what these networks say as a new log, and open nothing."""
-    runs: Path = Path("runs")
+    runs: LocationFlag = Path("runs")
     """Where runs are kept, for --run."""
     force: bool = False
     """Replace the file given to --save, --video or --write."""

@@ -46,6 +46,21 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
         yield folder.here, lambda: _put(folder)
 
 
+def frames_here(index: Location) -> Path:
+    """The folder of an index's frames files; of an index in a store, a copy of it in the user's cache. Raises
+    StoreError."""
+    if isinstance(index, Path):
+        return index / FRAMES_FOLDER
+    from common.object_store import list_below  # an extra
+    from common.stored_folder import StoredFolder
+
+    objects = list_below(index)
+    names = [str(each.url).removeprefix(f"{index}/") for each in objects]
+    with StoredFolder(index, waits=True) as folder:
+        folder.bring(objects=objects, wanted=[name for name in names if name.startswith(f"{FRAMES_FOLDER}/")])
+        return folder.here / FRAMES_FOLDER
+
+
 def _put(folder: StoredFolder) -> None:
     try:
         folder.send(first=[f"{SAMPLES_FOLDER}/", SAMPLES_NAME, f"{FRAMES_FOLDER}/"])

@@ -15,7 +15,8 @@ from typing import Final
 
 import torch
 
-from common.location import local_path
+from common.location import Location
+from common.random_access import is_there
 from dataset import DatasetError, build_index, find_logs
 from drive.config import DriveConfig
 from drive.errors import DriveError
@@ -45,7 +46,7 @@ class AggregationRound:
 class AggregationFolders:
     """The folders of an aggregation's logs and runs."""
 
-    sessions: Path  # the logs that the run was trained on,
+    sessions: Location  # the logs that the run was trained on,
     drives: Path  # but for those of an aggregation before this one
     runs: Path
 
@@ -162,15 +163,15 @@ def check_rounds(rounds: int) -> None:
         raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MAX_ROUNDS}")
 
 
-def _sessions(run: Path, fingerprints: dict[str, str], folders: AggregationFolders) -> list[Path]:
+def _sessions(run: Path, fingerprints: dict[str, str], folders: AggregationFolders) -> list[Location]:
     """The logs that `run` was trained on. Raises DatasetError if one is gone, DriveError if one has changed."""
-    logs = []
+    logs: list[Location] = []
     for name, fingerprint in fingerprints.items():
         drive = folders.drives / f"{name}.mcap"
-        is_drive = drive.is_file() and not (folders.sessions / drive.name).exists()
+        is_drive = drive.is_file() and not is_there(folders.sessions / drive.name)
         (path,) = find_logs([str(drive) if is_drive else name], folders.sessions)
         with Log(path) as log:
             if log.fingerprint != fingerprint:
                 raise DriveError(f"{path}: changed since {run} was trained on it; give the --sessions that it was")
-        logs.append(local_path(path))
+        logs.append(path)
     return logs

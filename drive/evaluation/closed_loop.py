@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from common import UserError
 from common.files import refuse_existing
+from common.location import Location, Url
 from common.tasks import Tasks
 from drive.config import DriveConfig
 from drive.errors import DriveError
@@ -17,6 +20,44 @@ from model import Pilot, load_pilot
 from model.config import Precision
 from model.network.own_code import load_code
 from model.runs.run_folder import run_name
+from recorder.log_copy_cli import refuse_taken_name
+
+DRIVES: Final = Path("drives")
+"""Where drives are logged, unless a flag says otherwise."""
+
+
+@dataclass(frozen=True)
+class LogFolder:
+    """Where drives are logged, and the folder in a store, if any, to which each log is copied in the end."""
+
+    here: Path
+    store: Url | None = None
+
+    @classmethod
+    def of(cls, place: Location) -> LogFolder:
+        return cls(place) if isinstance(place, Path) else cls(DRIVES, place)
+
+    def __truediv__(self, name: str) -> LogFolder:
+        return LogFolder(self.here / name, None if self.store is None else self.store / name)
+
+    def refuse_existing(self, name: str, overwrite: bool) -> None:
+        """Raise UserError, before anything is driven, for a log that is there already; StoreError."""
+        refuse_existing(self.here / name, overwrite)
+        if self.store is not None:
+            refuse_taken_name(self.store / name, overwrite)
+
+    def copy(self, name: str, overwrite: bool) -> tuple[Location, str]:
+        """Copy a finished log; where it lies then, and why it is not copied, or empty."""
+        log = self.here / name
+        if self.store is None:
+            return log, ""
+        from recorder.log.copy_log import copy_log  # obstore, an extra
+
+        try:
+            return copy_log(log, self.store / name, overwrite=overwrite).place, ""
+        except (UserError, OSError) as error:
+            copies = shlex.join(("bc-log", "copy", str(log), str(self.store)))
+            return log, f"{log}: is not in {self.store} ({error}); `{copies}` copies it"
 
 
 @dataclass(frozen=True)
@@ -25,8 +66,9 @@ class DriveResult:
 
     simulator: BuiltInSimulator
     config: DriveConfig
-    log: Path
+    log: Location
     report: dict[str, Any]
+    problem: str = ""  # why its log is not in the store where it belongs
 
     def as_dict(self) -> dict[str, Any]:
         return {"set_speed_mph": self.config.set_speed_mph, "log": str(self.log), **self.report}
@@ -35,26 +77,28 @@ class DriveResult:
 def evaluate(
     pilot: Pilot,
     drives: Sequence[tuple[BuiltInSimulator, DriveConfig]],
-    logs: Path,
+    logs: Location | LogFolder,
     *,
     overwrite: bool = False,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Iterator[DriveResult]:
-    """Drive each simulator in lock-step, log that, and give the results as they come.
+    """Drive each simulator in lock-step, log that, and give the results as they come. With `logs` in a store, a
+    drive is logged in drives/ and copied when it is finished.
 
     `notify` gets a line before each drive. Raises DriveError where the simulator fails, UserError where a log
     exists and may not be overwritten.
     """
-    paths = _log_paths(pilot.run, drives, logs, overwrite=overwrite)
-    for (simulator, config), path in zip(drives, paths, strict=True):
+    folder = logs if isinstance(logs, LogFolder) else LogFolder.of(logs)
+    names = _log_names(pilot.run, drives, folder, overwrite=overwrite)
+    for (simulator, config), name in zip(drives, names, strict=True):
         laps = f"{simulator.laps:g} lap{'' if simulator.laps == 1 else 's'}"
         notify(f"{pilot.run} on {simulator.track} at {config.set_speed_mph:g} mph, {laps}")
-        report, _ = drive_and_log(pilot, simulator, config, path, overwrite=overwrite)
-        yield DriveResult(simulator, config, path, report)
+        report, _ = drive_and_log(pilot, simulator, config, folder.here / name, overwrite=overwrite)
+        yield DriveResult(simulator, config, *_copied(folder, name, report, overwrite=overwrite))
 
 
 def drive_runs(
-    runs: Sequence[tuple[Path, Path]],
+    runs: Sequence[tuple[Path, LogFolder]],
     drives: Sequence[tuple[BuiltInSimulator, DriveConfig]],
     tasks: Tasks,
     *,
@@ -68,10 +112,10 @@ def drive_runs(
     `networks` names the code that runs of one's own networks need. Raises what `evaluate` does.
     """
     calls = [
-        (run, tuple(networks), precision, simulator, config, path)
+        (run, tuple(networks), precision, simulator, config, logs, name, overwrite)
         for run, logs in runs
-        for (simulator, config), path in zip(
-            drives, _log_paths(run_name(run), drives, logs, overwrite=overwrite), strict=True
+        for (simulator, config), name in zip(
+            drives, _log_names(run_name(run), drives, logs, overwrite=overwrite), strict=True
         )
     ]
     yield from tasks(_drive_run, calls)
@@ -83,12 +127,22 @@ def _drive_run(
     precision: Precision,
     simulator: BuiltInSimulator,
     config: DriveConfig,
-    log: Path,
+    logs: LogFolder,
+    name: str,
+    overwrite: bool,
 ) -> DriveResult:
     pilot = _warm_pilot(run, networks, precision)
     # whether it may be replaced was asked before: a drive that is made again may find the log of the first one
-    report, _ = drive_and_log(pilot, simulator, config, log, overwrite=True, shows_progress=False)
-    return DriveResult(simulator, config, log, report)
+    report, _ = drive_and_log(pilot, simulator, config, logs.here / name, overwrite=True, shows_progress=False)
+    return DriveResult(simulator, config, *_copied(logs, name, report, overwrite=overwrite))
+
+
+def _copied(
+    logs: LogFolder, name: str, report: dict[str, Any], *, overwrite: bool
+) -> tuple[Location, dict[str, Any], str]:
+    """The rest of a result, once its log is where it belongs."""
+    place, problem = logs.copy(name, overwrite)
+    return place, report, problem
 
 
 @lru_cache(maxsize=1)
@@ -101,13 +155,13 @@ def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision) -> P
     return pilot
 
 
-def _log_paths(
-    run: str, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]], logs: Path, *, overwrite: bool
-) -> list[Path]:
+def _log_names(
+    run: str, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]], logs: LogFolder, *, overwrite: bool
+) -> list[str]:
     """The log of each drive; raised is before the first of them what would be after it."""
-    paths = [logs / f"{run}-{simulator.name}-{config.set_speed_mph:g}mph.mcap" for simulator, config in drives]
-    for path in paths:
-        refuse_existing(path, overwrite)
-    if len(set(paths)) < len(paths):
+    names = [f"{run}-{simulator.name}-{config.set_speed_mph:g}mph.mcap" for simulator, config in drives]
+    for name in names:
+        logs.refuse_existing(name, overwrite)
+    if len(set(names)) < len(names):
         raise DriveError("the same track at the same speed is named twice")
-    return paths
+    return names

@@ -32,7 +32,7 @@ from common.tasks import RayAddress, tasks_of
 
 if TYPE_CHECKING:
     from drive.config import DriveConfig
-    from drive.evaluation.closed_loop import DriveResult
+    from drive.evaluation.closed_loop import DriveResult, LogFolder
     from drive.evaluation.simulator_process import BuiltInSimulator
     from model.evaluation.differences import Verdict
     from model.evaluation.evaluate import Evaluation
@@ -93,14 +93,14 @@ class Eval:
         Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
     ] = None
     """The arithmetic of a network that drives; auto takes what is fastest on this processor, as bc-drive does."""
-    logs: Annotated[Path | None, _default("PATH", "drives")] = None
-    """Folder for the drives' logs."""
+    logs: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
+    """Folder for the drives' logs. With a URL (s3://BUCKET/drives) they are made in drives/, and copied there."""
     force: bool = False
     """Replace logs of the same names."""
     ray: RayAddress = None
     """Make the drives on a Ray cluster, each as a task; all of its nodes see these folders by the same paths."""
-    runs: Path = Path("runs")
-    """Where runs are kept."""
+    runs: LocationFlag = Path("runs")
+    """Where runs are kept; what was measured of one in a store (s3://BUCKET/runs) is kept there, too."""
     json: bool = False
     """Print JSON and no table: one object, or with --simulator alone one a drive."""
 
@@ -187,7 +187,7 @@ def _measure(config: Eval) -> int:
 
     (run,) = _found_runs(config, config.run)
     what, (found,) = _evaluations(config, [run])
-    _keep(run, "frames", {**what, **found.as_dict()})
+    code = _keep(run, "frames", {**what, **found.as_dict()})
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst, found.max_deg)
     if config.json:
         print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
@@ -196,7 +196,7 @@ def _measure(config: Eval) -> int:
 
         print_evaluation(found, worst)
         _print_what(what)
-    return _print_notices(found, what)
+    return max(code, _print_notices(found, what))
 
 
 def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
@@ -212,15 +212,25 @@ def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | No
     return {"index": str(index), "split": split}, evaluate_runs(runs, index, split)
 
 
-def _keep(run: Path, way: Way, result: dict[str, Any]) -> None:
-    """Keep a result in the run, for `bc-runs`; a folder that cannot be written to costs no measurement."""
+def _keep(run: Path, way: Way, result: dict[str, Any]) -> int:
+    """Keep a result in the run, for `bc-runs`, and where the run is in a store, there; a folder that cannot be
+    written to costs no measurement. Exit code 3 for a result that does not get to the store."""
     from model.errors import RunWriteError
     from model.runs.kept_results import keep_result
+    from model.runs.run_arguments import run_argument
+    from model.runs.run_folder import config_folder
+    from model.runs.runs_in_store import send_results
 
+    folder = config_folder(run)
     try:
         keep_result(run, way, result)
+        send_results(folder)
     except RunWriteError as error:
         print_message(f"bc-eval: the result is not kept in the run: {error}", style="yellow")
+    except (UserError, OSError) as error:
+        later = f"`bc-eval` of {run_argument(folder)}, on this machine, sends it along"
+        return warn(f"the result is kept on this machine only ({error}); the next {later}")
+    return DONE
 
 
 def _print_what(what: dict[str, str | None]) -> None:
@@ -303,38 +313,46 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
 
 
 def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
+    from drive.evaluation.closed_loop import DRIVES, LogFolder
     from drive.evaluation.compare_report import print_drive_comparison
     from drive.evaluation.drive_comparison import TOLERANCE, DriveComparison
 
     drives = _drives(config)
-    logs = config.logs or Path("drives")
+    logs = LogFolder.of(config.logs or DRIVES)
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
+    code = max(DONE, *(_warn_problem(result) for result in results.values()))
     of_a, of_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
     found = DriveComparison(*names, of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
     if config.json:
         print_result(json.dumps(found.as_dict()))
     else:
         print_drive_comparison(found, names)
-    return found.verdict, DONE
+    return found.verdict, code
 
 
 def _drive(config: Eval) -> int:
     """Let the network drive."""
+    from drive.evaluation.closed_loop import DRIVES, LogFolder
     from drive.evaluation.eval_report import print_drives
 
     drives = _drives(config)  # before the seconds that a network takes to load: a track may be misspelt
     results: dict[int, DriveResult] = {}
+    codes = [DONE]
     try:
         (run,) = _found_runs(config, config.run)
-        for number, result in _driven(config, [(run, config.logs or Path("drives"))], drives):
+        for number, result in _driven(config, [(run, LogFolder.of(config.logs or DRIVES))], drives):
             results[number] = result
-            _keep(run, "simulator", result.as_dict())
+            codes += [_keep(run, "simulator", result.as_dict()), _warn_problem(result)]
             if config.json:
                 print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
             print_drives([results[number] for number in sorted(results)])
-    return DONE
+    return max(codes)
+
+
+def _warn_problem(result: DriveResult) -> int:
+    return warn(result.problem) if result.problem else DONE
 
 
 def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
@@ -351,7 +369,7 @@ def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
 
 
 def _driven(
-    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
 ) -> Iterator[tuple[int, DriveResult]]:
     """The results of the drives of runs, each with the folder of its logs: number and result, as they come."""
     from drive.driven_car import other_steering
@@ -364,7 +382,7 @@ def _driven(
 
 
 def _driven_here(
-    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
 ) -> Iterator[tuple[int, DriveResult]]:
     from drive.evaluation.closed_loop import evaluate as evaluate_run
     from model import load_pilot
@@ -380,7 +398,7 @@ def _driven_here(
 
 
 def _driven_on_cluster(
-    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
 ) -> Iterator[tuple[int, DriveResult]]:
     from drive.evaluation.closed_loop import drive_runs
 
@@ -410,7 +428,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     pilot = load_pilot(run, config.precision or "auto")
     pilot.warm_up()
     departure_m = DEPARTURE_M if config.departure is None else config.departure
-    drives = []
+    drives, codes = [], [DONE]
     try:
         for log in logs:
             try:
@@ -420,7 +438,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
             except RecordingError as error:
                 raise UserError(f"{error}; else tell it by --car") from None
             drives.append(drive)
-            _keep(run, "recording", drive.as_dict())
+            codes.append(_keep(run, "recording", drive.as_dict()))
             if config.json:
                 print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))
     finally:  # what was measured is shown, whatever stops the rest
@@ -428,12 +446,11 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
             from drive.evaluation.eval_report import print_recorded_drives
 
             print_recorded_drives(pilot.run, drives)
-    code = DONE
     for drive in drives:
-        code = warn_skipped(drive.skipped) or code
+        codes.append(warn_skipped(drive.skipped))
         if drive.notice:
-            code = warn(drive.notice)
-    return code
+            codes.append(warn(drive.notice))
+    return max(codes)
 
 
 def main() -> None:

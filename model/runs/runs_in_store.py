@@ -68,6 +68,14 @@ def runs_in_store(runs: Url) -> list[RunInStore]:
     return [run for run in found if CONFIG in run.files]
 
 
+def run_at(url: Url) -> RunInStore | None:
+    """The run of this URL; None if there is none. Raises StoreError."""
+    from common.object_store import list_below  # an extra
+
+    run = _run_of(url, list_below(url))
+    return run if CONFIG in run.files else None
+
+
 def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     """A run by its URL, or by name where `runs` is in a store; without a name, the one whose weights were written
     last. None for a run of this machine.
@@ -79,10 +87,8 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     url = location(name) if is_in_store(name) else runs / name if is_name(name) else None
     if not isinstance(url, Url):
         return None
-    from common.object_store import list_below  # an extra
-
-    run = _run_of(url, list_below(url))
-    if CONFIG not in run.files:
+    run = run_at(url)
+    if run is None:
         names = [each.name for each in runs_in_store(url.parent)] if url.parent.key else []
         known = suggest_runs(url.name, names, url.parent)
         raise RunError(f"{url}: no run there ({CONFIG} is missing); {known}")
@@ -116,6 +122,14 @@ def bring_summary(run: RunInStore) -> Path:
     if left is not None and not left.sha256 and RESULTS_FILE in run.files:
         return bring_run(run, (*SUMMARY_FILES, WEIGHTS))
     return here
+
+
+def bring_curves(url: str) -> Path:
+    """All of a run, named by its URL, but its weights and checkpoints. Raises RunError if there is none;
+    StoreError."""
+    run = find_in_store(url, Path())
+    assert run is not None  # noqa: S101
+    return bring_run(run, [name for name in run.files if name != WEIGHTS and "/" not in name])
 
 
 def send_results(run: Path) -> bool:

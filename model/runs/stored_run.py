@@ -13,7 +13,7 @@ from common.location import Location, Url
 from common.store_record import read_record
 from model.errors import RunError
 from model.runs.run_files import CONFIG
-from model.runs.runs_in_store import find_in_store, stored_run_folder
+from model.runs.runs_in_store import RunInStore, find_in_store, run_at, stored_run_folder
 from model.runs.training_progress import Epoch, Step
 
 _EVERY_S: Final = 60.0
@@ -27,13 +27,25 @@ def bring_run_to(runs: Path, name: str) -> Path:
     found = find_in_store(name, runs)
     assert found is not None  # noqa: S101
     here = runs / found.name
+    _bring_to(here, found)
+    return here
+
+
+def copy_of_run(url: Url, here: Path) -> RunCopy:
+    """What copies the run `here` to a store, to be made or gone on with: if there is one already, it is brought.
+    Raises as `bring_run_to` does."""
+    if (found := run_at(url)) is not None:
+        _bring_to(here, found)
+    return RunCopy(here, url)
+
+
+def _bring_to(here: Path, found: RunInStore) -> None:
     if here.exists() and read_record(here).url != str(found.url):
         raise RunError(
             f"{here}: is here already, and no copy of {found.url}; move it away, or give another --runs"
         )
     with stored_run_folder(found.url, here) as folder:
         folder.bring(keeps_ours=True, objects=found.files.values())
-    return here
 
 
 def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:

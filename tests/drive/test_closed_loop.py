@@ -248,7 +248,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     expected = max(0.0, 100 * (1 - 6 * there["interventions"] / there["elapsed_s"]))
     assert there["autonomy_percent"] == pytest.approx(expected)
     assert Path(there["log"]).name == here.log.name
-    ours, theirs = (messages(path, "/camera/center") for path in (here.log, Path(there["log"])))
+    ours, theirs = (messages(Path(str(path)), "/camera/center") for path in (here.log, there["log"]))
     # 25 telemetries a second; two are in flight when the drive is over
     assert len(ours) == pytest.approx(here.report["elapsed_s"] * 25, abs=2)
     assert [CompressedImage.FromString(data).data for _, _, data in ours] == [

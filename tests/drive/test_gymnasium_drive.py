@@ -84,6 +84,9 @@ def test_a_drive_is_copied_to_a_store_when_it_is_finished(
         assert not Path("drives/d.mcap").exists()
         assert "s3://logs/drives/d.mcap exists already" in capsys.readouterr().err
         assert (bucket.folder / "drives/d.mcap").read_bytes() == copy
+        assert call(bc_drive, *flags[:-2], "--drives", "s3://logs/drives") == 0  # by its date
+        assert len(list((bucket.folder / "drives").glob("20*.mcap"))) == 1
+        assert call(bc_drive, *flags, "--drives", "s3://logs/drives") == 2
 
 
 def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:

@@ -78,9 +78,9 @@ def test_runs_are_listed_without_their_weights_and_nothing_comes_twice(
     requests, size = moved(bucket)
     assert requests <= 1 + len(runs) * 4
     assert size < 30_000 < (runs[0] / "model.safetensors").stat().st_size
-    for name, run in there.items():
-        assert run.pop("folder") == f"{RUNS}/{name}"
-        assert run == {each: value for each, value in here[name].items() if each != "folder"}
+    for name, found in there.items():
+        assert found.pop("folder") == f"{RUNS}/{name}"
+        assert found == {each: value for each, value in here[name].items() if each != "folder"}
 
     listed(RUNS, capsys)
     assert moved(bucket)[0] == 1
@@ -109,6 +109,7 @@ def test_a_run_that_other_programs_have_copied_there_is_listed_alike(
 ) -> None:
     run = a_run(tmp_path / "here/night")
     keep_result(run, "simulator", LAKE)
+    (run / "last/.lock").touch()
     shutil.copytree(run, bucket.folder / "runs/night")
     (bucket.folder / "runs/notes").mkdir()
     (bucket.folder / "runs/notes/note.txt").write_text("no run")
@@ -138,17 +139,17 @@ def test_a_run_is_found_by_name_or_is_the_newest(place: Place, tmp_path: Path) -
     (tmp_path / "runs/begun").mkdir()
     (tmp_path / "runs/begun/config.json").write_text("{}")
     runs = place(tmp_path / "runs")
-    for name, found in ((None, "newer"), ("older", "older"), ("older/last", "older/last")):
+    for given, found in ((None, "newer"), ("older", "older"), ("older/last", "older/last")):
         of_run = tmp_path / "runs" / found
-        files = {path.name: path.read_bytes() for path in find_run(name, runs).iterdir() if path.is_file()}
+        files = {path.name: path.read_bytes() for path in find_run(given, runs).iterdir() if path.is_file()}
         ours = {path.name: path.read_bytes() for path in of_run.iterdir() if path.is_file()}
         assert {name: data for name, data in files.items() if not name.startswith(".")} == ours
-    for name, told in (
+    for wrong, told in (
         ("oldr", "no .*run there .*; did you mean older?"),
         ("begun", "its first epoch is not finished; `bc-train --resume"),
     ):
         with pytest.raises(RunError, match=told):
-            find_run(name, runs)
+            find_run(wrong, runs)
     with pytest.raises(RunError, match="no trained run in it"):
         find_run(None, place(tmp_path / "none"))
 
