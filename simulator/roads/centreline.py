@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 SPACING_M = 0.5
+_NEAR_M = 30.0
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """A point of the centre line."""
 
     x_m: float
@@ -49,20 +50,30 @@ class Centreline:
         turn = np.roll(self.heading_rad, -1) - np.roll(self.heading_rad, 1)
         self.curvature_per_m: Floats = ((turn + np.pi) % (2 * np.pi) - np.pi) / (2 * self.step_m)
         self.slope: Floats = tangent[:, 2] / (2 * self.step_m)
+        # Lists, because `at` and `project` are asked many times a step, and an element of an array takes longer.
+        columns = (*self.points_m.T, self.heading_rad, self.curvature_per_m, self.slope)
+        self._points: list[tuple[float, ...]] = list(zip(*(column.tolist() for column in columns), strict=True))
+        self._directions = [(float(np.cos(each)), float(np.sin(each))) for each in self.heading_rad]
+        self._reach = round(_NEAR_M / self.step_m)
+        # (2, N + 2 reach), with the points before the first and behind the last: those near a place are a slice
+        self._around_m = self.points_m[np.arange(-self._reach, count + self._reach + 1) % count, :2].T.copy()
 
     def at(self, arc_m: float) -> Place:
         """The place ``arc_m`` metres along the road (any number: it wraps around)."""
         position = (arc_m % self.length_m) / self.step_m
-        i = int(position) % len(self.points_m)
-        j, t = (i + 1) % len(self.points_m), position - int(position)
-        point = (1 - t) * self.points_m[i] + t * self.points_m[j]
-        turn = (self.heading_rad[j] - self.heading_rad[i] + np.pi) % (2 * np.pi) - np.pi
+        i, t = int(position), position - int(position)
+        count = len(self._points)
+        x, y, z, heading, curvature, slope = self._points[i % count]
+        next_x, next_y, next_z, next_heading, next_curvature, next_slope = self._points[(i + 1) % count]
+        turn = (next_heading - heading + math.pi) % (2 * math.pi) - math.pi
         return Place(
-            float(point[0]), float(point[1]), float(point[2]),
-            float(self.heading_rad[i] + t * turn),
-            float((1 - t) * self.curvature_per_m[i] + t * self.curvature_per_m[j]),
-            float((1 - t) * self.slope[i] + t * self.slope[j]),
-        )  # fmt: skip
+            (1 - t) * x + t * next_x,
+            (1 - t) * y + t * next_y,
+            (1 - t) * z + t * next_z,
+            heading + t * turn,
+            (1 - t) * curvature + t * next_curvature,
+            (1 - t) * slope + t * next_slope,
+        )
 
     def clearance_m(self, neighbours_m: float) -> float:
         """The distance of the road from itself: the smallest one between places that are more than
@@ -80,16 +91,15 @@ class Centreline:
         ``near_arc_m`` limits the search to 30 m either side of that arc length, so that a car stays on its
         own stretch where the road passes close to itself.
         """
-        count = len(self.points_m)
+        count = len(self._points)
         if near_arc_m is None:
-            candidates = np.arange(count)
+            first, xs_m, ys_m = 0, self.points_m[:, 0], self.points_m[:, 1]
         else:
-            reach = round(30.0 / self.step_m)
-            candidates = (int(near_arc_m / self.step_m) + np.arange(-reach, reach + 1)) % count
-        delta = self.points_m[candidates, :2] - (x_m, y_m)
-        i = int(candidates[np.argmin(np.einsum("ij,ij->i", delta, delta))])
-        heading = self.heading_rad[i]
-        dx, dy = x_m - self.points_m[i, 0], y_m - self.points_m[i, 1]
-        along = dx * np.cos(heading) + dy * np.sin(heading)
-        offset = -dx * np.sin(heading) + dy * np.cos(heading)
-        return float((i * self.step_m + along) % self.length_m), float(offset)
+            middle = int(near_arc_m / self.step_m) % count
+            first, (xs_m, ys_m) = middle - self._reach, self._around_m[:, middle : middle + 2 * self._reach + 1]
+        dxs_m, dys_m = xs_m - x_m, ys_m - y_m
+        i = (first + int((dxs_m * dxs_m + dys_m * dys_m).argmin())) % count
+        cos, sin = self._directions[i]
+        dx, dy = x_m - self._points[i][0], y_m - self._points[i][1]
+        along = dx * cos + dy * sin
+        return (i * self.step_m + along) % self.length_m, dy * cos - dx * sin
