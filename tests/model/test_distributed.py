@@ -17,7 +17,7 @@ from safetensors.numpy import load_file
 from bucket import serving_bucket
 from common import UserError
 from dataset import IndexConfig, build_index
-from driving import Process, environment
+from driving import Process
 from model import train
 from model.cli import Train
 from model.cli import train as bc_train
@@ -25,7 +25,6 @@ from model.config import TrainConfig
 from repository import ROOT
 from rrd import free_ports
 from toy import toy_index
-from waiting import PATIENCE_S
 
 FLAGS = [
     "--network",
@@ -43,20 +42,23 @@ FLAGS = [
 ]
 
 
+TORCHRUN = """
+import os, sys
+from torch.distributed.run import main
+if sys.platform == "linux":
+    os.environ["GLOO_SOCKET_IFNAME"] = "lo"
+main()
+"""
+
+
 def torchrun(
     *arguments: object, processes: int = 2, begin: Sequence[str] = ("-m", "model.train"), cwd: Path = ROOT
 ) -> subprocess.CompletedProcess[str]:
-    line = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", processes]
-    found = environment() | {"GLOO_SOCKET_IFNAME": "lo"} if sys.platform == "linux" else environment()
-    return subprocess.run(
-        [str(each) for each in (*line, *begin, *arguments)],
-        env=found,
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    flags = ("--standalone", "--nproc-per-node", processes)
+    line = [sys.executable, "-c", TORCHRUN, *map(str, (*flags, *begin, *arguments))]
+    with Process(line, cwd, loads_pytorch=True) as run:
+        code = run.join()
+    return subprocess.CompletedProcess(line, code, run.stdout, "\n".join(run.stderr))
 
 
 @pytest.fixture(scope="module")
@@ -70,33 +72,47 @@ def epochs_of(run: Path) -> list[dict[str, Any]]:
 
 RANK = """
 import os, runpy, sys
-os.environ.update(zip(("MASTER_PORT", "RANK", "LOCAL_RANK"), (sys.argv.pop(1), *2 * [sys.argv.pop(1)])))
-os.environ.update(MASTER_ADDR="127.0.0.1", WORLD_SIZE="2", LOCAL_WORLD_SIZE="2", GLOO_SOCKET_IFNAME="lo")
+from pathlib import Path
+from model import TrainConfig, train
+rank, *ports, index, runs = sys.argv[1:6]
+os.environ.update(RANK=rank, LOCAL_RANK=rank, MASTER_ADDR="127.0.0.1", WORLD_SIZE="2", LOCAL_WORLD_SIZE="2")
+os.environ.update(GLOO_SOCKET_IFNAME="lo", MASTER_PORT=ports[0])
+config = TrainConfig(network="small", epochs=1, batch=25, dropout=0.0, precision="float32", threads=1)
+train(index, Path(runs, "two-25"), config, figures=False)
+os.environ["MASTER_PORT"] = ports[1]
+sys.argv[1:] = ["--name", "two-10", *sys.argv[6:], "--index", index, "--runs", runs]
 runpy.run_module("model.train", run_name="__main__", alter_sys=True)
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the name of the loopback interface is Linux's")
-@pytest.mark.parametrize("batch", [10, 25])
-def test_two_processes_learn_what_one_does(index: Path, tmp_path: Path, batch: int) -> None:
-    """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing. They are
-    told what torchrun tells those that it starts."""
-    flags = ["--name", "two", *FLAGS, "--batch", batch, "--index", index, "--runs", tmp_path]
-    (port,) = free_ports(1)
-    lines = [[sys.executable, "-c", RANK, str(port), str(rank), *map(str, flags)] for rank in (0, 1)]
+@pytest.fixture(scope="module")
+def trained_by_two(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs of two processes: `two-25`, of batches of 25, by Python, and `two-10` by the command. They are told
+    what torchrun tells those that it starts. Each trains both: most of its time goes into PyTorch's imports."""
+    runs = tmp_path_factory.mktemp("runs")
+    ports = free_ports(2)
+    lines = [[sys.executable, "-c", RANK, *map(str, (rank, *ports, index, runs, *FLAGS))] for rank in (0, 1)]
     with Process(lines[0], loads_pytorch=True) as first, Process(lines[1], loads_pytorch=True) as second:
         assert (first.join(), second.join()) == (0, 0), first.stderr + second.stderr
         assert (first.stdout + second.stdout).count("epoch  1:") == 1  # one of them speaks, and writes
+    return runs
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the name of the loopback interface is Linux's")
+@pytest.mark.parametrize("batch", [10, 25])
+def test_two_processes_learn_what_one_does(index: Path, trained_by_two: Path, tmp_path: Path, batch: int) -> None:
+    """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing."""
+    runs = {"one": tmp_path / "one", "two": trained_by_two / f"two-{batch}"}
     config = TrainConfig(network="small", epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
-    train(index, tmp_path / "one", config, figures=False)
-    (one,), (two,) = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "two")
+    train(index, runs["one"], config, figures=False)
+    (one,), (two,) = epochs_of(runs["one"]), epochs_of(runs["two"])
     assert two["training_loss"] == pytest.approx(one["training_loss"], rel=1e-5)
     assert two["validation"]["rmse_deg"] == pytest.approx(one["validation"]["rmse_deg"], rel=1e-4)
-    weights = [load_file(tmp_path / name / "model.safetensors") for name in ("one", "two")]
+    weights = [load_file(run / "model.safetensors") for run in runs.values()]
     moved = [np.abs(weights[0][name] - weights[1][name]) for name in weights[0]]
     # few: one step of Adam moves a weight by its rate, also where the gradient is nothing but its last bit
     assert np.mean(np.concatenate([each.ravel() for each in moved]) > 1e-6) < 0.02
-    assert json.loads((tmp_path / "two" / "config.json").read_text())["machine"]["ranks"] == 2
+    assert json.loads((runs["two"] / "config.json").read_text())["machine"]["ranks"] == 2
 
 
 @pytest.fixture

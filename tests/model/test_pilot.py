@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 import platform
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,7 +13,7 @@ import torch
 
 from dataset import decode
 from dataset.preprocess import Image
-from driving import road_jpeg, untrained_run
+from driving import Process, road_jpeg, untrained_run
 from model import Pilot, load_pilot
 from model.network.original import SteeringNetwork
 from model.network.packing import pack_weights
@@ -114,7 +112,8 @@ def test_without_packed_weights_it_drives_all_the_same(run: Path, crops: list[Im
     pilot = load_pilot(run, "bfloat16")
     np.save(run.parent / "crop.npy", crops[0])
     program = """
-import pathlib, sys
+import os, pathlib, sys
+os.environ["ONEDNN_MAX_CPU_ISA"] = "AVX2"  # read when oneDNN is first asked for something
 import numpy as np
 from model import load_pilot
 from model.network.packing import pack_weights
@@ -124,14 +123,10 @@ run, crop = map(pathlib.Path, sys.argv[1:])
 assert not pack_weights(load_network(run).bfloat16().head)
 print(load_pilot(run, "bfloat16").predict(np.load(crop)))
 """
-    said = subprocess.run(
-        [sys.executable, "-c", program, str(run), str(run.parent / "crop.npy")],
-        env=os.environ | {"ONEDNN_MAX_CPU_ISA": "AVX2"},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    assert float(said.stdout) == pytest.approx(pilot.predict(crops[0]), abs=0.01)
+    line = [sys.executable, "-c", program, str(run), str(run.parent / "crop.npy")]
+    with Process(line, loads_pytorch=True) as told:
+        assert told.join() == 0, told.stderr
+    assert float(told.stdout) == pytest.approx(pilot.predict(crops[0]), abs=0.01)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])

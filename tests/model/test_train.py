@@ -23,10 +23,13 @@ from dataset.preprocess import Image
 from logs import plain_read, write_log
 from model import Epoch, RunError, TrainConfig, find_run, load_pilot, train
 from model.cli import main
+from model.network.choice import built_in
 from recorder import Log
 from repository import HELPERS
-from toy import STEERING, TINY, road, toy_index
+from toy import SMALL, STEERING, road, toy_index
 from udacity import call
+
+SETTINGS = replace(SMALL, rate=1e-3)  # the original's millions of weights: test_bc_train_builds_the_index_...
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +40,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Epoch]]:
     run = tmp_path_factory.mktemp("runs") / "toy"
-    return run, train(index, run, TINY, figures=False).epochs
+    return run, train(index, run, SETTINGS, figures=False).epochs
 
 
 def contents(run: Path) -> dict[Path, bytes]:
@@ -54,7 +57,7 @@ def test_the_loss_falls_and_beats_knowing_nothing(trained: tuple[Path, list[Epoc
 def test_the_weights_can_be_read_by_safetensors_alone(trained: tuple[Path, list[Epoch]]) -> None:
     with safe_open(trained[0] / "model.safetensors", framework="np") as weights:
         tensors = {name: weights.get_tensor(name) for name in weights.keys()}  # noqa: SIM118
-    assert sum(tensor.size for tensor in tensors.values()) == 5_022_327
+    assert sum(tensor.size for tensor in tensors.values()) == 81_929
     assert {tensor.dtype for tensor in tensors.values()} == {np.dtype(np.float32)}
     assert all(np.isfinite(tensor).all() for tensor in tensors.values())
 
@@ -63,10 +66,10 @@ def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], ind
     run, _ = trained
     config = json.loads((run / "config.json").read_text())
     assert config["format"] == 4
-    assert config["parameters"] == 5_022_327
+    assert config["parameters"] == 81_929
     assert config["preprocessing"]["channels"] == "BGR"
     assert (config["preprocessing"]["crop_top"], config["preprocessing"]["crop_bottom"]) == ("50/160", "20/160")
-    assert settings_from(TrainConfig, config["training"]) == TINY
+    assert settings_from(TrainConfig, config["training"]) == SETTINGS
     machine = {"device": "cpu", "arithmetic": "float32", "micro_batch": 64, "ranks": 1, "threads": 1}
     assert config["machine"] == {**machine, "torch": torch.__version__}
     assert config["versions"].keys() >= {"python", "torch", "numpy", "opencv"}
@@ -115,7 +118,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(
     network = f"{HELPERS / 'dropout_network.py'}:DropoutNetwork"
 
     def weights(name: str, seed: int) -> bytes:
-        config = replace(TINY, network=network, dropout=0.5, epochs=1, batch=8, seed=seed)
+        config = replace(SETTINGS, network=network, dropout=0.5, epochs=1, batch=8, seed=seed)
         train(index, tmp_path / name, config, figures=False)
         return (tmp_path / name / "model.safetensors").read_bytes()
 
@@ -143,13 +146,13 @@ def test_a_run_that_exists_is_refused_and_stays(trained: tuple[Path, list[Epoch]
     run, _ = trained
     before = contents(run)
     with pytest.raises(RunError, match="exists already"):
-        train(index, run, TINY)
+        train(index, run, SETTINGS)
     assert contents(run) == before
 
 
 def test_training_without_an_index_leaves_no_run(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="`bc-index "):
-        train(tmp_path / "index", tmp_path / "run", TINY)
+        train(tmp_path / "index", tmp_path / "run", SETTINGS)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -183,7 +186,7 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
     pilot = load_pilot(trained[0], "float32")
     samples = Samples(index)
     try:
-        loader = Loader(samples, samples.table, batch=16)
+        loader = Loader(samples, samples.table, batch=16, seen=built_in("small", {}).picture)
         learnt: list[Image] = [picture for batch in loader.in_order() for picture in batch.pictures]
     finally:
         samples.close()

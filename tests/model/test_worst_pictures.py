@@ -16,13 +16,15 @@ from common.car import Camera
 from dataset import Samples, decode, preprocess
 from logs import START_NS, STEP_NS
 from model import Epoch, train
+from model.network.choice import built_in
 from model.runs.history import read_history
 from rrd import contents, view_names
-from toy import SMALL, STEERING, TINY, road, toy_index
+from toy import SMALL, STEERING, road, toy_index
 from udacity import call
 from viz.cli import main
 
-CONFIG = replace(TINY, epochs=3, batch=16)  # what is worst needs no good network
+CONFIG = replace(SMALL, epochs=3, batch=16)  # what is worst needs no good network
+SEEN = built_in("small", {}).picture
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,7 @@ def test_the_pictures_are_what_the_network_saw_there(here: Path) -> None:
     for worst in history.worst:
         assert worst.jpegs
         for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
-            seen = preprocess(decode(road("center", frame.row)))
+            seen = preprocess(decode(road("center", frame.row)), SEEN)
             assert np.abs(decode(jpeg).astype(int) - seen).mean() < 3  # a JPEG of it
 
 
@@ -74,7 +76,7 @@ def test_the_viewer_gets_them_with_each_epoch(here: Path, tmp_path: Path) -> Non
         assert blobs == [worst.jpegs[number] for worst in history.worst]
         for name in ("recorded", "predicted"):
             arcs = [strip[0] for strip in found[f"/worst/{number + 1}/{name}"]["LineStrips2D:strips"] if strip]
-            sides = [arc[-1][0] - 64 for arc in arcs]
+            sides = [arc[-1][0] - SEEN.width_px / 2 for arc in arcs]
             told = [getattr(worst.frames[number], f"{name}_deg") for worst in history.worst]
             assert np.sign(sides).tolist() == np.sign(told).tolist()
     words = [text[0] for text in found["/worst/words"]["TextDocument:text"] if text]
@@ -100,7 +102,8 @@ def test_a_picture_that_does_not_decode_moves_no_other_picture(
     for worst in found:
         for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
             assert frame.row != broken
-            assert np.abs(decode(jpeg).astype(int) - preprocess(decode(road("center", frame.row)))).mean() < 3
+            seen = preprocess(decode(road("center", frame.row)), SEEN)
+            assert np.abs(decode(jpeg).astype(int) - seen).mean() < 3
 
 
 def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
