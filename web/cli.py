@@ -33,7 +33,7 @@ class Web:
     """Where sessions are kept."""
     index: LocationFlag = Path("index")
     """Where the index is kept."""
-    runs: Path = Path("runs")
+    runs: LocationFlag = Path("runs")
     """Where runs are kept."""
     drives: LocationFlag = Path("drives")
     """Where drives are kept."""

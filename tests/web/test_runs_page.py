@@ -4,39 +4,22 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from driving import road_jpeg, untrained_run
-from histories import epoch_line, step_lines, write_lines
+from driving import road_jpeg
+from histories import epoch_line, write_lines
 from logs import write_log
 from model.runs.kept_results import keep_result
+from runs import a_run
 from waiting import wait_until
 from workbench import Served, served
 
 AWKWARD = "a & <b>'é 100%"
 CROP = {"session": "sunday", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
-
-
-def a_run(runs: Path, name: str, rmse_deg: float, **training: Any) -> Path:
-    """A run of two epochs, of which the first one was kept."""
-    run = untrained_run(runs / name)
-    config = json.loads((run / "config.json").read_text())
-    config["training"] = {"epochs": 3, "recipe": "people", **training}
-    config["data"] = {"logs": {"sunday": {}, "monday": {}}, "settings": {"bins": 25}}
-    (run / "config.json").write_text(json.dumps(config))
-    lines = [epoch_line(1), epoch_line(2, is_best=False)]
-    lines[0]["validation"]["rmse_deg"] = rmse_deg
-    lines[0]["mean"]["rmse_deg"] = 4.0
-    (run / "metrics.jsonl").unlink(missing_ok=True)
-    write_lines(run / "metrics.jsonl", lines)
-    write_lines(run / "steps.jsonl", step_lines(1))
-    return run
 
 
 @pytest.fixture(scope="module")

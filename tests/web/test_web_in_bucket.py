@@ -18,6 +18,8 @@ from bucket import Bucket, serving_bucket
 from drives import a_drive
 from driving import road_jpeg
 from logs import START_NS, write_log
+from model.runs.kept_results import keep_result
+from runs import a_run
 from udacity import call
 from waiting import wait_until
 from web.data import refreshed
@@ -29,7 +31,7 @@ SETTINGS = "--labels", "as-recorded", "--block-s", "1", "--gap-s", "0"
 
 @pytest.fixture(scope="module")
 def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bucket]:
-    """A project in a bucket: sessions, one of them tagged, one damaged; an index of two; a drive."""
+    """A project in a bucket: sessions, one of them tagged, one damaged; an index of two; a drive; runs."""
     folder = tmp_path_factory.mktemp("project")
     with pytest.MonkeyPatch.context() as patched, serving_bucket(folder / "server", patched) as found:
         patched.setenv("BC_CACHE", str(folder / "cache"))
@@ -39,7 +41,10 @@ def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bucket]:
             write_log(sessions / f"{name}.mcap", TURNING, lambda _, row: road_jpeg(row), start_ns=start_ns)
         (sessions / "broken.mcap").write_bytes(b"no log")
         (sessions / "notes.txt").write_text("no log")
-        a_drive(found.folder / "drives" / "one.mcap", "a-run")
+        a_drive(found.folder / "drives" / "one.mcap", "good")
+        run = a_run(found.folder / "runs", "good", 2.0, seed=0)
+        keep_result(run, "simulator", {"track": "lake", "set_speed_mph": 10.0, "interventions": 2})
+        a_run(found.folder / "runs", "other", 3.0, seed=1)
         tag = "tag", sessions / "second.mcap", "exclude", "--rows", 3, 12
         assert call(recorder.log_cli.main, *tag) == 0
         there = "--sessions", found.url("sessions"), "--index", found.url("index")
@@ -85,20 +90,20 @@ def read(bench: Served, path: str) -> str:
     return wait_until(whole)
 
 
-def asked_for(bucket: Bucket) -> list[str]:
-    """What the store was asked for since it was last looked at, in the order of names: objects by their keys,
-    listings by their prefixes; but for the index, which may still be on its way."""
+def asked_for(bucket: Bucket, *folders: str) -> list[str]:
+    """What the store was asked for in these folders since it was last looked at, in the order of names: objects by
+    their keys, listings by their prefixes. The index and runs may still be on their way when a page is there."""
     asked = [path for _, path, _ in bucket.requests]
     bucket.requests.clear()
     found = [re.sub(r"^/logs/([^?]*).*|^/logs\?.*prefix=(\w+)%2F.*", r"\1\2", path) for path in asked]
-    return sorted(key for key in found if not key.startswith("index"))
+    return sorted(key for key in found if key.startswith(folders or ("sessions", "drives")))
 
 
 def test_what_is_shown_is_what_is_shown_of_a_disk(
     bucket: Bucket, serve: Callable[[], Served], tmp_path: Path
 ) -> None:
     disk = tmp_path / "disk"
-    for name in ("sessions", "drives"):
+    for name in ("sessions", "drives", "runs"):
         shutil.copytree(bucket.folder / name, disk / name)
     here = "--sessions", disk / "sessions", "--index", disk / "index"
     assert call(dataset.cli.main, "first", "second", *here, *SETTINGS) == 0
@@ -125,6 +130,10 @@ def test_what_is_shown_is_what_is_shown_of_a_disk(
         assert there.get("/index.leaks").body == local.get("/index.leaks").body
         altered = "/index.altered/0/1.jpg"
         assert there.get(altered).body == local.get(altered).body
+        runs = "/runs?run=good&run=other", "/runs/good"
+        for path in runs:
+            assert plain(read(there, path)) == plain(read(local, path))
+        assert there.get("/runs.curves?run=good").json == local.get("/runs.curves?run=good").json
         shown = "/drives.rows?log=one"
         assert plain(there.get(shown).text) == plain(local.get(shown).text)
 
@@ -159,6 +168,23 @@ def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve
     read(bench, "/sessions.rows")
     bench.get("/sessions/first/strip.jpg")
     assert asked_for(bucket) == ["drives", "sessions", "sessions/broken.mcap"]  # perhaps it can be read by now
+
+
+def test_of_runs_that_is_brought_which_is_shown(bucket: Bucket, serve: Callable[[], Served]) -> None:
+    bench = serve()
+    wait_until(lambda: "2 of 2 runs" in read(bench, "/runs.rows"))
+    other = "runs/other"
+    assert asked_for(bucket, "runs/other") == [f"{other}/config.json", f"{other}/metrics.jsonl"]
+    page = bench.get("/runs/other").text
+    assert f"s3://logs/{other}" in page
+    assert asked_for(bucket, "runs") == [f"{other}/steps.jsonl"]
+    log = bench.get("/sessions/first/state").json["fingerprint"]
+    assert bench.get(f"/sessions/first/predictions/other?log={log}").status == 200
+    assert set(asked_for(bucket, "runs")) == {f"{other}/model.safetensors"}
+    bench = serve()
+    wait_until(lambda: "2 of 2 runs" in read(bench, "/runs.rows"))
+    assert bench.get("/runs/other").text == page
+    assert asked_for(bucket, "runs") == ["runs"]
 
 
 def test_what_changes_there_is_seen(

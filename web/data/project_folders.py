@@ -11,6 +11,7 @@ import hashlib
 import os
 import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +25,7 @@ from recorder.log.log_info import logs_in
 from recorder.log.tags import tags_path
 from web.data.file_versions import version_of, version_of_folder, version_of_growing, version_of_stats
 from web.data.stored_folders import StoredCopy, StoreListings
+from web.data.stored_runs import StoredRuns
 from web.errors import WebError
 
 Place = Literal["sessions", "drives"]
@@ -42,7 +44,7 @@ class ProjectFolders:
 
     sessions: Location = Path("sessions")
     index: Location = Path("index")
-    runs: Path = Path("runs")
+    runs: Location = Path("runs")
     drives: Location = Path("drives")
     _found: dict[tuple[Place, str], Location] = field(default_factory=dict, init=False, repr=False)  # by a listing
     _listings: StoreListings = field(default_factory=StoreListings, init=False, repr=False, compare=False)
@@ -154,16 +156,47 @@ class ProjectFolders:
         """False for a log in a store with no tags beside it: nobody need ask for them."""
         return isinstance(log, Path) or self.stat(tags_path(log)) is not None
 
+    @cached_property
+    def _stored_runs(self) -> StoredRuns | None:
+        return StoredRuns(self.runs) if isinstance(self.runs, Url) else None
+
+    @property
+    def runs_problem(self) -> str:
+        """Why what is shown of the runs may not be what is there: their store does not answer, or refuses."""
+        return self._stored_runs.problem if self._stored_runs else ""
+
     def run_folders(self) -> dict[str, Path]:
-        """The runs by the key that they have in addresses, also those that cannot be read."""
+        """The runs by the key that they have in addresses, also those that cannot be read; of one in a store, the
+        folder that its small files were brought to."""
+        if self._stored_runs:
+            self._stored_runs.look()
+            return {key_of(path): path for path in self._stored_runs.runs()}
+        assert isinstance(self.runs, Path)  # noqa: S101
         return {key_of(path.parent): path.parent for path in sorted(self.runs.glob(f"*/{RUN_CONFIG}"))}
 
     def run(self, key: str) -> Path:
         """Raises WebError if no run of that key is there (any more)."""
         path = self.run_folders().get(key)
         if path is None:
+            if self.runs_problem:
+                raise WebError(self.runs_problem, 503)
             raise WebError(f"{self.runs}: no run {key!r} in it; it may have been deleted, renamed or moved", 404)
         return path
+
+    def run_place(self, run: Path) -> Location:
+        """Where a run is, by its folder here."""
+        return (self._stored_runs and self._stored_runs.url(run)) or run
+
+    def version_of_run(self, run: Path, names: Sequence[str]) -> str:
+        """Of some of a run's files."""
+        if self._stored_runs:
+            return self._stored_runs.version(run, names)
+        return version_of(*(run / name for name in names))
+
+    def bring_run(self, run: Path, names: Sequence[str]) -> None:
+        """See to it that these files of a run are here as they are there. Raises StoreError."""
+        if self._stored_runs:
+            self._stored_runs.bring(run, names)
 
 
 def why_unchangeable(log: Location) -> str:

@@ -13,7 +13,6 @@ from common import UserError
 from common.errors import printable
 from common.locks import is_being_written
 from web.data.background import Background
-from web.data.file_versions import version_of
 from web.data.project_folders import RUN_CONFIG, ProjectFolders, key_of
 from web.errors import WebError
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:  # these load PyTorch: not before a run is looked at
 
 _SUMMED_UP: Final = RUN_CONFIG, "metrics.jsonl", "results.jsonl", "model.safetensors"
 _GROWING: Final = "steps.jsonl", "worst.jsonl"
+_HISTORY: Final = "metrics.jsonl", *_GROWING
 _LOCK: Final = Path("last") / ".lock"  # held while a run is trained
 _HISTORIES: Final = 16  # kept in memory: of the runs that are looked at
 
@@ -57,7 +57,7 @@ class RunCards:
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
         self._pool = ThreadPoolExecutor(1, "reading runs")  # not that of logs: the first run loads PyTorch
-        self._summaries = Background(self._pool, _summary)
+        self._summaries = Background[Path, "RunSummary"](self._pool, _summary)
         self._lock = threading.Lock()
         self._histories: dict[Path, tuple[str, History]] = {}
 
@@ -72,14 +72,14 @@ class RunCards:
         """It changes with every file that a training or an evaluation writes."""
         digest = hashlib.sha256()
         for path in self._folders.run_folders().values():
-            names = (*_SUMMED_UP, *_GROWING)
-            digest.update(version_of(*(path / name for name in names)).encode() + bytes([_is_training(path)]))
-        return digest.hexdigest()[:16]
+            version = self._folders.version_of_run(path, (*_SUMMED_UP, *_GROWING))
+            digest.update(version.encode() + bytes([_is_training(path)]))
+        return digest.hexdigest()[:16] + self._folders.runs_problem
 
     def cards(self, patience_s: float) -> list[RunCard]:
         """Of all runs, by name; those that cannot be read in that time have no `summary` yet."""
         found = self._folders.run_folders().values()
-        versions = [(path, version_of(*(path / name for name in _SUMMED_UP))) for path in found]
+        versions = [(path, self._folders.version_of_run(path, _SUMMED_UP)) for path in found]
         summaries = self._summaries.results(versions, patience_s)
         return [_card(path, summaries.get(path)) for path in found]
 
@@ -88,10 +88,11 @@ class RunCards:
         read."""
         from model.runs.history import HistoryReader
 
-        version = version_of(*(path / name for name in ("metrics.jsonl", *_GROWING)))
+        version = self._folders.version_of_run(path, _HISTORY)
         with self._lock:
             known = self._histories.get(path)
         if known is None or known[0] != version:
+            self._folders.bring_run(path, _HISTORY)
             found, _ = HistoryReader(path).read()
             with self._lock:
                 self._histories.pop(path, None)

@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from common.location import Location
+from web.data.project_folders import RUN_CONFIG
 from web.errors import WebError
 
 WEIGHTS: Final = "model.safetensors"  # `model.runs.run_folder.WEIGHTS`, without PyTorch
+NETWORK_FILES: Final = WEIGHTS, RUN_CONFIG
+"""What a run's network is loaded from."""
 
 
 def check_network(run: Path, log: Location) -> None:

@@ -8,6 +8,7 @@ from starlette.routing import Route
 
 from recorder import LogError
 from web.data.project_folders import Place
+from web.data.run_networks import NETWORK_FILES
 from web.errors import WebError
 from web.pages.workbench import Workbench
 
@@ -23,6 +24,7 @@ def attention_routes(bench: Workbench, place: Place) -> list[Route]:
                 encoded = opened.log.picture(int(request.path_params["row"]), "center")
             except LogError as error:
                 raise WebError(str(error), 404) from None
+        bench.folders.bring_run(run, NETWORK_FILES)
         return Response(bench.attention.overlay(run, path, encoded), media_type="image/png")
 
     return [Route(f"/{place}/{{log}}/attention/{{run}}/{{row:int}}", overlay)]

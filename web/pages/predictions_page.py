@@ -18,7 +18,7 @@ from common.locks import is_being_written
 from recorder.log.topics import camera_topic
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
-from web.data.run_networks import check_network
+from web.data.run_networks import NETWORK_FILES, check_network
 from web.errors import WebError
 from web.pages.workbench import Workbench
 
@@ -68,6 +68,7 @@ def _told(
     fingerprint = opened.log.fingerprint
     if fingerprint != log:
         raise WebError("the log has changed since this page has read it: choose the run again, or reload it", 409)
+    bench.folders.bring_run(run, NETWORK_FILES)
     key = bench.predictions.key(fingerprint, run)
     told: dict[str, object] = {"key": key, "name": printable(run.name), "about": None, "problem": ""}
     before = bench.predictions.predicting(key)

@@ -51,7 +51,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             raise WebError(f"{path}: deleted, or renamed", 404)
         return {
             "card": card,
-            "path": printable(str(path)),
+            "path": printable(str(bench.folders.run_place(path))),
             "summary": card.summary,
             "settings": _settings(path) if not card.problem else {},
             "sessions": _sessions(bench.folders, card),

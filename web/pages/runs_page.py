@@ -78,6 +78,7 @@ def run_list_routes(bench: Workbench) -> list[Route]:
             "chosen": {key: number for number, (key, _) in enumerate(_chosen(asked), 1)},
             "driven": driven_words,
             "folder": printable(str(folder)),
+            "problem": bench.folders.runs_problem,
         }
 
     def _chosen(asked: AskedRuns) -> list[tuple[str, Any]]:
