@@ -38,7 +38,8 @@ import obstore
 from pyarrow.fs import S3FileSystem
 
 from common.location import Location, Url
-from common.object_store import find_object, forget_stores
+from common.object_store import find_object
+from common.store_connection import forget_stores
 from dataset import IndexConfig, build_index
 from dataset.index.stored_index import index_here
 from dataset.loader.loader import load

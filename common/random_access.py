@@ -103,7 +103,7 @@ def read_bytes(place: Location, most: int) -> bytes | None:
 def open_for_reading(place: Location) -> RandomAccess:
     """Raises OSError; StoreError for an object that cannot be read."""
     if isinstance(place, Url):
-        from common.object_store import ObjectFile  # an extra, which nobody with one machine needs
+        from common.object_file import ObjectFile  # an extra, which nobody with one machine needs
 
         return ObjectFile(place)
     return LocalFile(place)

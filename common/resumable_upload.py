@@ -22,8 +22,8 @@ from typing import Any, Final, TypeAlias, TypeVar
 from common.errors import ObjectExistsError, StoreError, UserError
 from common.interrupts import uninterrupted
 from common.location import Url
-from common.object_store import as_told
 from common.s3_settings import S3Settings, s3_settings
+from common.store_errors import as_told
 
 try:
     import botocore.session

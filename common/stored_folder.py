@@ -19,9 +19,8 @@ from common.errors import NoSuchObjectError, ObjectChangedError, UserError
 from common.files import PART_SUFFIX, atomic_file
 from common.location import Url
 from common.locks import lock, try_lock
+from common.object_file import ObjectFile, Seen
 from common.object_store import (
-    ObjectFile,
-    Seen,
     StoredObject,
     find_object,
     list_below,

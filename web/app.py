@@ -64,7 +64,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
     not installed."""
     with contextlib.ExitStack() as stack:
         if folders.are_in_stores:
-            from common.object_store import hurried  # an extra
+            from common.store_connection import hurried  # an extra
 
             stack.enter_context(hurried())
         yield stack.enter_context(_app(folders, host, token, cache))

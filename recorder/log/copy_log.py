@@ -23,9 +23,9 @@ from common.files import PART_SUFFIX, atomic_file, make_folder, publish, refuse_
 from common.interrupts import uninterrupted
 from common.location import Location, Url
 from common.locks import try_lock
+from common.object_file import ObjectFile
 from common.object_store import (
     MOST_IN_ONE_REQUEST,
-    ObjectFile,
     find_object,
     name_new,
     put_new,

@@ -12,7 +12,7 @@ import botocore.endpoint
 import localbucket
 import pytest
 
-from common import object_store
+from common import store_connection
 from common.location import Url
 from faulty_proxy import Answer as Answer
 from faulty_proxy import FaultyProxy, serving
@@ -52,8 +52,8 @@ def serving_bucket(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bu
     with serving(handler) as server_port, bucket.before(server_port):
         for name, value in {"AWS_ENDPOINT_URL_S3": bucket.endpoint, **KEYS}.items():
             monkeypatch.setenv(name, value)
-        object_store.forget_stores()
+        store_connection.forget_stores()
         try:
             yield bucket
         finally:
-            object_store.forget_stores()
+            store_connection.forget_stores()

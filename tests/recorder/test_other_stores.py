@@ -11,7 +11,8 @@ import pytest
 
 from common.errors import ObjectChangedError, ObjectExistsError
 from common.location import Url
-from common.object_store import forget_stores, list_objects
+from common.object_store import list_objects
+from common.store_connection import forget_stores
 from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index, load
 from driving import one_line_in

@@ -1,0 +1,196 @@
+"""An object in a store as a file: read at any place, from any thread, and one content as long as it is open."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NoReturn
+
+from common.closeable import Closeable
+from common.errors import ObjectChangedError, StoreError
+from common.location import Url
+from common.random_access import Range
+from common.store_connection import store_of
+from common.store_errors import as_store_error, is_cut_off, is_out_of_range, obstore
+from common.store_errors import exceptions as failures
+
+if TYPE_CHECKING:
+    from obstore import GetOptions, ObjectMeta, SuffixRange
+
+AT_ONCE: Final = 16
+"""Requests that wait for their answers at a time: at 50 ms each, and 256 KB, some 80 MB/s."""
+
+LARGEST_READ: Final = 1 << 23
+"""Bytes that are read ahead of who reads a file through."""
+
+CUT_OFF: Final = 4
+"""Times that is asked for what comes incomplete; obstore asks again for what does not come."""
+
+_SMALL: Final = 1 << 15  # a read of less brings its neighbours along: records lie side by side
+_KEPT_BYTES: Final = 1 << 26
+_KEPT: Final = 16  # stretches of a file that were read
+_END: Final = 1 << 17  # of a file, read at once: a log of ours says there what is in it
+
+
+@dataclass(frozen=True)
+class Seen:
+    """By which an object is told from what takes its name later."""
+
+    e_tag: str  # as the store writes it
+    version: str | None = None  # of stores that go by that
+
+    @property
+    def name(self) -> str:
+        """As in `StoredObject.version`."""
+        return self.e_tag.strip('"')
+
+
+class ObjectFile(Closeable):
+    """An object, open for reading at any place, from any thread. It is one content that is read: if the object is
+    replaced meanwhile, ObjectChangedError is raised."""
+
+    is_remote = True
+
+    def __init__(self, url: Url) -> None:
+        """Raises NoSuchObjectError, or another StoreError. Reads the end of the object: one request, of Azure two,
+        which is not asked for so many bytes from the end."""
+        self.url = url
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[int, bytes] = OrderedDict()  # by where they begin
+        self._read_from = self._read_to = -1  # the last stretch that was read
+        self._ahead = _SMALL
+        self._pool: ThreadPoolExecutor | None = None
+        with as_store_error(url):
+            try:
+                found, data = read_part(url, {"suffix": _END})
+                is_end = True
+            except failures.NotSupportedError:
+                found, data = read_part(url, (0, _SMALL))
+                is_end = len(data) == found["size"]
+        self.size: int = found["size"]
+        self.version: str = found["e_tag"] or ""
+        self.seen = Seen(self.version, found["version"])
+        self._keep(self.size - len(data) if is_end else 0, data)
+        if not is_end:
+            last = min(_END, self.size)
+            self._keep(self.size - last, self._fetched(self.size - last, last))
+
+    def close(self) -> None:
+        self._kept.clear()
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def grow(self) -> bool:
+        """Objects do not grow."""
+        return True
+
+    def read(self, offset: int, length: int) -> bytes:
+        if (known := self._known(offset, length)) is not None:
+            return known
+        with self._lock:
+            is_next = (
+                self._read_from <= offset <= self._read_to
+            )  # a record may begin in what its head was read with
+            self._ahead = min(2 * self._ahead, LARGEST_READ) if is_next else _SMALL
+            wanted = min(max(length, self._ahead if is_next or length < _SMALL else 0), self.size - offset)
+        data = self._fetched(offset, wanted)
+        self._keep(offset, data)
+        return data[:length]
+
+    def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(AT_ONCE, "store")
+        waiting: deque[Future[bytes]] = deque()
+        for offset, length in ranges:
+            known = self._known(offset, length)
+            waiting.append(self._pool.submit(self._fetched, offset, length) if known is None else _done(known))
+            if len(waiting) == 2 * AT_ONCE:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+    def read_alone(self, offset: int, length: int) -> bytes:
+        return self._fetched(offset, length)
+
+    def _fetched(self, offset: int, length: int) -> bytes:
+        if length == 0:
+            return b""
+        with as_store_error(self.url):
+            for attempt in range(CUT_OFF):
+                try:
+                    answer = obstore.get(
+                        store_of(self.url, True),
+                        self.url.key,
+                        options=_range_of(offset, length, self.version),
+                    )
+                    if (answer.meta["e_tag"] or "") != self.version or answer.meta["size"] != self.size:
+                        self._changed()
+                    data = answer.bytes().to_bytes()
+                except failures.PreconditionError:
+                    self._changed()
+                except FileNotFoundError:
+                    raise ObjectChangedError(f"{self.url}: was removed while it was read") from None
+                except failures.GenericError as error:
+                    if is_out_of_range(str(error)):  # but it was within the object's size
+                        self._changed()
+                    if attempt == CUT_OFF - 1 or not is_cut_off(str(error)):
+                        raise
+                    continue
+                if len(data) == length:
+                    return data
+        raise StoreError(f"{self.url}: bytes {offset:,} to {offset + length:,} came incomplete {CUT_OFF} times")
+
+    def _changed(self) -> NoReturn:
+        raise ObjectChangedError(
+            f"{self.url}: was replaced while it was read (another ETag or size than {self.version or self.size});"
+            " give the command again"
+        )
+
+    def _known(self, offset: int, length: int) -> bytes | None:
+        with self._lock:
+            for start, data in self._kept.items():
+                if start <= offset and offset + length <= start + len(data):
+                    self._kept.move_to_end(start)
+                    return data[offset - start : offset - start + length]
+        return None
+
+    def _keep(self, offset: int, data: bytes) -> None:
+        with self._lock:
+            self._kept[offset] = data
+            self._read_from, self._read_to = offset, offset + len(data)
+            while len(self._kept) > _KEPT or sum(map(len, self._kept.values())) > _KEPT_BYTES:
+                self._kept.popitem(last=False)
+
+
+def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta, bytes]:
+    """What a store tells of an object, and the bytes of a part of it, which may reach over its end. They are asked
+    for again where they were cut off, or are fewer than the answer says."""
+    for attempt in range(CUT_OFF):
+        try:
+            found = obstore.get(store_of(url, False), url.key, options={"range": part})
+            data = found.bytes().to_bytes()
+        except failures.GenericError as error:
+            if is_out_of_range(str(error)):  # nothing is in it
+                return obstore.head(store_of(url, False), url.key), b""
+            if attempt == CUT_OFF - 1 or not is_cut_off(str(error)):
+                raise
+            continue
+        if len(data) == found.range[1] - found.range[0]:
+            return found.meta, data
+    raise StoreError(f"{url}: came incomplete {CUT_OFF} times")
+
+
+def _range_of(offset: int, length: int, version: str) -> GetOptions:
+    options: GetOptions = {"range": (offset, offset + length)}
+    if version:
+        options["if_match"] = version
+    return options
+
+
+def _done(data: bytes) -> Future[bytes]:
+    future: Future[bytes] = Future()
+    future.set_result(data)
+    return future

@@ -1,0 +1,113 @@
+"""What a store answers, and obstore says of it in several lines, as one line with what to do.
+
+obstore is an extra: it is imported here alone, by who asks a store, so that this says what brings it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from common.errors import NoSuchObjectError, ObjectExistsError, StoreError, UserError
+from common.location import Url
+
+try:
+    import obstore as obstore
+    from obstore import exceptions as exceptions
+    from obstore.store import from_url as from_url
+except ImportError:
+    raise UserError(
+        "reading from a store needs obstore: `pip install behavioural-cloning-toolkit[scale]` brings it"
+    ) from None
+
+# What is said where nobody gave any, and no role of the machine has answered either.
+_NO_CREDENTIALS: Final = re.compile(
+    r"169\.254\.169\.254|/latest/(api/token|meta-data)|metadata\.google\.internal|credential"
+    r"|account must be specified|invalid access key",
+    re.IGNORECASE,
+)
+_CREDENTIALS: Final = {
+    "s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY (AWS_SKIP_SIGNATURE=true for a public bucket)",
+    "gs": "GOOGLE_APPLICATION_CREDENTIALS to the file of a key (GOOGLE_SKIP_SIGNATURE=true for a public bucket)",
+    "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY (AZURE_SKIP_SIGNATURE=true for a public one)",
+}
+_NO_RIGHT: Final = ("", " (AccessDenied)", " (AuthorizationPermissionMismatch)")
+_RIGHTS: Final = {
+    "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
+    " s3:PutObject and s3:DeleteObject, too",
+    "gs": "the role Storage Object User",
+    "az": "the role Storage Blob Data Contributor",
+}
+
+
+@contextlib.contextmanager
+def as_store_error(url: Url) -> Iterator[None]:
+    """Make one line of what obstore raises, which is several of what its layers say."""
+    try:
+        yield
+    except (exceptions.BaseError, FileNotFoundError) as error:  # of what is not there, it raises Python's own
+        raise as_told(url, error, " ".join(str(error).split())) from None
+
+
+def is_out_of_range(text: str) -> bool:
+    return "416 Range Not Satisfiable" in text or "InvalidRange" in text
+
+
+def is_cut_off(text: str) -> bool:
+    return "response body" in text or "invalid list response" in text or "invalid multipart response" in text
+
+
+def is_no_bucket(text: str) -> bool:
+    return "NoSuchBucket" in text or "ContainerNotFound" in text or "specified bucket does not exist" in text
+
+
+def as_told(url: Url, error: Exception, text: str) -> StoreError:
+    """The error to raise, in one line, for what a store's client has raised, and says in `text`."""
+    bucket = f"{url.scheme}://{url.bucket}"
+    if isinstance(error, exceptions.AlreadyExistsError):
+        return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
+    if is_no_bucket(text):
+        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint()}; give the name of one that is there")
+    if "NoSuchUpload" in text:
+        return StoreError(f"{url}: the store has given the upload up{_endpoint()}; give the command again")
+    if isinstance(error, FileNotFoundError):
+        return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists what is there")
+    if _NO_CREDENTIALS.search(text):
+        return StoreError(f"{bucket}: no credentials that can be used: set {_CREDENTIALS[url.scheme]}")
+    if "redirect" in text.lower() or "AuthorizationHeaderMalformed" in text or "IncorrectEndpoint" in text:
+        return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
+    if "RequestTimeTooSkewed" in text:
+        return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
+    is_refused = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
+    if is_refused or "403 Forbidden" in text:  # a listing that is refused is a GenericError
+        rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
+        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
+    if isinstance(error, exceptions.NotSupportedError) or "NotImplemented" in text:
+        return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
+    return StoreError(f"{url}: {_reason(text)}{_endpoint()}")
+
+
+def _code(text: str) -> str:
+    found = re.search(r"<Code>(\w+)</Code>", text)
+    return f" ({found[1]})" if found else ""
+
+
+def _endpoint() -> str:
+    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
+    return f" (endpoint {endpoint})" if endpoint else ""
+
+
+def _reason(text: str) -> str:
+    status = re.search(r"[Ss]erver returned non-2xx status code: (\d+ [A-Z][\w ]*?):", text)
+    if status:
+        return f"the store answers {status[1]}{_code(text)}"
+    unreachable = ("refused", "error trying to connect", "dns", "could not connect", "connect timeout")
+    if "onnect" in text and any(each in text.lower() for each in unreachable):
+        return "the store cannot be reached"
+    if is_cut_off(text) or "Connection was closed" in text:
+        return "the connection to the store was cut, again and again; give the command again"
+    plain = text.partition(" Debug source:")[0]
+    return f"the store does not answer as it should: {plain[:300]}"
