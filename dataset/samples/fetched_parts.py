@@ -1,16 +1,22 @@
-"""Divided samples of an index in a store, brought to this machine once, however often their columns are read."""
+"""Files of divided samples: those of an index in a store come here once, however often they are read."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from common.errors import UserError
 from common.location import Location, Url
 from common.users_cache import users_cache
 from dataset.errors import DatasetError, index_write_errors
+from dataset.parquet_file import METADATA_KEY
 from dataset.samples.samples_format import SAMPLES_NAME, Division
 
 
@@ -29,6 +35,18 @@ def part_files_here(parts: Division, index: Location) -> list[Path]:
             " somebody has just indexed, else `bc-index`"
         )
     return files
+
+
+def read_part(file: Path, parts: Division, columns: Sequence[str] | None, words: Sequence[str]) -> pa.Table:
+    """Columns of a file of divided samples, those named by `words` as dictionaries.
+
+    Raises ValueError for a file of other samples; OSError, KeyError, TypeError or ArrowException for one that
+    cannot be read.
+    """
+    with pq.ParquetFile(file, read_dictionary=words, page_checksum_verification=True) as opened:
+        if json.loads(opened.schema_arrow.metadata[METADATA_KEY])["digest"] != parts.digest:
+            raise ValueError(f"{file} is not of it")
+        return pa.concat_tables(opened.read_row_group(group, columns) for group in range(opened.num_row_groups))
 
 
 def _brought(folder: Url) -> Path:

@@ -32,7 +32,7 @@ from dataset.frames.frames_file import log_place
 from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
-from dataset.samples.fetched_parts import part_files_here
+from dataset.samples.fetched_parts import part_files_here, read_part
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Division
 from recorder import Log, LogError
@@ -275,11 +275,14 @@ class Samples(Closeable):
         if self._parts is None:
             return
         for part in self._part_files:
-            with pq.ParquetFile(part, read_dictionary=words, page_checksum_verification=True) as file:
-                if json.loads(file.schema_arrow.metadata[METADATA_KEY])["digest"] != self._parts.digest:
-                    raise ValueError(f"{part} is not of it")
-                for group in range(file.num_row_groups):
-                    yield file.read_row_group(group, columns)
+            try:
+                yield read_part(part, self._parts, columns, words)
+            except _UNREADABLE:
+                if isinstance(self.path, Path):
+                    raise
+                part.unlink(missing_ok=True)  # a copy, which may come once more
+                part_files_here(self._parts, self.path.parent)
+                yield read_part(part, self._parts, columns, words)
 
     def _damaged(self, error: Exception) -> DatasetError:
         why = " ".join(str(error).split())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -18,6 +20,7 @@ from bucket import Bucket, serving_bucket
 from common.location import Url
 from dataset import DatasetError, Samples, build_index, load
 from dataset.cli import main
+from disk import files_of_at_most
 from logs import write_log
 from udacity import call
 
@@ -59,8 +62,12 @@ def sessions(place: str = INDEX) -> list[str]:
 
 
 def files(bucket: Bucket) -> dict[str, bytes]:
-    paths = (path for path in (bucket.folder / "index").rglob("*") if path.is_file())
-    return {path.relative_to(bucket.folder / "index").as_posix(): path.read_bytes() for path in paths}
+    found = {}
+    for path in (bucket.folder / "index").rglob("*"):
+        with contextlib.suppress(FileNotFoundError):  # a part of one that the server is just writing
+            if path.is_file():
+                found[path.relative_to(bucket.folder / "index").as_posix()] = path.read_bytes()
+    return found
 
 
 def test_the_index_in_a_bucket_is_that_on_a_disk(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
@@ -223,7 +230,9 @@ def test_wherever_an_upload_is_cut_samples_that_are_named_are_there(
         if handler.command in ("PUT", "DELETE"):  # what is there before it is what a cut would leave
             with divided.lock:
                 moments.append(tmp_path / f"moments/{len(moments)}")
-                shutil.copytree(divided.folder / "index", moments[-1])
+                for name, data in files(divided).items():
+                    (moments[-1] / name).parent.mkdir(parents=True, exist_ok=True)
+                    (moments[-1] / name).write_bytes(data)
         return False
 
     divided.answer = keep
@@ -272,6 +281,16 @@ def test_divided_samples_come_here_once_and_those_of_an_earlier_index_go(divided
     fetched = [path for method, path, _ in divided.requests if method == "GET" and "/samples/" in path]
     assert len(fetched) == len(set(fetched)) == 2
     kept = tmp_path / "caches/one/samples"
+    expected, (damaged, *_) = samples_in(INDEX), sorted(kept.rglob("*.parquet"))
+    whole, status = damaged.read_bytes(), damaged.stat()
+    damaged.write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
+    os.utime(damaged, ns=(status.st_atime_ns, status.st_mtime_ns))  # as a failing disk does
+    assert samples_in(INDEX).equals(expected)
+    assert damaged.read_bytes() == whole
+    shutil.rmtree(kept)
+    with files_of_at_most(1_000), pytest.raises(DatasetError, match=r"caches/one/samples/.*: cannot be written"):
+        samples_in(INDEX)
+    samples_in(INDEX)
     (earlier,) = kept.glob("*/*")
     drive(divided, 2)
     assert index() == 0
