@@ -31,10 +31,17 @@ from clusters import ray_cluster
 from common.car import Camera
 from common.errors import UserError
 from common.ray_cluster import ClusterError, cluster_tasks, package_versions, refuse_other_node
+from common.tasks import Tasks, one_by_one
 from dataset import build_index
+from drive.config import DriveConfig
+from drive.evaluation.closed_loop import drive_runs
+from drive.evaluation.simulator_process import BuiltInSimulator
+from drive.evaluation.sweep import run_sweep
+from drive.evaluation.sweep_plan import read_sweep
 from driving import Process, command, one_line_of, run, run_code, untrained_run
 from logs import not_a_picture, write_log
 from model.runs.checkpoint import read_position
+from recorder.log.check import check
 from repository import ROOT
 from toy import toy_index
 from waiting import wait_until
@@ -115,19 +122,22 @@ def test_the_index_has_the_same_bytes_and_a_damaged_log_is_left_out_as_on_one_ma
     assert json.loads(looks[0]["drive 0.json"])["broken"]["left"] == [[7, 7]]
 
 
-@pytest.mark.long
-def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path, cluster: Any) -> None:
-    logs = drives(tmp_path / "sessions")
-    build_index(logs, tmp_path / "here", divide_from_frames=1)
-    began, gone = tmp_path / "began", tmp_path / "gone"
+@contextlib.contextmanager
+def tasks_whose_node_dies(
+    cluster: Any, folder: Path, is_time: Callable[[], bool] | None = None
+) -> Iterator[Tasks]:
+    """Calls on one node, which goes when the first one is done and it `is_time`: by default when the last one is
+    done, and nobody knows its result yet. Then another node comes."""
+    began, gone = folder / "began", folder / "gone"
     dying = cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
 
-    def waiting_at_first(function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(name: str, *arguments: Any) -> Any:
-            if name == "drive 2" and not gone.exists():
+    def holding(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(is_held: bool, *arguments: Any) -> Any:
+            result = function(*arguments)
+            if is_held and not gone.exists():
                 began.write_text("")
                 time.sleep(1_000)
-            return function(name, *arguments)
+            return result
 
         return call
 
@@ -138,16 +148,75 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Pat
             calls: Sequence[tuple[Any, ...]],
             lost: Callable[[int, str], Any] | None = None,
         ) -> Iterator[tuple[int, Any]]:
-            for number, result in there(waiting_at_first(function), calls):
-                if number == 0 and not gone.exists():
-                    wait_until(began.exists)
+            last = len(calls) - 1 if is_time is None else -1
+            marked = [(number == last, *arguments) for number, arguments in enumerate(calls)]
+            for number, result in there(holding(function), marked, lost):
+                if not gone.exists():
+                    wait_until(is_time or began.exists)
                     gone.write_text("")
                     cluster.remove_node(dying, allow_graceful=False)
                     cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
                 yield number, result
 
+        yield tasks
+    assert gone.exists()
+
+
+@pytest.mark.long
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path, cluster: Any) -> None:
+    logs = drives(tmp_path / "sessions")
+    build_index(logs, tmp_path / "here", divide_from_frames=1)
+    with tasks_whose_node_dies(cluster, tmp_path) as tasks:
         build_index(logs, tmp_path / "there", tasks=tasks, divide_from_frames=1)
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
+
+
+@pytest.mark.long
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Path, cluster: Any) -> None:
+    run = untrained_run(tmp_path / "runs" / "untrained")
+    lake = BuiltInSimulator("lake", laps=0.002)
+    drives = [(lake, DriveConfig(set_speed_mph=speed)) for speed in (8, 12)]
+    here = dict(drive_runs([(run, tmp_path / "here")], drives, one_by_one))
+    with tasks_whose_node_dies(cluster, tmp_path) as tasks:
+        there = dict(drive_runs([(run, tmp_path / "there")], drives, tasks))
+    assert sorted(there) == [0, 1]
+    for number, driven in there.items():
+        assert driven.report["trajectory_sha256"] == here[number].report["trajectory_sha256"]
+        assert not check(driven.log).findings
+    assert len(list((tmp_path / "there").iterdir())) == 2
+
+
+@pytest.mark.long
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_a_sweep(tmp_path: Path, cluster: Any) -> None:
+    index = toy_index(tmp_path)
+    settings = 'epochs = 60\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
+    (tmp_path / "s.toml").write_text(
+        f'seeds = [1, 2]\n[train]\n{settings}[drive]\nsimulator = ["lake"]\nlaps = 0.001\n'
+    )
+    metrics = tmp_path / "there" / "s-seed2" / "metrics.jsonl"
+
+    def is_in_the_middle() -> bool:
+        return metrics.exists() and len(metrics.read_text().splitlines()) > 5
+
+    plan = read_sweep(tmp_path / "s.toml")
+    made = {}
+    for name in ("here", "there"):
+        with contextlib.ExitStack() as stack:
+            tasks: Tasks = one_by_one
+            if name == "there":
+                tasks = stack.enter_context(tasks_whose_node_dies(cluster, tmp_path, is_in_the_middle))
+            found = list(run_sweep(plan, index, tmp_path / name, tmp_path / name / "drives", tasks))
+        assert [swept.failure for swept in found] == ["", ""]
+        made[name] = {
+            swept.training.run: (
+                (tmp_path / name / swept.training.run / "model.safetensors").read_bytes(),
+                [drive["trajectory_sha256"] for drive in swept.summary.drives],
+            )
+            for swept in found
+            if swept.summary is not None
+        }
+    assert made["there"] == made["here"]
+    assert list(made["here"]) == ["s-seed1", "s-seed2"]
 
 
 def test_a_cluster_of_another_version_is_told(tmp_path: Path, small_cluster: Any) -> None:
