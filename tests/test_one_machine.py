@@ -1,0 +1,74 @@
+"""Who has one machine needs nothing that speaks to stores or clusters, and does not load it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import make_architecture
+from dataset.cli import main as bc_index
+from drive.evaluation.eval_cli import main as bc_eval
+from drive.sweep_cli import main as bc_sweep
+from logs import write_log
+from model.cli import main as bc_train
+from model.runs_cli import main as bc_runs
+from recorder.log_cli import main as bc_log
+from repository import ROOT
+from toy import STEERING, road
+from udacity import call
+
+EXTRAS = ("ray", "obstore", "boto3", "botocore")
+OURS = ("common.object_store", "common.stored_folder", "common.ray_cluster")
+"""That load them."""
+
+SWEEP = 'seeds = [1]\n[train]\nepochs = 1\nbatch = 10\nnetwork = "small"\nthreads = 1\n'
+
+
+def test_commands_work_where_neither_obstore_nor_ray_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_figures: None
+) -> None:
+    for name in (*EXTRAS, *OURS):
+        monkeypatch.setitem(sys.modules, name, None)  # Python's own way to say: cannot be imported
+    monkeypatch.chdir(tmp_path)
+    log = write_log(Path("sessions/toy.mcap"), STEERING, road, cameras=["center"])
+    Path("rates.toml").write_text(SWEEP)
+    assert call(bc_log, "info", log) == call(bc_log, "check", log) == call(bc_log, "ls", "sessions") == 0
+    assert call(bc_index, "--block-s", "0.5", "--gap-s", "0", "--look", "--check") == 0
+    assert call(bc_train, "--name", "a", "--network", "small", "--epochs", 1, "--batch", 10, "--threads", 1) == 0
+    assert call(bc_train, "--resume", "a", "--epochs", 2) == 0
+    assert call(bc_eval, "a") == call(bc_runs) == call(bc_sweep, "rates.toml") == 0
+
+
+def loaded_with(path: Path) -> set[str]:
+    """The modules that a file imports when it is imported itself, and not only in a function or for its types."""
+    found = set[str]()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def test_no_command_loads_them() -> None:
+    modules = {
+        path.relative_to(ROOT).with_suffix("").as_posix().removesuffix("/__init__").replace("/", "."): path
+        for room in make_architecture.ROOMS
+        for path in make_architecture.modules(room)
+    }
+    loads = {name: loaded_with(path) for name, path in modules.items()}
+    speaking = {name for name, found in loads.items() if {each.split(".")[0] for each in found} & {*EXTRAS}}
+    assert speaking <= {*OURS}
+    speaking = {*OURS}
+    while more := {name for name, found in loads.items() if found & speaking} - speaking:
+        speaking |= more
+    begun = re.findall(
+        r'_command\("bc-[\w-]+", "([\w.]+)"\)', (ROOT / "behavioural_cloning_toolkit.py").read_text()
+    )
+    assert len(begun) > 10
+    assert {"recorder.log.copy_log", "model.training.ray_workers"} <= speaking <= modules.keys()
+    assert speaking & {*begun, *make_architecture.ROOMS} == set()
