@@ -1,0 +1,29 @@
+"""A file of Rerun's appears whole, and over another one only where that was asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from common import UserError
+from viz.rrd_file import rrd_file
+
+
+def test_a_file_that_is_there_stays_unless_it_may_be_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "a.rrd"
+    path.write_bytes(b"precious")
+    with pytest.raises(UserError, match="exists already"), rrd_file(path, overwrite=False):
+        pass
+    assert path.read_bytes() == b"precious"
+    with rrd_file(path, overwrite=True):
+        assert path.read_bytes() == b"precious"
+    assert path.read_bytes() != b"precious"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_somebody_writes_meanwhile_stays(tmp_path: Path) -> None:
+    path = tmp_path / "a.rrd"
+    with pytest.raises(UserError, match="written by someone else meanwhile"), rrd_file(path, overwrite=False):
+        path.write_bytes(b"precious")
+    assert path.read_bytes() == b"precious"
