@@ -44,11 +44,9 @@ def choose_samples(
     before = np.bincount(bins[training], minlength=config.bins)
     candidate = training[balanced.chosen]
     after = np.bincount(bins[candidate], minlength=config.bins)
-    validation = np.flatnonzero(~is_training)
-    candidate = np.concatenate([candidate, validation])
-    is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
+    candidate, is_copy = _with_validation(candidate, balanced.is_copy, is_training)
     per_bin, short = balanced.per_bin, balanced.short
-    del training, balanced, validation, bins, is_training  # of ten million frames, half a gigabyte
+    del training, balanced, bins, is_training  # of ten million frames, half a gigabyte
     return _in_order(candidate, is_copy, len(label), config, random), Balance(before, after, per_bin, short)
 
 
@@ -69,10 +67,9 @@ def choose_share(
 ) -> ChosenSamples:
     """As `choose_samples`, of one session, which has this share of what is balanced."""
     bins, is_training = _candidates(label, is_training, config)
-    training, validation = np.flatnonzero(is_training), np.flatnonzero(~is_training)
+    training = np.flatnonzero(is_training)
     chosen, is_copy = draw(bins[training], share, random)
-    candidate = np.concatenate([training[chosen], validation])
-    is_copy = np.concatenate([is_copy, np.zeros(len(validation), np.bool_)])
+    candidate, is_copy = _with_validation(training[chosen], is_copy, is_training)
     return _in_order(candidate, is_copy, len(label), config, random)
 
 
@@ -87,6 +84,14 @@ def _candidates(
     middle = np.concatenate([label == 0, label == 0])
     bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
     return bins, np.concatenate([is_training, is_training])
+
+
+def _with_validation(
+    chosen: NDArray[np.int64], is_copy: NDArray[np.bool_], is_training: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """What was chosen for training, and behind it all that is for validation, once."""
+    validation = np.flatnonzero(~is_training)
+    return np.concatenate([chosen, validation]), np.concatenate([is_copy, np.zeros(len(validation), np.bool_)])
 
 
 def _in_order(
