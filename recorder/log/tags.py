@@ -12,9 +12,10 @@ import json
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final, overload
+from typing import IO, Annotated, Final, NamedTuple, overload
+
+import msgspec
 
 from common.location import Location, Url
 from common.locks import lock
@@ -25,16 +26,31 @@ EXCLUDE: Final = "exclude"
 """Rows with this tag are never trained on."""
 _ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
+_MOST_ROWS: Final = 2**32
 MOST_BYTES: Final = 1 << 24
 
 
-@dataclass(frozen=True, order=True)
-class Tag:
+class Tag(NamedTuple):
     """A name for the rows from `first_row` to `last_row`, both included."""
 
     first_row: int
     last_row: int
     name: str
+
+
+_Row = Annotated[int, msgspec.Meta(ge=0, lt=_MOST_ROWS)]
+
+
+class _Line(msgspec.Struct):
+    """A line of the journal; of the first two, one is there."""
+
+    rows: tuple[_Row, _Row]
+    log: str
+    add: str | msgspec.UnsetType = msgspec.UNSET
+    remove: str | msgspec.UnsetType = msgspec.UNSET
+
+
+_LINE: Final = msgspec.json.Decoder(_Line)
 
 
 @overload
@@ -92,7 +108,7 @@ def check_name(name: object) -> str:
 
 
 def _row(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**32:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < _MOST_ROWS:
         raise ValueError(f"{value!r} is not a row")
     return value
 
@@ -107,19 +123,25 @@ def _checked(tag: Tag) -> Tag:
 def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
     """The tags by the fingerprint that they are for. Raises LogError for a damaged file."""
     found: defaultdict[str, set[Tag]] = defaultdict(set)
+    names = set[str]()  # that are some
     for number, line in enumerate(_lines(log), start=1):
         try:
-            entry = json.loads(line)
-            (action,) = {"add", "remove"} & entry.keys()
-            first_row, last_row = map(_row, entry["rows"])
-            tag = _checked(Tag(first_row, last_row, check_name(entry[action])))
-            tags = found[entry["log"]]
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            entry = _LINE.decode(line)
+            is_added = entry.add is not msgspec.UNSET
+            if is_added != (entry.remove is msgspec.UNSET):
+                raise ValueError("neither added nor removed, or both")
+            name = str(entry.add if is_added else entry.remove)
+            if name not in names:
+                names.add(check_name(name))
+            if entry.rows[0] > entry.rows[1]:
+                raise ValueError(entry.rows)
+        except (ValueError, RecursionError):  # of msgspec, too
             raise LogError(f"{tags_path(log)}: line {number} is not a tag; mend or remove it") from None
-        if action == "add":
-            tags.add(tag)
+        tag = Tag(*entry.rows, name)
+        if is_added:
+            found[entry.log].add(tag)
         else:
-            tags.discard(tag)
+            found[entry.log].discard(tag)
     return found
 
 
