@@ -22,7 +22,7 @@ from toy import STEERING, road
 from udacity import call
 
 EXTRAS = ("ray", "obstore", "boto3", "botocore")
-OURS = ("common.object_store", "common.stored_folder", "common.ray_cluster")
+OURS = ("common.object_store", "common.resumable_upload", "common.stored_folder", "common.ray_cluster")
 """That load them."""
 
 SWEEP = 'seeds = [1]\n[train]\nepochs = 1\nbatch = 10\nnetwork = "small"\nthreads = 1\n'
@@ -46,8 +46,12 @@ def test_commands_work_where_neither_obstore_nor_ray_is(
 def loaded_with(path: Path) -> set[str]:
     """The modules that a file imports when it is imported itself, and not only in a function or for its types."""
     found = set[str]()
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.Import):
+    waiting: list[ast.AST] = [*ast.parse(path.read_text(encoding="utf-8")).body]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Try | ast.ExceptHandler):
+            waiting += ast.iter_child_nodes(node)
+        elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
