@@ -133,7 +133,7 @@ def overwrite(path: Path, position: int, value: int) -> None:
         stream.write(bytes([value]))
 
 
-EVERY = pytest.mark.parametrize("every", [11, pytest.param(1, marks=pytest.mark.long)])
+EVERY = pytest.mark.parametrize("every", [9, pytest.param(1, marks=pytest.mark.long)])  # odd: both MASKS in turn
 
 
 def complaints_of_flips(path: Path, positions: range, recover_every: int) -> list[str]:
@@ -148,7 +148,8 @@ def complaints_of_flips(path: Path, positions: range, recover_every: int) -> lis
         hit = [m.sequence for c in original.chunks if c.start <= position < c.end for m in c.messages]
         untouched = [m for m in original.messages if m.sequence not in hit]  # a row is kept whole
         least = [] if position < MAGIC_BYTES else untouched
-        for mask in (*MASKS, CHUNK_TO_MESSAGE) if position in chunk_starts else MASKS:
+        masks = MASKS if positions.step == 1 else MASKS[position % 2 :][:1]
+        for mask in (*MASKS, CHUNK_TO_MESSAGE) if position in chunk_starts else masks:
             overwrite(damaged, position, whole[position] ^ mask)
             found = [f"gave out {wrong}" for wrong in given_out(damaged) - truth]
             if position % recover_every == 0 or position in chunk_starts:
@@ -325,8 +326,8 @@ def test_a_chunk_whose_header_alone_is_damaged_is_recovered(whole: Path, is_kill
     data = whole.read_bytes()[: original.chunks[-1].end if is_killed else None]
     damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
     complaints = []
-    for chunk in original.chunks:
-        for at in {*range(HEADER_BYTES)} - {*CRC_BYTES}:
+    for number, chunk in enumerate(original.chunks):
+        for at in {*range(number % 2, HEADER_BYTES, 2)} - {*CRC_BYTES}:
             position = chunk.start + at
             damaged.write_bytes(data[:position] + bytes([data[position] ^ 0x41]) + data[position + 1 :])
             written = recover(damaged, to, overwrite=True)
@@ -357,7 +358,7 @@ def of_lengths(path: Path, lengths: list[int]) -> Path:
 @pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
 def test_chunks_that_have_changed_places_are_put_in_order(tmp_path: Path, layout: Layout, is_killed: bool) -> None:
     """Whatever lies between them has then moved too, where they are not of one length."""
-    whole = layout(of_lengths(tmp_path / "whole.mcap", [50, 90, 40, 20, 70, 70, 30, 60] * 2))
+    whole = layout(of_lengths(tmp_path / "whole.mcap", [50, 90, 40, 20, 70, 70, 30, 60]))
     original, data = contents(whole), whole.read_bytes()
     chunks = original.chunks
     assert len(chunks) > 4

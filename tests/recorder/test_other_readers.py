@@ -38,7 +38,8 @@ from viz.viewer_process import viewer_program
 from waiting import PATIENCE_S, wait_until
 
 START_NS, STEP_NS = 1_720_880_000_000_000_000, 40_000_000
-ROWS, ROWS_A_PICTURE = 1500, 30  # what is small fills more than one chunk, and so do the pictures
+ROWS, ROWS_A_PICTURE, ROWS_AN_EVENT = 300, 30, 20
+CHUNK_BYTES = 50_000  # what is small fills more than one chunk, and so do the pictures
 FOXGLOVE = HELPERS / "foxglove_reader"
 
 needs_foxglove = pytest.mark.skipif(
@@ -91,7 +92,7 @@ def backwards(found: dict[str, list[Told]]) -> dict[str, list[Told]]:
 
 
 def write_drive(path: Path, start_ns: int = START_NS, *, live: bool = False) -> Path:
-    """A minute of driving with every topic that there is; a row in thirty has its pictures."""
+    """12 s of driving with every topic that there is; a row in thirty has its pictures."""
     crop = cv2.imencode(".png", np.zeros((128, 128, 3), np.uint8))[1].tobytes()
     with LogWriter(path, {"source": "test"}, live=live) as writer:
         writer.event(start_ns - 1, "begin")
@@ -105,7 +106,7 @@ def write_drive(path: Path, start_ns: int = START_NS, *, live: bool = False) -> 
             writer.command(time_ns, row, PilotCommand(steering=row / ROWS, expert_steering=0.0))
             writer.pose(time_ns, row, PoseInFrame(frame_id="world"))
             writer.prediction("pilot", time_ns, row, Prediction(steering=-row / ROWS))
-            if row % 100 == 0:
+            if row % ROWS_AN_EVENT == 0:
                 writer.event(time_ns + 1, f"at row {row}")
             if live and row in (ROWS // 3, ROWS // 2):
                 wait_until(lambda: flushed(writer))
@@ -132,12 +133,15 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], P
     """Each log in each layout."""
     folder = tmp_path_factory.mktemp("logs")
     first, live, two = (folder / f"{number}.mcap" for number in range(len(LOGS)))
-    write_drive(first)
-    write_drive(live, live=True)
-    merge([write_drive(folder / "later.mcap", START_NS + 10**12), first], two)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("recorder.log.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
+        patch.setattr("recorder.log.split_chunks.ROWS_CHUNK_BYTES", CHUNK_BYTES // 8)
+        write_drive(first)
+        write_drive(live, live=True)
+        merge([write_drive(folder / "later.mcap", START_NS + 10**12), first], two)
     found: dict[tuple[str, str], Path] = {}
     for name, path in zip(LOGS, (first, live, two), strict=True):
-        before = write_as_before(path, path.with_stem(f"{path.stem}-before"))
+        before = write_as_before(path, path.with_stem(f"{path.stem}-before"), CHUNK_BYTES)
         found |= {(layout, name): its for layout, its in zip(LAYOUTS, (path, before), strict=True)}
     return found
 
@@ -169,7 +173,7 @@ def test_the_logs_have_all_that_is_written_and_the_layouts_that_they_are_named_a
     pictures = ROWS // ROWS_A_PICTURE
     counts = {f"/camera/{camera}": pictures for camera in CAMERAS} | {"/pilot/input": pictures}
     counts |= dict.fromkeys(("/vehicle", "/pilot/command", "/pose", "/prediction/pilot"), ROWS)
-    counts["/events"] = 1 + ROWS // 100
+    counts["/events"] = 1 + ROWS // ROWS_AN_EVENT
     for (layout, name), path in written.items():
         twice = 2 if name == LOGS[2] else 1
         kinds = [{is_of_pictures(message.topic) for message in chunk.messages} for chunk in contents(path).chunks]
@@ -234,7 +238,7 @@ def test_mcaps_own_reader_agrees_on_a_topic_and_on_a_stretch(log: Path) -> None:
         for topic, messages in expected.messages.items():
             alone = gathered(reader.iter_messages([topic], log_time_order=False))
             assert alone.messages == {topic: messages}
-        begin_ns, end_ns = START_NS + 200 * STEP_NS, START_NS + 700 * STEP_NS
+        begin_ns, end_ns = START_NS + ROWS // 7 * STEP_NS, START_NS + ROWS // 2 * STEP_NS
         stretch = gathered(reader.iter_messages(starting_at=begin_ns, ending_before=end_ns))
         within = {
             topic: [told for told in messages if begin_ns <= told.log_time < end_ns]
