@@ -164,7 +164,7 @@ def test_where_the_speed_is_not_known_or_the_camera_no_label_comes_out_of_nothin
 def test_each_session_of_an_index_has_the_car_of_its_own(tmp_path: Path) -> None:
     """Udacity's, another, and the built-in simulator's, whose views are what it renders there: on the lake, which
     begins level."""
-    record_simulated(SimulatedDrive(laps=0.015), tmp_path / "lake.mcap")
+    record_simulated(SimulatedDrive(laps=0.01), tmp_path / "lake.mcap")
     other = replace(OTHER_CAR, max_steering_deg=25.0)
     cars = {"road": UDACITY, "other": other, "lake": built_in()}
     record(tmp_path / "road.mcap")

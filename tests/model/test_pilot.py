@@ -29,7 +29,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def crops(run: Path) -> list[Image]:
     pilot = load_pilot(run)
-    return [pilot.crop(decode(road_jpeg(number))) for number in range(12)]
+    return [pilot.crop(decode(road_jpeg(number))) for number in range(6)]
 
 
 def as_trained(run: Path, crops: list[Image]) -> list[float]:

@@ -66,7 +66,8 @@ def test_they_are_replaced_and_the_same_run_gives_the_same_bytes_whatever_the_us
 ) -> None:
     run = write_run(tmp_path / "first", 2)
     first = [path.read_bytes() for path in write_run_figures(run, PREDICTED, RECORDED)]
-    write_run_figures(run, -PREDICTED, RECORDED)
+    for name in ("curves.png", "steering.png"):
+        (run / name).write_bytes(b"an older one")
     with matplotlib.rc_context({"font.size": 20.0, "savefig.facecolor": "red"}):
         again = [path.read_bytes() for path in write_run_figures(run, PREDICTED, RECORDED)]
     assert again == first

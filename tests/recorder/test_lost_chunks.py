@@ -21,7 +21,7 @@ from recorder.log.derived_log import Written
 from recorder.log.recover import recover
 from recorder.log.topics import PICTURE_TOPICS, ROW_TOPICS
 
-ROWS = 120
+ROWS = 60
 MISSING = "stretches of rows that are missing"
 WITHOUT_PICTURE = "stretches of rows without a picture"
 REST_LOST = "messages of a row of which the rest is lost"
@@ -29,11 +29,11 @@ REST_LOST = "messages of a row of which the rest is lost"
 
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 2048)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1024)
 
 
 def drive(path: Path, first: int = 0) -> Path:
-    """A drive with events and crops; chunks of pictures are of about four rows, others of about fifteen."""
+    """A drive with events and crops; chunks of pictures are of about two rows, others of about eight."""
     with LogWriter(path, {"source": "test"}) as writer:
         for row in range(first, first + ROWS):
             time_ns = START_NS + row * STEP_NS

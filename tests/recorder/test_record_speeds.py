@@ -28,7 +28,7 @@ def rows(path: Path) -> list[tuple[int, float, float]]:
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("speeds")
-    arguments = ("--laps", LAPS, "--seed", 5, "--speed", 10, 30, "--sessions", folder)
+    arguments = ("--laps", LAPS, "--seed", 5, "--rate", 5, "--speed", 10, 30, "--sessions", folder)
     assert call(record_main, "both", *arguments) == 0
     return folder / "both.mcap"
 
@@ -36,7 +36,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("slow") / "slow.mcap"
-    return record_simulated(SimulatedDrive(laps=LAPS, speed=(10.0,), seed=5), path).path
+    return record_simulated(SimulatedDrive(laps=LAPS, speed=(10.0,), seed=5, rate=5.0), path).path
 
 
 def test_the_first_speed_is_driven_as_if_it_were_the_only_one(both: Path, slow: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 
@@ -21,15 +22,19 @@ from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from simulator.driving.simulation import Simulation
 from udacity import call
 
-LAKE = Simulation("lake")  # half a second to build
+
+@functools.cache
+def lake() -> Simulation:
+    """It takes half a second to build."""
+    return Simulation("lake")
 
 
 def moments(count: int = 6) -> list[list[Gray | None]]:
     """What the three cameras see in as many places of the lake."""
     result: list[list[Gray | None]] = []
     for number in range(count):
-        LAKE.course.start(number * LAKE.track.line.length_m / count)
-        result.append([decoded(np.frombuffer(LAKE.jpeg(camera), np.uint8)) for camera in CAMERAS])
+        lake().course.start(number * lake().track.line.length_m / count)
+        result.append([decoded(np.frombuffer(lake().jpeg(camera), np.uint8)) for camera in CAMERAS])
     return result
 
 
