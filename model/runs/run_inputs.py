@@ -1,6 +1,7 @@
 """The places of a run's inputs: its index, its logs, and the run whose weights it started from.
 
-A run's config.json has them relative to its folder: all can be moved together.
+A run's config.json has them relative to its folder: all can be moved together. Those of a run in a store are looked
+for where they would be if it were in runs/ here.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ from pathlib import Path
 from common.errors import UsageError
 from common.files import short_path
 from common.location import Location, Url, location
+from common.store_record import cached_from
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from model.errors import RunError
+from model.runs.run_arguments import RUNS
 from model.runs.run_folder import CONFIG, config_folder, find_run, load_config, weights_checksum
 
 
@@ -88,4 +91,7 @@ def _place_of(run: Path, stored: object) -> Location | None:
         with contextlib.suppress(UsageError):  # somebody else's
             return location(stored)
         return None
-    return short_path(config_folder(run).resolve() / stored)
+    folder = config_folder(run)
+    if cached_from(folder):  # in a store, which has no folder beside it here: as of one made in this project
+        folder = RUNS / folder.name
+    return short_path(folder.resolve() / stored)

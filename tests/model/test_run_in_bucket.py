@@ -133,8 +133,8 @@ def test_a_run_is_begun_like_another_there_and_from_its_weights(
     init = json.loads((bucket.folder / "runs/more/config.json").read_text())["init"]
     assert (init["run"], init["place"]) == ("mine", RUN)
     shutil.rmtree("runs")
-    again = "--like", "more", "--index", index, "--runs", RUNS, *PRECISION
-    assert call(main, *again, "--name", "again") == 0
+    # its index is found where it would be of a run in runs/
+    assert call(main, "--like", "more", "--runs", RUNS, *PRECISION, "--name", "again") == 0
     weights = [(bucket.folder / "runs" / name / "model.safetensors").read_bytes() for name in ("more", "again")]
     assert weights[0] == weights[1]
     assert sorted(path.name for path in Path("runs").iterdir()) == ["again"]
