@@ -1,7 +1,7 @@
 """The places of a run's inputs: its index, its logs, and the run whose weights it started from.
 
-A run's config.json has them relative to its folder: all can be moved together. Those of a run in a store are looked
-for where they would be if it were in runs/ here.
+A run's config.json has them relative to its folder: all can be moved together. Those of a run in a store are
+looked for where they would be if it were in runs/ here.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ def bring_run(run: RunInStore, wanted: Collection[str] | None = None) -> Path:
     StoreError."""
     with stored_run_folder(run.url) as folder:
         folder.bring(objects=run.files.values(), wanted=wanted)
-        return folder.here
+        return folder.here.absolute()
 
 
 def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:

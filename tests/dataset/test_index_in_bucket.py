@@ -171,8 +171,9 @@ def test_logs_of_this_machine_are_not_indexed_there(bucket: Bucket, capsys: pyte
 
 def test_a_name_that_leads_elsewhere_is_refused(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
     assert index() == 0
-    (bucket.folder / "index/.lock").touch()  # as other programs copy it
+    (bucket.folder / "index/.hidden").write_text("x")  # other programs copy locks and the like along
     assert index() == 0
+    assert not list(Path("caches").rglob(".hidden"))
     (bucket.folder / "index/C:x").write_text("x")
     assert index() == 1
     assert f"{Url('s3', 'logs', 'index/C:x')}: a name that no file here may have" in capsys.readouterr().err

@@ -133,7 +133,7 @@ def test_a_run_that_cannot_be_read_says_so_by_its_url(
 
 
 def test_a_run_is_found_by_name_or_is_the_newest(place: Place, tmp_path: Path) -> None:
-    for number, name in enumerate(("older", "newer")):
+    for number, name in enumerate(("alder", "older", "newer")):
         weights = a_run(tmp_path / "runs" / name, number) / "model.safetensors"
         os.utime(weights, (1e9 + number, 1e9 + number))
     (tmp_path / "runs/begun").mkdir()
