@@ -85,13 +85,11 @@ def run_command(
     action: Callable[[Config], int],
     description: str | None = None,
     default: Callable[[], Config] | None = None,
-    check: Callable[[], object] = lambda: None,
 ) -> None:
     """Parse the command line into `config`, call `action`, and exit with what it returns.
 
     `description` is what `--help` begins with, by default the docstring of `config`. `default` makes the
-    configuration that the flags change, if that is not known before. `check` raises UsageError for a command line
-    that is wrong whatever else it lacks.
+    configuration that the flags change, if that is not known before.
 
     Output that nobody reads any more is dropped, and the action goes on. Ctrl-C ends the action; a second one ends
     the process, as `kill -9` would: no file is ever half-written under its own name.
@@ -101,7 +99,7 @@ def run_command(
         with signals_wake_main_thread(), handle_signals(_interrupt), _logging_as_messages():
             try:
                 about = f"{(description or config.__doc__ or '').rstrip()}\n\n{_VERSION_FLAG}"
-                code = _run(prog, config, action, about, default, check)
+                code = _run(prog, config, action, about, default)
                 drain(is_patient=not stop.is_requested)
             except KeyboardInterrupt:
                 code = INTERRUPTED
@@ -141,11 +139,9 @@ def _run(
     action: Callable[[Config], int],
     about: str,
     default: Callable[[], Config] | None,
-    check: Callable[[], object],
 ) -> int:
     kind: type[UserError] = UserError
     try:
-        check()
         given: dict[str, Any] = {} if default is None else {"default": default()}
         if sys.argv[1:] == ["--version"]:
             print_result(f"{prog} {version_of()}")

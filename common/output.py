@@ -7,6 +7,7 @@ that a line names in backquotes are spelled so that they can be typed here.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
@@ -14,7 +15,7 @@ import shlex
 import shutil
 import sys
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -25,13 +26,14 @@ from rich.prompt import Confirm
 from rich.segment import ControlType, Segment
 from rich.text import Text
 
-from common.errors import printable
+from common.errors import UserError, printable
 from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
     r"(`|--no-python )(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|web)|rerun|torchrun|pip)"
     r"(?![\w-])"
 )
+_shown_as: Final[dict[str, str]] = {}
 _live_displays: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
@@ -66,6 +68,27 @@ def print_table(*parts: RenderableType) -> None:
     console = _SafeConsole(file=unescaped(sys.stdout), highlight=False, emoji=False)
     for part in parts:
         console.print(part)
+
+
+@contextlib.contextmanager
+def shown_as(names: Mapping[str, str]) -> Iterator[None]:
+    """Print other texts in the place of these, also in errors that are raised in the block: a person knows a file
+    by the name that it was given, not by where a command has it for a while."""
+    _shown_as.update(names)
+    try:
+        yield
+    except UserError as error:
+        error.args = (_as_shown(str(error)),)
+        raise
+    finally:
+        for name in names:
+            del _shown_as[name]
+
+
+def _as_shown(text: str) -> str:
+    for name, shown in _shown_as.items():
+        text = text.replace(name, shown)
+    return text
 
 
 def message_console() -> Console:
@@ -123,4 +146,4 @@ class _SafeConsole(Console):
 
 def safe_line(text: str) -> str:
     """One line that can be printed, whatever is in `text`; `print_result` and `print_message` do it themselves."""
-    return printable(_COMMAND.sub(lambda match: match[1] + shell_command(match[2]), text))
+    return printable(_COMMAND.sub(lambda match: match[1] + shell_command(match[2]), _as_shown(text)))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, TypeVar
+from typing import Annotated, TypeVar
 
 import tyro
 
@@ -16,7 +15,7 @@ from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
 from common.errors import UsageError, counted, printable
 from common.files import final_path
-from common.location import Location, refuse_urls
+from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from recorder.log.check import check, is_whole
@@ -28,9 +27,10 @@ from recorder.log.recover import recover, recovered_name
 from recorder.log_copy_cli import CopyLogs
 from recorder.log_export_cli import ExportLogs
 from recorder.log_list_cli import ListLogs
+from recorder.log_made_cli import make_logs
 from recorder.log_report import print_checked, print_info, print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
-from recorder.log_tag_cli import LogPath, NameRows, warn_stale
+from recorder.log_tag_cli import LogPlace, NameRows, warn_stale
 
 
 @dataclass(frozen=True)
@@ -121,25 +121,34 @@ class Recover:
     stays. Everything is kept whose CRC holds; what is lost is named, with exit code 3. A log that is
     whole is not copied, unless --to asks for it."""
 
-    log: LogPath
+    log: LogPlace
     """The unfinished or damaged log."""
-    to: Path | None = None
+    to: LocationFlag | None = None
     """The new log; by default NAME.mcap for NAME.mcap.XXXXXX.part, else NAME.recovered.mcap."""
     force: bool = False
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
-        if final_path(self.log) == self.log and is_whole(self.log):
-            print_result(f"{self.log}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
+        return make_logs(self)
+
+    def originals(self) -> Sequence[Location]:
+        return (self.log,)
+
+    def target(self) -> Location:
+        return recovered_name(self.log) if self.to is None else _named(self.to)
+
+    def make(self, logs: Sequence[Path], to: Path) -> int:
+        (path,) = logs
+        if final_path(path) == path and is_whole(path):
+            print_result(f"{path}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
             if self.to is None:
                 return DONE
-        with Log(self.log) as log:
+        with Log(path) as log:
             if log.problem:
-                print_message(f"{self.log}: {log.problem}; all that is whole in it is recovered")
-            _remark_crcs(self.log, log.has_crcs)
-        to = _named(self.to) if self.to is not None else recovered_name(self.log)
-        code = print_written(recover(self.log, to, overwrite=self.force))
-        print_message(f"{self.log} is as it was; once {to} is checked it can be removed")
+                print_message(f"{path}: {log.problem}; all that is whole in it is recovered")
+            _remark_crcs(path, log.has_crcs)
+        code = print_written(recover(path, to, overwrite=self.force))
+        print_message(f"{path} is as it was; once {to} is checked it can be removed")
         return code
 
 
@@ -147,9 +156,9 @@ class Recover:
 class Trim:
     """Write a part of a log to a new one. Rows keep their numbers."""
 
-    log: LogPath
+    log: LogPlace
     """The log to take a part of."""
-    to: Path
+    to: LocationFlag
     """The new log."""
     start: float | None = None
     """From this second on, counted from the log's first row."""
@@ -161,30 +170,47 @@ class Trim:
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
-        to = _named(self.to)
-        code = _noted(self.log)
+        return make_logs(self)
+
+    def originals(self) -> Sequence[Location]:
+        return (self.log,)
+
+    def target(self) -> Location:
+        return _named(self.to)
+
+    def make(self, logs: Sequence[Path], to: Path) -> int:
+        (path,) = logs
+        code = _noted(path)
         if self.rows is not None:
-            rows = rows_of_flags(self.log, self.start, self.end, self.rows)
-            return max(code, print_written(trim(self.log, to, rows, overwrite=self.force)))
+            rows = rows_of_flags(path, self.start, self.end, self.rows)
+            return max(code, print_written(trim(path, to, rows, overwrite=self.force)))
         start_s, end_s = times_of_flags(self.start, self.end)
-        return max(code, print_written(trim_times(self.log, to, start_s, end_s, overwrite=self.force)))
+        return max(code, print_written(trim_times(path, to, start_s, end_s, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
 class Merge:
     """Write several logs into one new log, in the order given; its rows are numbered anew."""
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
+    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
     """The logs to merge."""
-    to: Path
+    to: LocationFlag
     """The new log."""
     force: bool = False
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
-        to = _named(self.to)
-        code = max(map(_noted, _some(self.logs, 2)))
-        return max(code, print_written(merge(self.logs, to, overwrite=self.force)))
+        return make_logs(self)
+
+    def originals(self) -> Sequence[Location]:
+        return _some(self.logs, 2)
+
+    def target(self) -> Location:
+        return _named(self.to)
+
+    def make(self, logs: Sequence[Path], to: Path) -> int:
+        code = max(map(_noted, logs))
+        return max(code, print_written(merge(logs, to, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
@@ -192,17 +218,26 @@ class Rewrite:
     """Write a log of an earlier version as this one writes logs: pictures in chunks of their own, so that whoever
     wants numbers reads none of them. Pictures, rows, times and tags stay as they are, and runs know it again."""
 
-    log: LogPath
+    log: LogPlace
     """The log to write anew."""
-    to: Path
+    to: LocationFlag
     """The new log."""
     force: bool = False
     """Replace a file of the new log's name."""
 
     def run(self) -> int:
-        to = _named(self.to)
-        code = print_written(rewrite(self.log, to, overwrite=self.force))
-        print_message(f"{self.log} is as it was; once {to} is checked it can take its place")
+        return make_logs(self)
+
+    def originals(self) -> Sequence[Location]:
+        return (self.log,)
+
+    def target(self) -> Location:
+        return _named(self.to)
+
+    def make(self, logs: Sequence[Path], to: Path) -> int:
+        (path,) = logs
+        code = print_written(rewrite(path, to, overwrite=self.force))
+        print_message(f"{path} is as it was; once {to} is checked it can take its place")
         return code
 
 
@@ -211,21 +246,28 @@ class Split:
     """Write each drive of a log to a new log of its own: NAME-1.mcap, NAME-2.mcap and so on. A new drive begins
     after a gap of more than a second, or where time goes back."""
 
-    log: LogPath
+    log: LogPlace
     """The log to split."""
-    to: Path | None = None
+    to: LocationFlag | None = None
     """Folder for the new logs; by default that of the log."""
     force: bool = False
     """Replace files of the new logs' names."""
 
     def run(self) -> int:
-        code = _noted(self.log)
-        parts = split(self.log, self.to or self.log.parent, overwrite=self.force)
+        return make_logs(self)
+
+    def originals(self) -> Sequence[Location]:
+        return (self.log,)
+
+    def target(self) -> Location:
+        return self.log.parent if self.to is None else self.to
+
+    def make(self, logs: Sequence[Path], to: Path) -> int:
+        (path,) = logs
+        code = _noted(path)
+        parts = split(path, to, overwrite=self.force)
         return max(code, *map(print_written, parts))
 
-
-MAKES_LOGS: Final = ("recover", "trim", "merge", "rewrite", "split", "tag", "export")
-"""Those whose logs have to lie on this machine."""
 
 AnyLocation = TypeVar("AnyLocation", bound=Location)
 
@@ -251,7 +293,7 @@ def _some(logs: tuple[AnyLocation, ...], least: int = 1) -> tuple[AnyLocation, .
     return logs
 
 
-def _named(to: Path) -> Path:
+def _named(to: Location) -> Location:
     if to.suffix != ".mcap":
         raise UsageError(f"{to}: a log ends in .mcap, or no other command finds it; give {to}.mcap")
     return to
@@ -290,11 +332,5 @@ Nothing edits a log in place.
 """
 
 
-def _refuse_urls() -> None:
-    """Raise UsageError for a URL given to what makes new logs of logs here, which is no missing --to."""
-    if sys.argv[1:2] and sys.argv[1] in MAKES_LOGS:
-        refuse_urls(sys.argv[2:])
-
-
 def main() -> None:
-    run_command("bc-log", Command, lambda command: command.run(), ABOUT, check=_refuse_urls)  # type: ignore[arg-type]
+    run_command("bc-log", Command, lambda command: command.run(), ABOUT)  # type: ignore[arg-type]

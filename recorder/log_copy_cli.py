@@ -55,7 +55,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
     with progress_bar() as progress:
         for number, (log, target) in enumerate(pairs, start=1):
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
-            task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=_size(log), note="")
+            task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=size_of(log), note="")
             try:
                 on_bytes, on_left = partial(progress.advance, task), partial(_print_left, log, target)
                 done = copy_log(log, target, overwrite=overwrite, on_bytes=on_bytes, on_left=on_left)
@@ -142,7 +142,7 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
                 continue
             copy = Path(folder) / str(number) / place.name
             with progress_bar() as progress:
-                task = progress.add_task(f"copying {place.name}, bytes", total=_size(place), note="")
+                task = progress.add_task(f"copying {place.name}, bytes", total=size_of(place), note="")
                 done = copy_log(place, copy, on_bytes=partial(progress.advance, task))
             if done.notice:
                 print_message(done.notice)
@@ -171,7 +171,8 @@ def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Loc
     return pairs
 
 
-def _size(log: Location) -> int | None:
+def size_of(log: Location) -> int | None:
+    """Bytes of a log; None if it is not there. Raises StoreError."""
     if isinstance(log, Url):
         from common.object_store import find_object
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 from common.errors import UsageError
+from common.location import Location
 from recorder.log.edit import check_rows, rows_between
 from recorder.log.reader import Log
 
 
 def rows_of_flags(
-    path: Path, start_s: float | None, end_s: float | None, rows: tuple[int, int] | None
+    path: Location, start_s: float | None, end_s: float | None, rows: tuple[int, int] | None
 ) -> tuple[int, int]:
     """The rows that the flags name."""
     if rows is not None:

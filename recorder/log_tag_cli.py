@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -12,13 +11,14 @@ from common import UserError
 from common.command import DONE, usage_errors, warn
 from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
+from common.location_flag import LocationFlag
 from common.output import ask, print_message, print_result
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
 from recorder.log_report import rows_of
 from recorder.log_row_flags import rows_of_flags
 
-LogPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+LogPlace = Annotated[LocationFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class NameRows:
     """Name a stretch of a log, or take the name away again. Names are kept beside the log, in NAME.tags.jsonl;
     rows tagged `exclude` are never trained on. Without a name, the tags are listed."""
 
-    log: LogPath
+    log: LogPlace
     """The log whose rows get a name."""
     tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
     """The name: `exclude`, `recovery`, anything."""

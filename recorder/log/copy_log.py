@@ -195,6 +195,18 @@ def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copie
     return Copied(path, source.size, True, _download_tags(url, path, overwrite))
 
 
+def bring_log(url: Url, path: Path, on_bytes: OnBytes = lambda more: None) -> None:
+    """Write a log of a store to the new file `path` as it is, finished or not, and its tags beside it. Raises
+    StoreError."""
+    with ObjectFile(url) as source, path.open("xb") as stream:
+        starts = range(0, source.size, PART_BYTES)
+        for data in source.read_many((at, min(PART_BYTES, source.size - at)) for at in starts):
+            stream.write(data)
+            on_bytes(len(data))
+    if (tags := read_object(tags_path(url), MOST_BYTES)) is not None:
+        tags_path(path).write_bytes(tags)
+
+
 def _fingerprint(place: Location) -> str:
     with Log(place) as log:
         return log.file_fingerprint

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import overload
 
 from common import Skipped
 from common.errors import counted
-from common.files import final_path
+from common.files import final_name, final_path
+from common.location import Location
 from common.locks import is_being_written
 from common.progress import track
+from common.random_access import is_there
 from recorder.errors import LogError
 from recorder.log import topics
 from recorder.log.check_structure import is_damaged_beside_chunks
@@ -26,11 +29,19 @@ from recorder.log.tags import Tag, read_tags
 from recorder.log.topics import ROW_TOPICS
 
 
-def recovered_name(path: Path) -> Path:
-    """The default path of a recovered log: what was being written gets the name it would have had,
+@overload
+def recovered_name(path: Path) -> Path: ...
+
+
+@overload
+def recovered_name(path: Location) -> Location: ...
+
+
+def recovered_name(path: Location) -> Location:
+    """The default place of a recovered log: what was being written gets the name it would have had,
     unless its recording still goes on, and will take that name itself."""
-    meant = final_path(path)
-    if meant != path and not meant.exists() and not is_being_written(path):
+    meant = path.with_name(final_name(path.name))
+    if meant != path and not is_there(meant) and not is_being_written(path):
         return meant
     return meant.with_name(f"{meant.name.removesuffix('.mcap')}.recovered.mcap")
 

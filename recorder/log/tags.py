@@ -10,13 +10,16 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO, Annotated, Final, NamedTuple, overload
 
 import msgspec
 
+from common.errors import NoSuchObjectError, ObjectChangedError
 from common.location import Location, Url
 from common.locks import lock
 from common.random_access import read_bytes
@@ -75,27 +78,41 @@ def stale_tags(log: Location, fingerprint: str) -> int:
     return sum(len(tags) for content, tags in tags_by_content(log).items() if content != fingerprint)
 
 
-def names_used(folder: Path) -> set[str]:
-    """The names of the tags of all logs in a folder; EXCLUDE is always among them."""
-    names = {EXCLUDE}
-    for path in folder.glob(f"*{_ENDING}"):
-        with contextlib.suppress(LogError):  # whoever needs that one is told
-            tagged = tags_by_content(path.with_name(path.name.removesuffix(_ENDING)))
-            names |= {tag.name for tags in tagged.values() for tag in tags}
-    return names
+def names_used(folder: Location) -> set[str]:
+    """The names of the tags of all logs in a folder; EXCLUDE is always among them. Raises StoreError."""
+    with ThreadPoolExecutor() as pool:  # each file of a store is a request
+        found = list(pool.map(_names_in, _tag_files(folder)))
+    return {EXCLUDE}.union(*found)
 
 
-def add_tag(log: Path, fingerprint: str, tag: Tag) -> None:
-    """Raises LogError for a name or rows that no tag can have, or if the file cannot be written."""
+def _tag_files(folder: Location) -> list[Path] | list[Url]:
+    if isinstance(folder, Path):
+        return list(folder.glob(f"*{_ENDING}"))
+    from common.object_store import list_objects  # an extra
+
+    return [each.url for each in list_objects(folder) if each.url.name.endswith(_ENDING)]
+
+
+def _names_in(path: Location) -> set[str]:
+    try:
+        tagged = tags_by_content(path.with_name(path.name.removesuffix(_ENDING)))
+    except LogError:  # whoever needs that one is told
+        return set()
+    return {tag.name for tags in tagged.values() for tag in tags}
+
+
+def add_tag(log: Location, fingerprint: str, tag: Tag) -> None:
+    """Raises LogError for a name or rows that no tag can have, or if the file cannot be written; StoreError, also
+    where somebody else has tagged that log in the store at this moment."""
     add_tags(log, fingerprint, [tag])
 
 
-def add_tags(log: Path, fingerprint: str, tags: Sequence[Tag]) -> None:
+def add_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
     """Add all of them or, where anything is raised, none. Raises what `add_tag` does."""
     _append(log, "add", fingerprint, tags)
 
 
-def remove_tag(log: Path, fingerprint: str, tag: Tag) -> None:
+def remove_tag(log: Location, fingerprint: str, tag: Tag) -> None:
     """Raises what `add_tag` does; removing a tag that is not there changes nothing."""
     _append(log, "remove", fingerprint, [tag])
 
@@ -159,8 +176,8 @@ def _lines(log: Location) -> list[str]:
     return whole.decode("utf-8", "replace").splitlines()
 
 
-def _append(log: Path, action: str, fingerprint: str, tags: Sequence[Tag]) -> None:
-    path = _plain(tags_path(log))
+def _append(log: Location, action: str, fingerprint: str, tags: Sequence[Tag]) -> None:
+    path = tags_path(log)
     try:
         entries = [
             {action: tag.name, "rows": [tag.first_row, tag.last_row], "log": fingerprint}
@@ -169,6 +186,34 @@ def _append(log: Path, action: str, fingerprint: str, tags: Sequence[Tag]) -> No
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None
     lines = b"".join(json.dumps(entry, ensure_ascii=False).encode() + b"\n" for entry in entries)
+    if isinstance(path, Url):
+        _append_there(path, lines)
+    else:
+        _append_here(_plain(path), lines)
+
+
+def _append_there(url: Url, lines: bytes) -> None:
+    """Write a journal in a store anew, with more lines, unless somebody else has meanwhile."""
+    from common.object_file import ObjectFile, Seen  # an extra
+    from common.object_store import put_file
+
+    before = b""
+    seen: Seen | None = None
+    with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as there:
+        seen = there.seen
+        before = there.read(0, there.size)
+    with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
+        file = Path(folder) / url.name
+        file.write_bytes(before[: before.rfind(b"\n") + 1] + lines)
+        try:
+            put_file(url, file, seen)
+        except ObjectChangedError:
+            raise ObjectChangedError(
+                f"{url}: somebody else has tagged this log at the same moment; give the command again"
+            ) from None
+
+
+def _append_here(path: Path, lines: bytes) -> None:
     try:
         with _locked(path) as stream:
             stream.seek(0)

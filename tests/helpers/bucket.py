@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
-import botocore.endpoint
 import localbucket
 import pytest
 
@@ -34,6 +33,8 @@ class Bucket(FaultyProxy):
 
 def in_parts_of(patch: pytest.MonkeyPatch, size: int) -> None:
     """Logs are sent in parts of so many bytes, which no store would take, and asked for again without a wait."""
+    import botocore.endpoint  # an extra's, and half a second
+
     patch.setattr(copy_log, "PART_BYTES", size)
     patch.setattr(localbucket, "MIN_PART_SIZE", 0)
     patch.setattr(botocore.endpoint, "time", SimpleNamespace(time=time.time, sleep=lambda duration_s: None))

@@ -24,7 +24,7 @@ from places import Place
 from plain_mcap import contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.check import check
+from recorder.log.check import check, is_whole
 from recorder.log.check_contents import Finding
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log_cli import main
@@ -231,8 +231,10 @@ def test_info_of_an_unfinished_log_says_so(
 # tag, trim and the others, as commands
 
 
-def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1] * 50)
+def test_tags_are_given_listed_and_removed(
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = place(write_log(tmp_path / "a.mcap", [0.1] * 50))
     assert call(main, "tag", path, "exclude", "--start", 1, "--end", 2) == 0
     assert call(main, "tag", path, "exclude", "--rows", 40, 45) == 0
     assert call(main, "tag", path, "whole drive", "--start", 0) == 0
@@ -266,6 +268,7 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
 )
 def test_what_cannot_be_done_says_why(
     tmp_path: Path,
+    place: Place,
     line: list[object],
     says: str,
     capsys: pytest.CaptureFixture[str],
@@ -274,7 +277,7 @@ def test_what_cannot_be_done_says_why(
     monkeypatch.chdir(tmp_path)
     path = write_log(tmp_path / "a.mcap", [0.1] * 50)
     before = path.read_bytes()
-    assert call(main, *(path if word == "LOG" else word for word in line)) == 1
+    assert call(main, *(place(path) if word == "LOG" else word for word in line)) == 1
     assert says in capsys.readouterr().err
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
@@ -311,32 +314,39 @@ def test_flags_that_make_no_sense_are_bad_usage(
 
 
 def test_trim_merge_split_and_recover_write_new_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_log(Path("a.mcap"), [0.1] * 50)
-    assert call(main, "trim", "a.mcap", "--to", "b.mcap", "--end", 0.95) == 0
+    a, b, c = (place(tmp_path / name) for name in ("a.mcap", "b.mcap", "c.mcap"))
+    path = write_log(tmp_path / "a.mcap", [0.01 * row for row in range(50)])
+    assert call(main, "tag", a, "exclude", "--rows", 5, 20) == 0
+    assert call(main, "trim", a, "--to", b, "--end", 0.95) == 0
     assert "b.mcap: 10 rows, 40 messages" in capsys.readouterr().out
-    assert call(main, "merge", "a.mcap", "b.mcap", "--to", "c.mcap") == 0
+    assert call(main, "merge", a, b, "--to", c) == 0
     assert "c.mcap: 60 rows, 240 messages" in capsys.readouterr().out
-    assert call(main, "split", "c.mcap", "--to", "drives") == 0
-    assert [line.split(",")[0] for line in capsys.readouterr().out.splitlines()] == [
-        "drives/c-1.mcap: 50 rows",
-        "drives/c-2.mcap: 10 rows",
-    ]
-    Path("a.mcap").rename("k.mcap.0a1b2c.part")
-    assert call(main, "recover", "k.mcap.0a1b2c.part") == 0
+    assert call(main, "tag", c) == 0
+    assert capsys.readouterr().out == "exclude: rows 5 to 20\nexclude: rows 55 to 59\n"
+    assert call(main, "rewrite", a, "--to", place(tmp_path / "d.mcap")) == 0
+    assert call(main, "split", c, "--to", place(tmp_path / "drives")) == 0
+    told = capsys.readouterr().out
+    for drive in ("c-1.mcap: 50 rows", "c-2.mcap: 10 rows"):
+        assert drive in told
+    for name in ("a", "b", "c", "d", "drives/c-1", "drives/c-2"):
+        assert is_whole(tmp_path / f"{name}.mcap")
+    path.rename(tmp_path / "k.mcap.0a1b2c.part")
+    assert call(main, "recover", place(tmp_path / "k.mcap.0a1b2c.part")) == 0
     assert "k.mcap: 50 rows, 200 messages" in capsys.readouterr().out
+    assert call(main, "recover", place(tmp_path / "k.mcap.0a1b2c.part")) == 0  # that name is taken now
+    assert {each.name for each in tmp_path.glob("k.*mcap")} == {"k.mcap", "k.recovered.mcap"}
 
 
 def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5)
-    assert call(main, "recover", path) == 0
-    assert capsys.readouterr().out == f"{path}: whole, nothing to recover; nothing was written\n"
+    assert call(main, "recover", place(path)) == 0
+    assert capsys.readouterr().out == f"{place(path)}: whole, nothing to recover; nothing was written\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
-    assert call(main, "recover", path, "--to", tmp_path / "b.mcap") == 0
+    assert call(main, "recover", place(path), "--to", place(tmp_path / "b.mcap")) == 0
     assert "a.mcap: whole, nothing to recover\n" in capsys.readouterr().out
     assert read_messages(tmp_path / "b.mcap").keys() == read_messages(path).keys()
 
@@ -360,9 +370,9 @@ def test_what_is_not_whole_in_every_byte_is_recovered(
 
 
 def test_a_new_tag_is_said_with_what_may_have_been_meant(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    path = place(write_log(tmp_path / "a.mcap", [0.1] * 5))
     told: list[tuple[str, str]] = [
         ("exclud", "new tag 'exclud'; did you mean exclude?\n"),
         ("recovery", "new tag 'recovery'\n"),
@@ -372,7 +382,7 @@ def test_a_new_tag_is_said_with_what_may_have_been_meant(
     for name, line in told:
         assert call(main, "tag", path, name, "--rows", 1, 2) == 0
         assert capsys.readouterr().err == line
-    other = write_log(tmp_path / "b.mcap", [0.2] * 5)  # names of the logs beside it are known, too
+    other = place(write_log(tmp_path / "b.mcap", [0.2] * 5))  # names of the logs beside it are known, too
     assert call(main, "tag", other, "recovery", "--rows", 1, 2) == 0
     assert capsys.readouterr().err == ""
     assert call(main, "tag", other, "recovry", "--rows", 1, 2) == 0

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -80,18 +81,6 @@ def test_a_place_is_a_path_or_a_url() -> None:
 def test_a_url_of_another_kind_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "info", text) == 2
     assert text in capsys.readouterr().err
-
-
-def test_what_works_on_this_machine_only_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in (
-        ("trim", "s3://bucket/a.mcap", "--to", "b.mcap"),
-        ("trim", "s3://bucket/a.mcap"),  # without --to, which is not what is wrong
-        ("merge", "s3://bucket/a.mcap", "b.mcap"),
-        ("tag", "s3://bucket/a.mcap", "exclude"),
-        ("export", "s3://bucket/a.mcap"),
-    ):
-        assert call(main, *command) == 2
-        assert "bc-log copy s3://bucket/a.mcap FOLDER" in one_line_in(capsys)
 
 
 def test_a_place_is_named_relative_to_a_folder_that_can_be_moved_with_it(tmp_path: Path) -> None:
@@ -496,6 +485,85 @@ def test_copies_are_between_this_machine_and_a_store(tmp_path: Path, bucket: Buc
     assert call(main, "copy", "s3://logs/b.mcap", "s3://logs/x") == 1
     assert call(main, "copy", log) == 2
     assert call(main, "copy", log, log, "s3://logs/x.mcap") == 2
+
+
+# new logs, and tags, of what lies there
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder for what is here only while a command runs."""
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    return tmp_path / "temporary"
+
+
+def test_a_new_log_replaces_nothing_unasked_and_never_its_original(
+    bucket: Bucket, log: Path, temporary: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = log.read_bytes()
+    theirs = write_log(bucket.folder / "c.mcap", [0.2] * 5)
+    trim = ("trim", bucket.url("b.mcap"), "--rows", 3, 5, "--to")
+    assert call(main, *trim, bucket.url("c.mcap")) == 1
+    assert "s3://logs/c.mcap exists already" in one_line_in(capsys)
+    assert call(main, *trim, bucket.url("b.mcap"), "--force") == 1
+    assert "the log itself" in one_line_in(capsys)
+    assert call(main, *trim, bucket.url("c.mcap"), "--force") == 0
+    with Log(theirs) as made:
+        assert made.vehicle()["row"].to_pylist() == [3, 4, 5]
+    assert log.read_bytes() == before
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_new_log_that_cannot_be_copied_there_is_kept_here(
+    bucket: Bucket, log: Path, temporary: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bucket.answer = lambda passing: passing.command == "PUT" and passing.fail(403, "AccessDenied")
+    assert call(main, "trim", bucket.url("b.mcap"), "--rows", 3, 5, "--to", bucket.url("c.mcap")) == 1
+    (kept,) = temporary.iterdir()
+    told = " ".join(capsys.readouterr().err.split())
+    assert f"what was made is in {kept}: `bc-log copy {kept} s3://logs/c.mcap` copies it" in told
+    bucket.pass_all()
+    assert call(main, "copy", kept, bucket.url("c.mcap")) == 0
+    assert check(bucket.folder / "c.mcap").findings == []
+
+
+def test_damage_is_told_by_the_name_in_the_store(
+    bucket: Bucket, log: Path, temporary: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(log.read_bytes())
+    data[len(data) // 2] ^= 1
+    log.write_bytes(data)
+    assert call(main, "merge", bucket.url("b.mcap"), bucket.url("b.mcap"), "--to", temporary / "c.mcap") == 1
+    line = one_line_in(capsys)
+    assert "s3://logs/b.mcap: " in line
+    assert str(temporary) not in line
+    assert call(main, "recover", bucket.url("b.mcap")) == 3
+    assert check(bucket.folder / "b.recovered.mcap", look=False).findings != []  # what was lost
+    assert "s3://logs/b.mcap is as it was; once b.recovered.mcap is checked" in capsys.readouterr().err
+    assert list(temporary.iterdir()) == []
+
+
+def test_who_tags_at_the_same_moment_is_told_and_nobodys_tags_are_lost(
+    bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tag(log, "first")
+    first = (bucket.folder / "b.tags.jsonl").read_bytes()
+
+    def somebody(passing: Passing) -> bool:
+        if passing.command == "PUT":
+            tag(log, "theirs")
+        return False
+
+    bucket.answer = somebody
+    assert call(main, "tag", bucket.url("b.mcap"), "exclude", "--rows", 1, 2) == 1
+    assert "somebody else has tagged this log at the same moment" in one_line_in(capsys)
+    assert b'"theirs"' in (bucket.folder / "b.tags.jsonl").read_bytes().removeprefix(first)
+    bucket.pass_all()
+    assert call(main, "tag", bucket.url("b.mcap"), "exclude", "--rows", 1, 2) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"{name}: rows 1 to 2" for name in ("exclude", "first", "theirs")
+    ]
 
 
 def test_a_recording_is_copied_when_it_is_finished(
