@@ -86,7 +86,7 @@ def recordings() -> Path:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    """One for all pages: each window of it has cookies, a cache and storage of its own."""
+    """One for all pages, and one window of it (pages.py)."""
     with chromium() as found:
         yield found
 

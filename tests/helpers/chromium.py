@@ -26,6 +26,8 @@ def chromium() -> Iterator[Browser]:
     flags = [
         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # it reaches this machine only
         "--enable-unsafe-swiftshader",  # newer ones draw WebGL in software only if they are told to
+        # Rerun's viewer, 40 MB of WebAssembly, is here for seconds: compiled once, and of it what runs
+        "--js-flags=--wasm-lazy-compilation --no-wasm-tier-up",
     ]
     if os.geteuid() == 0:
         flags.append("--no-sandbox")  # it refuses to run as root with one

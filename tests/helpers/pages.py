@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Literal
 
 from waiting import PATIENCE_S, wait_until
 
@@ -13,23 +13,52 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def opened_page(browser: Browser, address: str, *, is_dark: bool = False, width: int = 1280) -> Iterator[Page]:
-    """A window, 1280x800 or as much larger as it is wider; nothing may go wrong in it."""
-    scheme = "dark" if is_dark else "light"
-    size = {"width": width, "height": width * 5 // 8}
-    page = browser.new_page(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
+def window_of(browser: Browser, width: int, height: int) -> Iterator[Page]:
+    """The browser's one window, empty and of this size; another one would cost a second of processor time. What a
+    page has left in it is gone afterwards, and so is the window where a test has failed in it."""
+    context = browser.contexts[0] if browser.contexts else browser.new_context()
+    page = context.pages[0] if context.pages else context.new_page()
     page.set_default_timeout(PATIENCE_S * 1000)
+    page.set_viewport_size({"width": width, "height": height})
+    with contextlib.ExitStack() as unless_done:
+        unless_done.callback(context.close)
+        yield page
+        page.evaluate("try { localStorage.clear(); sessionStorage.clear() } catch { /* about:blank has none */ }")
+        page.goto("about:blank")
+        page.emulate_media(color_scheme="light")
+        page.mouse.move(0, 0)
+        context.clear_cookies()
+        unless_done.pop_all()
+
+
+@contextlib.contextmanager
+def heard(
+    page: Page, event: Literal["console", "pageerror", "request"], handler: Callable[..., None]
+) -> Iterator[None]:
+    """Call `handler` of what happens in the page, until the context is left."""
+    page.on(event, handler)  # type: ignore[call-overload]
+    try:
+        yield
+    finally:
+        page.remove_listener(event, handler)
+
+
+@contextlib.contextmanager
+def opened_page(browser: Browser, address: str, *, width: int = 1280) -> Iterator[Page]:
+    """A page, 1280x800 or as much larger as it is wider; nothing may go wrong in it."""
     errors: list[str] = []
 
-    def heard(said: ConsoleMessage) -> None:
+    def said(message: ConsoleMessage) -> None:
         # Rerun's viewer asks for what it may not; a refusal is what some tests are about, and said in the page
-        is_expected = "/rerun/" in said.location["url"] or "status of 4" in said.text
-        if said.type == "error" and not is_expected:
-            errors.append(f"{said.text} ({said.location['url']})")
+        is_expected = "/rerun/" in message.location["url"] or "status of 4" in message.text
+        if message.type == "error" and not is_expected:
+            errors.append(f"{message.text} ({message.location['url']})")
 
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.on("console", heard)
-    with contextlib.closing(page):
+    with (
+        window_of(browser, width, width * 5 // 8) as page,
+        heard(page, "pageerror", lambda error: errors.append(str(error))),
+        heard(page, "console", said),
+    ):
         page.goto(address)
         yield page
         assert not errors, errors

@@ -20,7 +20,6 @@ from layouts import write_as_before
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.topics import EVENTS, PICTURE_TOPICS
-from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from rrd import contents, free_ports, listening, view_names
 from udacity import call
 from viz import save_growing, save_rrd
@@ -310,9 +309,7 @@ def test_a_full_disk_is_one_line(
 
 def test_a_log_without_chunks_of_pictures_that_is_damaged_is_one_line_and_an_end(tmp_path: Path) -> None:
     """Rerun is not started for it: it would not end."""
-    log = write_as_before(
-        record_simulated(SimulatedDrive(laps=0.01), tmp_path / "new.mcap").path, tmp_path / "drive.mcap"
-    )
+    log = write_as_before(write_log(tmp_path / "new.mcap", is_drive=False), tmp_path / "session.mcap")
     with log.open("rb+") as stream:
         stream.seek(log.stat().st_size // 2)
         stream.write(bytes(100_000))

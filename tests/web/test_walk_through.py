@@ -27,9 +27,9 @@ from workbench import served
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-ROWS = 600
-STUCK = (100, 140)
-WORST = (300, 419)
+ROWS = 300
+STUCK = (50, 75)
+WORST = (150, 209)
 
 
 def write_sessions(folder: Path) -> None:
@@ -143,6 +143,7 @@ def test_from_a_damaged_session_to_its_drive(
         assert page.locator("figure:not([hidden]) img").first.evaluate("image => image.decode().then(() => true)")
         assert call(recorder.log_cli.main, "check", drive) == 0
         page.wait_for_selector(".title a:text('walked')")  # the way back to the run
+        page.set_viewport_size({"width": 480, "height": 400})  # Rerun draws in software
         page.keyboard.press("o")
         page.wait_for_selector("#rerun[data-shown]")
         assert page.locator("#rerun iframe").count() == 1
