@@ -220,7 +220,7 @@ def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path)
 
 
 def test_what_training_logs_is_a_message_in_every_command_that_loads_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, without_figures: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A run of an earlier version, whose name nobody would give."""
     index = toy_index(tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import shutil
 import signal
@@ -21,7 +22,8 @@ from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.evaluation.aggregation import Aggregation, AggregationFolders
 from drive.evaluation.simulator_process import BuiltInSimulator
-from driving import Process, command, one_line_in, run
+from driving import Process, command, one_line_in, road_jpeg, run
+from logs import write_log
 from model import TrainConfig, train
 from model.cli import main
 from model.runs.checkpoint import read_position
@@ -29,7 +31,6 @@ from model.runs.training_progress import METRICS_FILE
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.topics import DRIVE_METADATA
-from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from serving import ModernClient, fields
 from udacity import call
 from waiting import wait_until
@@ -55,11 +56,17 @@ def aggregated(tmp_path_factory: pytest.TempPathFactory) -> Aggregated:
     return aggregate(folder, "first", 1)
 
 
+def a_session(path: Path, first: int, rows: int) -> Path:
+    """A session of so many of the drawn pictures, none of which another one may have."""
+    steering = [0.3 * math.sin(row / 9) for row in range(rows)]
+    return write_log(path, steering, lambda camera, row: road_jpeg(first + row), cameras=["center"])
+
+
 def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
     """A run that was trained on two sessions, lake and hurt, of which the second is damaged now."""
     logs = [
-        record_simulated(SimulatedDrive(track=track, laps=laps), folder / "sessions" / f"{name}.mcap").path
-        for name, track, laps in (("lake", "lake", 0.005), ("hurt", "mountain", 0.002))
+        a_session(folder / "sessions" / f"{name}.mcap", first, rows)
+        for name, first, rows in (("lake", 0, 60), ("hurt", 100, 40))
     ]
     build_index(logs, folder / "index", SETTINGS)
     config = TrainConfig(network="small", epochs=1, batch=32)
@@ -155,7 +162,7 @@ def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
     aggregated: Aggregated, tmp_path: Path
 ) -> None:
     shutil.copy(aggregated.folder / "sessions" / "hurt.mcap", tmp_path)
-    record_simulated(SimulatedDrive(track="mountain", laps=0.002), tmp_path / "lake.mcap")
+    a_session(tmp_path / "lake.mcap", 200, 50)
     with pytest.raises(DriveError, match=r"lake\.mcap: changed since .*first was trained on it"):
         aggregation(aggregated, "first", tmp_path)
 
@@ -177,7 +184,7 @@ def start_aggregation(aggregated: Aggregated, track: str, *flags: object) -> Pro
 
 
 def test_a_training_that_is_stopped_says_how_to_finish_it(
-    aggregated: Aggregated, monkeypatch: pytest.MonkeyPatch
+    aggregated: Aggregated, without_figures: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with start_aggregation(aggregated, "random:5", "--laps", 0.01, "--epochs", 10_000) as process:
         process.wait_for("training runs/first-random-5-1")
