@@ -12,12 +12,13 @@ import tyro
 
 from common.command import check_port, flags_given, run_command, usage_errors, warn_skipped
 from common.errors import UsageError, counted
+from common.location import Url, local_path
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
-from recorder.log_copy_cli import copy_recording, refuse_copying
+from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
@@ -69,12 +70,14 @@ class Record:
     step by default), or of a recording whose pictures tell no time in their names."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
-    sessions: Path = Path("sessions")
-    """Where logs are kept."""
+    sessions: LocationFlag = Path("sessions")
+    """Where logs are kept. With a URL (s3://BUCKET/FOLDER) the log is made in sessions/, and copied there once it
+    is finished."""
     force: bool = False
     """Replace a session of the same name."""
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Copy the log there (s3://BUCKET/FOLDER) once it is finished here, and say which logs are not there yet."""
+    """Copy the log there (s3://BUCKET/FOLDER) as well once it is finished, if logs are kept here, and say which
+    are not there yet."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0
@@ -84,9 +87,14 @@ class Record:
 
 def record(config: Record) -> int:
     _refuse_contradictions(config)
-    if config.copy_to is not None:
+    name = f"{config.name}.mcap"
+    if isinstance(config.sessions, Url):
+        refuse_copying(config.sessions)
+        refuse_taken_name(config.sessions / name, config.force)
+        config = replace(config, sessions=Path("sessions"), copy_to=config.sessions)
+    elif config.copy_to is not None:
         refuse_copying(config.copy_to)
-    done = _record_to(config, config.sessions / f"{config.name}.mcap")
+    done = _record_to(config, local_path(config.sessions) / name)
     size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
     for notice in done.notices:
@@ -165,6 +173,8 @@ def _gym_recording(config: Record) -> GymRecording:
 
 def _refuse_contradictions(config: Record) -> None:
     name = config.name
+    if isinstance(config.sessions, Url) and config.copy_to is not None:
+        raise UsageError(f"--sessions {config.sessions}: is where the log is copied to: leave out --copy-to")
     if not name or name.startswith(".") or any(character in name for character in '/\\\0\n\r:*?"<>|'):
         raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
     if name.endswith(".mcap"):

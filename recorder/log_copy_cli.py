@@ -100,7 +100,7 @@ def _abort(places: Sequence[Location], to: Location) -> int:
 def refuse_copying(to: Location) -> None:
     """Raise UserError, before anything is recorded, for a place that logs cannot be copied to."""
     if not isinstance(to, Url) or to.suffix == ".mcap":
-        raise UsageError(f"--copy-to {to}: a folder in a store was expected, such as s3://BUCKET/sessions")
+        raise UsageError(f"{to}: a folder in a store was expected, such as s3://BUCKET/sessions")
     logs_in(to)
 
 

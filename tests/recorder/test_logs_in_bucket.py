@@ -584,7 +584,7 @@ def test_a_recording_that_cannot_be_copied_is_recorded_all_the_same(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
-    assert call(bc_record, "now", "--track", "lake", "--laps", "0.003", "--copy-to", "s3://logs/sessions") == 3
+    assert call(bc_record, "now", "--track", "lake", "--laps", "0.003", "--sessions", "s3://logs/sessions") == 3
     assert check(tmp_path / "sessions/now.mcap").findings == []
     assert "AccessDenied" in capsys.readouterr().err
 
@@ -593,7 +593,10 @@ def test_a_bucket_that_is_not_there_is_said_before_anything_is_recorded(
     bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert call(bc_record, "now", "--track", "lake", "--copy-to", "s3://nowhere/sessions") == 1
+    for flag in ("--copy-to", "--sessions"):
+        assert call(bc_record, "now", "--track", "lake", flag, "s3://nowhere/sessions") == 1
+    write_log(bucket.folder / "sessions/now.mcap", [0.1])
+    assert call(bc_record, "now", "--track", "lake", "--sessions", "s3://logs/sessions") == 1
     assert not (tmp_path / "sessions").exists()
 
 
