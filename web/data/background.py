@@ -16,7 +16,8 @@ from common.location import Location
 Place = TypeVar("Place", bound=Location)
 Result = TypeVar("Result")
 
-_AGAIN_S: Final = 10.0  # after a store did not answer
+AGAIN_S: Final = 10.0
+"""After a store did not answer, it is asked again."""
 
 
 class _Asked(NamedTuple, Generic[Result]):
@@ -28,7 +29,7 @@ class _Asked(NamedTuple, Generic[Result]):
         """Whether what it makes is, or will be, the result of that version: what a store did not answer is not."""
         if self.version != version:
             return False
-        is_late = time.monotonic() >= self.at_s + _AGAIN_S
+        is_late = time.monotonic() >= self.at_s + AGAIN_S
         if not is_late or not self.future.done() or self.future.cancelled():
             return True
         return not isinstance(self.future.result(), StoreError)

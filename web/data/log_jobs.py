@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from common.errors import printable
-from common.files import PART_SUFFIX, final_path
+from common.files import PART_SUFFIX, final_name
 from common.location import Location
 from common.locks import is_being_written
 from recorder.log.recover import recovered_name
-from web.data.project_folders import why_unchangeable
+from web.data.project_folders import ProjectFolders
 from web.errors import WebError
 
 _SUFFIX: Final = ".mcap"
@@ -41,14 +40,10 @@ class LogJob:
     about: str
     words: Callable[[Location, Location, NewLogAsked, Mapping[str, Location]], Sequence[str]]
     """Of the command line behind `bc-log NAME LOG`, for a log, the new one, what is asked, and all logs by key."""
-    new: Callable[[Path], Path] | None = None
+    new: Callable[[Location], Location] | None = None
     has_rows: bool = False
     has_others: bool = False
-    first_made: Callable[[Path], Path] | None = None  # where the command gives the names
-
-    @property
-    def makes_logs(self) -> bool:
-        return self.new is not None or self.first_made is not None
+    first_made: Callable[[Location], Location] | None = None  # where the command gives the names
 
 
 def _nothing(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
@@ -77,8 +72,8 @@ def _recover(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str
     return [f"--to={new}"]
 
 
-def _beside(word: str) -> Callable[[Path], Path]:
-    return lambda log: final_path(log).with_name(f"{final_path(log).name.removesuffix(_SUFFIX)}{word}{_SUFFIX}")
+def _beside(word: str) -> Callable[[Location], Location]:
+    return lambda log: log.with_name(f"{final_name(log.name).removesuffix(_SUFFIX)}{word}{_SUFFIX}")
 
 
 LOG_JOBS: Final = (
@@ -130,22 +125,19 @@ def log_job(name: str) -> LogJob:
 
 
 def command_line(
-    job: LogJob, log: Location, asked: NewLogAsked, logs: Mapping[str, Location]
-) -> tuple[list[str], Path | None]:
-    """The words of the command, and the log that it makes, or the first of several; None for none.
+    job: LogJob, log: Location, asked: NewLogAsked, logs: Mapping[str, Location], folders: ProjectFolders
+) -> tuple[list[str], Location | None]:
+    """The words of the command, and the log that it makes, or the first of several; None for none. `logs` are
+    those of the log's folder, by key.
 
     Raises WebError for what cannot be one, and where a log of the new name is there already.
     """
-    if not isinstance(log, Path):
-        if job.makes_logs:
-            raise WebError(why_unchangeable(log), 409)
-        return ["bc-log", job.name, str(log), *job.words(log, log, asked, logs)], None
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
         raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
     new = log.with_name(_name(asked.new) if asked.new else job.new(log).name) if job.new else log
     words = ["bc-log", job.name, str(log), *job.words(log, new, asked, logs)]
     made = new if job.new else job.first_made(log) if job.first_made else None
-    if made is not None and (made.exists() or made.is_symlink()):
+    if made is not None and folders.is_there(made):
         raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)
     try:
         "".join(words).encode()

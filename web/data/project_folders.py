@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -128,6 +127,15 @@ class ProjectFolders:
         found = self._listings.find(place)
         return None if found is None else (found.size, found.version)
 
+    def is_there(self, log: Location) -> bool:
+        """Whether a file, or anything else, has that name."""
+        return (log.exists() or log.is_symlink()) if isinstance(log, Path) else self.stat(log) is not None
+
+    def see(self, place: Location) -> None:
+        """What is beside a log was changed from here: see it at once."""
+        if isinstance(place, Url):
+            self._listings.see(place)
+
     def version_of(self, place: Location) -> str:
         """Of a log, or what lies beside it: it changes when that is written to, replaced, or removed."""
         return version_of(place) if isinstance(place, Path) else version_of_stats([(place, self.stat(place))])
@@ -197,16 +205,6 @@ class ProjectFolders:
         """See to it that these files of a run are here as they are there. Raises StoreError."""
         if self._stored_runs:
             self._stored_runs.bring(run, names)
-
-
-def why_unchangeable(log: Location) -> str:
-    """Why a log, and its tags, cannot be changed from its page; "" if they can be."""
-    if isinstance(log, Path):
-        return ""
-    return (
-        "this log is in a store, where nothing is changed from here;"
-        f" `{shlex.join(['bc-log', 'copy', str(log), 'sessions'])}` brings it to this machine"
-    )
 
 
 def as_word(log: Location) -> str:

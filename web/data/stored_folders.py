@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import threading
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from common.errors import StoreError
 from common.location import Url
 from common.users_cache import users_cache
 from web.data.refreshed import Refreshed
@@ -23,6 +26,7 @@ class StoreListings:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._listed: dict[Url, Refreshed[Listing]] = {}
+        self._seen: dict[Url, tuple[float, StoredObject | None]] = {}  # since a listing began, and when
 
     def look(self, folder: Url) -> None:
         """List it anew, if the last time is some seconds ago; pages that show a folder do, others need not."""
@@ -33,7 +37,22 @@ class StoreListings:
         listed = self._of(folder)
         if listed.value is None:
             listed.look()
-        return listed.value or {}
+        with self._lock:
+            seen = {url: found for url, (_, found) in self._seen.items() if url.parent == folder}
+        objects = listed.value or {}
+        if not seen:
+            return objects
+        return {url: found for url, found in {**objects, **seen}.items() if found is not None}
+
+    def see(self, url: Url) -> None:
+        """Ask for an object that was changed from here: the next listing may be seconds away."""
+        from common.object_store import find_object  # an extra
+
+        now_s = time.monotonic()
+        with contextlib.suppress(StoreError):
+            found = find_object(url)
+            with self._lock:
+                self._seen[url] = now_s, found
 
     def problem(self, folder: Url) -> str:
         """Why there is no newer listing; empty if there is."""
@@ -45,8 +64,17 @@ class StoreListings:
     def _of(self, folder: Url) -> Refreshed[Listing]:
         with self._lock:
             if folder not in self._listed:
-                self._listed[folder] = Refreshed(str(folder), lambda before: _list(folder))
+                self._listed[folder] = Refreshed(str(folder), lambda before: self._list(folder))
             return self._listed[folder]
+
+    def _list(self, folder: Url) -> Listing:
+        began_s = time.monotonic()
+        found = _list(folder)
+        with self._lock:
+            known = [url for url, (at_s, _) in self._seen.items() if url.parent == folder and at_s < began_s]
+            for url in known:
+                del self._seen[url]
+        return found
 
 
 class StoredCopy:

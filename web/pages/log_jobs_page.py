@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -14,7 +13,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from common.location import Location, Url
+from common.location import Location
 from web.data.log_jobs import LOG_JOBS, NewLogAsked, command_line, log_job
 from web.data.project_folders import Place, key_of
 from web.pages.form_values import form_pairs
@@ -28,7 +27,7 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
         job = log_job(request.path_params["job"])
         try:
             words, _ = command_line(
-                job, log, _asked(request.query_params.multi_items()), bench.folders.logs(place)
+                job, log, _asked(request.query_params.multi_items()), bench.folders.logs(place), bench.folders
             )
         except UserError as error:
             return PlainTextResponse(printable(str(error)))
@@ -37,7 +36,8 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
     async def start(request: Request) -> Response:
         log = bench.folders.log(place, request.path_params["log"])
         job = log_job(request.path_params["job"])
-        words, made = command_line(job, log, _asked(await form_pairs(request)), bench.folders.logs(place))
+        asked = _asked(await form_pairs(request))
+        words, made = command_line(job, log, asked, bench.folders.logs(place), bench.folders)
         address = f"/{place}/{key_of(made)}" if made is not None else ""
         started = await run_in_threadpool(bench.jobs.start, words, address)
         return RedirectResponse(f"/jobs/{started.key}", status_code=303)
@@ -47,13 +47,11 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
 
 
 def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
-    """What the page of a log offers, with the names that new logs get unless another one is given. Of a log in a
-    store, no new ones are made."""
+    """What the page of a log offers, with the names that new logs get unless another one is given."""
     return [
         {
             "job": job,
-            "new": printable(job.new(log).name.removesuffix(".mcap")) if job.new and isinstance(log, Path) else "",
-            "is_refused": job.makes_logs and isinstance(log, Url),
+            "new": printable(job.new(log).name.removesuffix(".mcap")) if job.new else "",
         }
         for job in LOG_JOBS
     ]

@@ -12,16 +12,16 @@ from starlette.routing import Route
 from common.car import CAMERAS
 from common.errors import printable
 from common.files import PART_SUFFIX
-from common.location import Location, Url
+from common.location import Location
 from common.locks import is_being_written
-from recorder.log.tags import EXCLUDE, names_used, tags_path
+from recorder.log.tags import EXCLUDE, tags_path
 from recorder.log.topics import camera_topic
 from web.data.odd_stretches import odd_stretches
 from web.data.open_logs import OpenLog
-from web.data.project_folders import Place, why_unchangeable
+from web.data.project_folders import Place
 from web.data.rerun_viewers import command_of
 from web.pages.log_jobs_page import shown_log_jobs
-from web.pages.tagging import change_tags
+from web.pages.tagging import change_tags, names_known
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
@@ -44,7 +44,6 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 cameras=CAMERAS,
                 path=printable(str(path)),
                 log_jobs=shown_log_jobs(path),
-                why_no_new_logs=printable(why_unchangeable(path)),
                 others=_others(bench, place, path),
                 play_command=command_of(path),
                 runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
@@ -64,7 +63,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     def state(request: Request) -> Response:
         path = path_of(request)
         with bench.logs.open(path) as opened:
-            return JSONResponse(_state(bench, path, opened))
+            return JSONResponse(_state(bench, opened))
 
     def rows(request: Request) -> Response:
         """Columns of float64, one after the other: row, seconds since the first, steering, throttle, brake,
@@ -98,15 +97,10 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def known_names(request: Request) -> Response:
         """The names that tags have in this folder."""
-        folder = path_of(request).parent
-        if isinstance(folder, Url):  # by what is kept of the logs, not by asking for each file of tags
-            used = {EXCLUDE}.union(*(card.tags for card in bench.cards.cards(place, 0)))
-        else:
-            used = names_used(folder)
-        return JSONResponse(sorted(used))
+        return JSONResponse(sorted(names_known(bench, place, path_of(request))))
 
     async def change(request: Request) -> Response:
-        return await change_tags(bench, path_of(request), request)
+        return await change_tags(bench, place, path_of(request), request)
 
     at = f"/{place}/{{log}}"
     return [
@@ -131,7 +125,7 @@ def _others(bench: Workbench, place: Place, path: Location) -> list[tuple[str, s
     ]
 
 
-def _state(bench: Workbench, path: Location, opened: OpenLog) -> dict[str, object]:
+def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
     return {
@@ -139,9 +133,7 @@ def _state(bench: Workbench, path: Location, opened: OpenLog) -> dict[str, objec
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
-        "problem": printable(log.notice),
-        # tags of what is not finished would be lost with its recovery
-        "why_no_tags": printable(log.notice or why_unchangeable(path)),
+        "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": [
             (stretch.flag, stretch.first, stretch.last)
             for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())

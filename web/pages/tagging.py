@@ -12,10 +12,10 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from common.errors import did_you_mean, printable
-from common.location import Location, Url
+from common.location import Location
 from recorder.log.edit import check_rows
-from recorder.log.tags import Tag, add_tag, check_name, names_used, remove_tag
-from web.data.project_folders import why_unchangeable
+from recorder.log.tags import EXCLUDE, Tag, add_tag, check_name, names_used, remove_tag, tags_path
+from web.data.project_folders import Place
 from web.errors import WebError
 from web.pages.workbench import Workbench
 
@@ -29,7 +29,7 @@ class TagChange(msgspec.Struct, forbid_unknown_fields=True):
     log: str
 
 
-async def change_tags(bench: Workbench, path: Location, request: Request) -> Response:
+async def change_tags(bench: Workbench, place: Place, path: Location, request: Request) -> Response:
     # no form of another page can send this type unasked
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise WebError("a change of tags is sent as application/json", 415)
@@ -37,12 +37,10 @@ async def change_tags(bench: Workbench, path: Location, request: Request) -> Res
         change = msgspec.json.decode(await request.body(), type=TagChange)
     except (msgspec.MsgspecError, UnicodeError) as error:
         raise WebError(f"not a change of tags: {error}", 422) from None
-    if isinstance(path, Url):
-        raise WebError(why_unchangeable(path), 409)
-    return JSONResponse(await run_in_threadpool(_changed, bench, path, change))
+    return JSONResponse(await run_in_threadpool(_changed, bench, place, path, change))
 
 
-def _changed(bench: Workbench, path: Path, change: TagChange) -> dict[str, object]:
+def _changed(bench: Workbench, place: Place, path: Location, change: TagChange) -> dict[str, object]:
     """Make the change; what was done, as the command that does the same."""
     try:
         check_name(change.name)
@@ -63,19 +61,27 @@ def _changed(bench: Workbench, path: Path, change: TagChange) -> dict[str, objec
     there = set(bench.cards.tags(path, change.log).tags)
     if (tag in there) == is_add:
         return {"changed": False, "command": "", "notice": ""}
-    notice = _notice(path, change.name, there) if is_add else ""
+    notice = _notice(change.name, there, names_known(bench, place, path)) if is_add else ""
     (add_tag if is_add else remove_tag)(path, change.log, tag)
+    bench.folders.see(tags_path(path))
     return {"changed": True, "command": command_of(path, change), "notice": notice}
 
 
-def _notice(path: Path, name: str, there: set[Tag]) -> str:
+def names_known(bench: Workbench, place: Place, path: Location) -> set[str]:
+    """The names that tags have in the folder of a log; EXCLUDE is always among them. In a store, those of the logs
+    that were read by now: each file of tags would be a request."""
+    if isinstance(path, Path):
+        return names_used(path.parent)
+    return {EXCLUDE}.union(*(card.tags for card in bench.cards.cards(place, 0)))
+
+
+def _notice(name: str, there: set[Tag], used: set[str]) -> str:
     """A name that nobody has used yet is perhaps one that was mistyped."""
     if any(tag.name == name for tag in there):
         return ""
-    used = names_used(path.parent)
     return "" if name in used else f"new tag {name!r}. {did_you_mean(name, used)}".strip()
 
 
-def command_of(path: Path, change: TagChange) -> str:
+def command_of(path: Location, change: TagChange) -> str:
     words = ["bc-log", "tag", str(path), change.name, "--rows", *map(str, change.rows)]
     return printable(shlex.join([*words, "--remove"] if change.action == "remove" else words))

@@ -72,7 +72,7 @@ export class LogData extends EventTarget {
   }
 
   tell(problem) {
-    this.dispatchEvent(new CustomEvent("problem", { detail: problem || this.state?.why_no_tags || "" }));
+    this.dispatchEvent(new CustomEvent("problem", { detail: problem || this.state?.problem || "" }));
   }
 
   /** Where a row is among the rows: the first that is not before it or, `isLast`, the last that is not behind it. */

@@ -58,7 +58,7 @@ function move(position) {
 function select(stretch) {
   selection = stretch;
   curves.mark({ selection });
-  const canTag = Boolean(selection) && !data.state.why_no_tags;
+  const canTag = Boolean(selection) && !data.state.problem;
   by("exclude").disabled = by("tag").disabled = !canTag;
   const rows = selection && data.rowsOf(selection);
   makers.select(rows);
@@ -85,8 +85,8 @@ function tag(name) {
     say("select a stretch first: drag over the curves, or press j");
     return;
   }
-  if (data.state.why_no_tags) {
-    say(data.state.why_no_tags);
+  if (data.state.problem) {
+    say(data.state.problem);
     return;
   }
   const rows = data.rowsOf(selection);
@@ -208,7 +208,7 @@ function showTags() {
   const undone = new Set(toDo);
   listOdd(by("odd"), groups, data, { isLeft: (group) => undone.has(group), onPick: goTo });
   listTags(by("tags"), data, {
-    canChange: !data.state.why_no_tags,
+    canChange: !data.state.problem,
     onPick: goTo,
     onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
   });
