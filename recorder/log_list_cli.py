@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,7 +53,7 @@ class ListLogs:
         found.sort(key=lambda info: (SORTED_BY[self.sort](info), info.path))
         if self.json:
             for info in found:
-                print_result(json.dumps(dataclasses.asdict(info), allow_nan=False))
+                print_result(info.as_json())
         elif found:
             print_table(_table(found))
         return max([*codes, *(warn(info.notice) for info in found if info.notice)])

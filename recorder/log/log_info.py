@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, overload
@@ -80,6 +80,11 @@ class LogInfo:
     def length_s(self) -> float:
         """How long was driven, or else from the first message to the last."""
         return self.duration_s if self.driven_s is None else self.driven_s
+
+    def as_json(self) -> str:
+        """One line of JSON, an object."""
+        tags = [tag._asdict() for tag in self.tags]
+        return json.dumps({**asdict(self), "tags": tags}, allow_nan=False)
 
 
 @overload
