@@ -36,7 +36,7 @@ def heard(
     page: Page, event: Literal["console", "pageerror", "request"], handler: Callable[..., None]
 ) -> Iterator[None]:
     """Call `handler` of what happens in the page, until the context is left."""
-    page.on(event, handler)  # type: ignore[call-overload]
+    page.on(event, handler)
     try:
         yield
     finally:

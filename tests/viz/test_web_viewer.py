@@ -76,7 +76,9 @@ def test_the_page_shows_the_pictures_of_the_log(browser: Browser, tmp_path: Path
             red, green = (places_of(picture.astype(np.uint8), color) for color in (RED, GREEN))
             return (red, green) if min(len(red), len(green)) > LEAST_PIXELS else None
 
-        red, green = wait_until(shown)
+        found = wait_until(shown)
+    assert found is not None
+    red, green = found
     # whole, and twice as wide as high
     height, width = np.ptp(red[:, 0]) + 1, np.ptp(red[:, 1]) + 1
     assert len(red) > 0.8 * height * width  # something may be drawn over it
