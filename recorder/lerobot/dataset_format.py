@@ -39,6 +39,9 @@ LOG_VEHICLE: Final = "log_vehicle"
 LOG_FINGERPRINT: Final = "log_fingerprint"
 LOG_CAR: Final = "log_car"
 """A column of meta/episodes: the car that the episode's log is of, as JSON; empty if nothing tells."""
+LOG_NOT_RECORDED: Final = "log_not_recorded"
+"""A column of meta/episodes: the event at the first frame that tells why, and for how long, nothing was recorded
+before it (`recorder.log.meant_gaps`); empty without one."""
 SPLIT: Final = "split"
 """A column of data files and of meta/episodes: the side of an index's split, `train` or `validation`."""
 REQUIRED: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")

@@ -35,9 +35,11 @@ from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, log_episodes
 from recorder.lerobot.picture_spool import PictureSpool
 from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
+from recorder.log.meant_gaps import tells_not_recorded
 from recorder.log.reader import Log
 from recorder.log.row_quality import States
 from recorder.log.session_car import CAR_KEY, car_of, metadata_of
+from recorder.log.topics import EVENTS
 from recorder.pictures.picture_size import PNG_START, can_be_decoded
 
 TASK: Final = "Drive along the road."
@@ -128,9 +130,10 @@ class _Export:
             self.skipped.add("parts of logs that are not finished", log.notice)
         taken = log_episodes(log, self._plan.cameras, self.skipped, chosen)
         frames_before, episodes_before = self.frames, self.episodes
+        not_recorded = _not_recorded(log)
         pictures = RowPictures(log, taken, self._sizes, self.skipped)
         for episode in taken.episodes:
-            self._add_episode(log, taken, range(episode.start, episode.stop), pictures)
+            self._add_episode(log, taken, range(episode.start, episode.stop), pictures, not_recorded)
         self.sessions.append(
             CardSession(
                 _name(log),
@@ -142,7 +145,9 @@ class _Export:
             )
         )
 
-    def _add_episode(self, log: Log, taken: LogEpisodes, rows: range, pictures: RowPictures) -> None:
+    def _add_episode(
+        self, log: Log, taken: LogEpisodes, rows: range, pictures: RowPictures, not_recorded: Mapping[int, str]
+    ) -> None:
         cameras = () if self._files.is_video else self._plan.cameras
         with PictureSpool(self._files.root, len(cameras)) as spool:
             kept, looked = self._gather(rows, pictures, spool)
@@ -157,6 +162,7 @@ class _Export:
                 **dict(zip(map(form.image_key, cameras), spool.columns(), strict=True)),
             }
             about = self._about(log, statistics, len(kept))
+            about[form.LOG_NOT_RECORDED] = not_recorded.get(int(states.time_ns[0]), "")
             if taken.split is not None:
                 columns[form.SPLIT] = pa.array(taken.split[kept])
                 about[form.SPLIT] = str(taken.split[kept[0]])
@@ -288,6 +294,12 @@ def _car(log: Log) -> str:
         return metadata_of(car_of(log))[CAR_KEY]
     except (LogError, RecordingError):
         return ""
+
+
+def _not_recorded(log: Log) -> dict[int, str]:
+    """The events of a log that tell of time that was let pass on purpose, by log time."""
+    events = log.decoded(EVENTS) if EVENTS in log.counts else ()
+    return {at.log_time_ns: event.message for at, event in events if tells_not_recorded(event.message)}
 
 
 def _name(log: Log) -> str:

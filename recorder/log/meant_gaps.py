@@ -24,6 +24,11 @@ def not_recorded(seconds: float, why: str) -> str:
     return f"not recorded: {seconds:.3f} s, {why}"
 
 
+def tells_not_recorded(event: str) -> bool:
+    """True for such a text."""
+    return bool(_EVENT.match(event))
+
+
 class NotRecorded:
     """What the events of a log tell of time that was let pass on purpose."""
 

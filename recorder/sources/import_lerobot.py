@@ -21,7 +21,8 @@ from common.progress import track
 from common.stretches import consecutive
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import LogError, RecordingError
-from recorder.lerobot.dataset_format import LOG_CAR, LOG_TIME
+from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_TIME
+from recorder.log.meant_gaps import not_recorded, tells_not_recorded
 from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_mcap import check_scale
@@ -111,6 +112,16 @@ def _told_car(dataset: LeRobotFolder) -> Car | None:
         raise RecordingError(str(error)) from None
 
 
+def _own_events(dataset: LeRobotFolder) -> dict[int, str]:
+    """What an export of ours tells of time that was not recorded, by the episode before which it was."""
+    try:
+        told = dataset.episode_table(["episode_index", LOG_NOT_RECORDED])
+    except RecordingError:  # of an earlier version
+        return {}
+    events = zip(*(told[name].to_pylist() for name in ("episode_index", LOG_NOT_RECORDED)), strict=True)
+    return {episode: event for episode, event in events if isinstance(event, str) and tells_not_recorded(event)}
+
+
 def _frames(
     dataset: LeRobotFolder, chosen: LeRobotFeatures, videos: dict[Camera, CameraVideos], skipped: Skipped
 ) -> Iterator[ImportedRow]:
@@ -123,6 +134,8 @@ def _frames(
         )
     )
     clock, counts = _Clock(), dict[int, int]()
+    another_episode = not_recorded(APART_NS / 1e9, "another episode begins")
+    own_events = _own_events(dataset) if chosen.has_log_time else {}
     last_episode: int | None = None
     bar = f"importing {dataset.root.name}"
     for path, batch in track(_with_paths(dataset, columns), bar, math.ceil(dataset.frames / BATCH_ROWS)):
@@ -152,8 +165,10 @@ def _frames(
                 continue
             if abs(state.steering) > 1:
                 skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {state.steering:g}")
-            is_apart = not chosen.has_log_time and last_episode not in (None, episode)
-            yield ImportedRow(time_ns, state, sound, APART_NS / 1e9 if is_apart else 0.0)
+            event = ""
+            if last_episode not in (None, episode):
+                event = own_events.get(episode, "") if chosen.has_log_time else another_episode
+            yield ImportedRow(time_ns, state, sound, event)
             last_episode = episode
     _skip_missing(dataset, counts, skipped)
 

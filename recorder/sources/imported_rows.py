@@ -8,7 +8,6 @@ from typing import Final
 
 from common.car import Camera
 from recorder.bc_pb2 import VehicleState
-from recorder.log.meant_gaps import not_recorded
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import SkippedEvents
 
@@ -25,7 +24,7 @@ class ImportedRow:
     time_ns: int
     state: VehicleState
     pictures: Mapping[Camera, bytes]  # JPEG or PNG, byte for byte
-    apart_s: float = 0.0  # put between the row before and this one, where the recording tells no time between them
+    not_recorded: str = ""  # an event that tells what lies between the row before and this one
 
 
 def write_rows(writer: LogWriter, rows: Iterable[ImportedRow], events: SkippedEvents) -> tuple[int, int]:
@@ -36,8 +35,8 @@ def write_rows(writer: LogWriter, rows: Iterable[ImportedRow], events: SkippedEv
         for camera, picture in row.pictures.items():
             writer.picture(camera, row.time_ns, count, picture)
         writer.vehicle(row.time_ns, count, row.state)
-        if row.apart_s:
-            writer.event(row.time_ns, not_recorded(row.apart_s, "another episode begins"))
+        if row.not_recorded:
+            writer.event(row.time_ns, row.not_recorded)
         count += 1
         pictures += len(row.pictures)
     return count, pictures

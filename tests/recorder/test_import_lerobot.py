@@ -10,17 +10,21 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
 
 from common import UserError
 from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
 from lerobot_logs import jpeg, write_drives
-from logs import read_messages
-from recorder import Imported, Log, LogError, RecordingError
+from logs import START_NS, read_messages
+from recorder import Imported, Log, LogError, LogWriter, RecordingError
+from recorder.bc_pb2 import VehicleState
 from recorder.cli import main as bc_record
 from recorder.lerobot.export import export_lerobot
 from recorder.log.check import check
+from recorder.log.log_info import describe
+from recorder.log.meant_gaps import not_recorded
 from recorder.log.row_quality import drive_numbers
 from recorder.log.session_car import Car, metadata_of, told_car
 from recorder.sources.import_lerobot import import_lerobot
@@ -90,6 +94,30 @@ def test_the_car_of_a_session_comes_back(tmp_path: Path) -> None:
     other = write_drives(tmp_path / "other.mcap")
     with pytest.raises(LogError, match="at steering 1, wheels turn by 25 and 30 degrees"):
         export_lerobot([log, other], tmp_path / "both")
+
+
+def test_gaps_that_were_meant_come_back_as_such_and_others_as_gaps(tmp_path: Path) -> None:
+    told = not_recorded(2.0, "the car was put back on its line")
+    with LogWriter(tmp_path / "a.mcap", {"source": "test"}) as writer:
+        for row, seconds in enumerate((0.0, 0.1, 2.2, 2.3, 6.0, 6.1)):
+            time_ns = START_NS + round(seconds * 1e9)
+            writer.picture("center", time_ns, row, jpeg("center", row))
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0))
+            if row == 2:
+                writer.event(time_ns, told)
+    export_lerobot([writer.path], tmp_path / "out")
+    logs = (writer.path, imported(tmp_path / "out").path)
+    for log in logs:
+        checked = check(log)
+        assert (checked.meant_gaps, checked.findings) == (["before row 2"], [("gaps in time", "before row 4")])
+        assert describe(log).meant_gaps == [2]
+    assert [[(event.log_time, text.message) for event, text in read_messages(log)["/events"]] for log in logs] == [
+        [(START_NS + 2_200_000_000, told)]
+    ] * 2
+    # as an earlier version has exported it
+    (episodes,) = (tmp_path / "out/meta/episodes").glob("*/*.parquet")
+    pq.write_table(pq.read_table(episodes).drop_columns(["log_not_recorded"]), episodes)
+    assert not check(imported(tmp_path / "out", overwrite=True).path).meant_gaps
 
 
 def test_an_export_as_videos_comes_back_with_other_pictures_and_says_so(tmp_path: Path) -> None:
