@@ -33,7 +33,7 @@ from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
-from dataset.samples.samples_reader import Samples, Split, loaded_columns
+from dataset.samples.samples_reader import Samples, Split
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 
@@ -57,7 +57,7 @@ class Loader(Closeable):
     def __init__(
         self,
         samples: Samples,
-        rows: pa.Table,
+        rows: pa.Table | Rows,
         *,
         batch: int,
         seed: int = 0,
@@ -82,7 +82,7 @@ class Loader(Closeable):
         self.ranks = ranks
         self.threads = threads or os.cpu_count() or 1
         self.seen = seen
-        self.rows: Rows = samples.rows(rows, targets)
+        self.rows: Rows = rows if isinstance(rows, Rows) else samples.rows(rows, targets)
         self.skipped = Skipped()  # each picture once, however often it was wanted
         self._samples = samples
         self._undecoded: set[int] = set()  # the pictures in `skipped`
@@ -111,13 +111,17 @@ class Loader(Closeable):
 
     def order(self, epoch: int) -> NDArray[np.int64]:
         """The order of the samples in an epoch: every one once."""
-        return np.random.default_rng((self.seed, epoch)).permutation(len(self))
+        return self._order(epoch).astype(np.int64)
+
+    def _order(self, epoch: int) -> NDArray[np.uint32]:
+        """The same in half of the memory."""
+        return np.random.default_rng((self.seed, epoch)).permutation(np.arange(len(self), dtype=np.uint32))
 
     def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:
         """The samples of each batch of an epoch that are this rank's, also those that will not decode."""
         if not 0 <= start_batch <= self.batches:
             raise ValueError(f"start_batch must be in 0 to {self.batches}, not {start_batch}")
-        return self._parts(self.order(epoch), start_batch)
+        return self._parts(self._order(epoch), start_batch)
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
         """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller, and
@@ -126,7 +130,7 @@ class Loader(Closeable):
 
     def in_order(self) -> Iterator[Batch]:
         """All samples once, in the order of the index (for evaluation)."""
-        return self._batches(self._parts(np.arange(len(self)), 0))
+        return self._batches(self._parts(np.arange(len(self), dtype=np.uint32), 0))
 
     def crops(self, samples: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The crops (N, height, width, 3) of some samples in their order, a batch at a time, with the samples
@@ -145,9 +149,9 @@ class Loader(Closeable):
         ((_, pictures),) = self._decoded([samples], self._crops)
         return pictures
 
-    def _parts(self, order: NDArray[np.int64], start_batch: int) -> Iterator[NDArray[np.int64]]:
+    def _parts(self, order: NDArray[np.uint32], start_batch: int) -> Iterator[NDArray[np.int64]]:
         for start in range(start_batch * self.batch, len(order), self.batch):
-            yield np.array_split(order[start : start + self.batch], self.ranks)[self.rank]
+            yield np.array_split(order[start : start + self.batch].astype(np.int64), self.ranks)[self.rank]
 
     def _batches(self, parts: Iterable[NDArray[np.int64]]) -> Iterator[Batch]:
         return (Batch(pictures, self.rows.label[part]) for part, pictures in self._decoded(parts, self._crops))
@@ -199,7 +203,7 @@ def load(
     samples = Samples(index)
     try:
         samples.refuse_missing(targets)
-        rows = samples.driving_view(split) if driving_view else samples.of_split(split, loaded_columns(targets))
+        rows = samples.driving_view(split) if driving_view else samples.rows_of_split(split, targets)
         return Loader(
             samples,
             rows,

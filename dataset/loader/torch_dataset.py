@@ -22,7 +22,7 @@ from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocess import Image
-from dataset.samples.samples_reader import Samples, Split, loaded_columns, open_logs
+from dataset.samples.samples_reader import Samples, Split, open_logs
 
 
 class SamplesDataset(Closeable):
@@ -49,7 +49,7 @@ class SamplesDataset(Closeable):
         try:
             self._sources = samples.sources
             samples.refuse_missing(targets)
-            self._rows = samples.rows(samples.of_split(split, loaded_columns(targets)), targets)
+            self._rows = samples.rows_of_split(split, targets)
             self._crops = Crops(self._rows, self._logs, 0, self._seen)
         except BaseException:
             self.close()

@@ -33,7 +33,7 @@ from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.fetched_parts import part_files_here, read_part
-from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
+from dataset.samples.sample_rows import Rows, joined_rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Division
 from recorder import Log, LogError
 from recorder.log.chunk_cache import default_cache
@@ -137,6 +137,17 @@ class Samples(Closeable):
     def of_split(self, split: Split, columns: Sequence[str] | None = None) -> pa.Table:
         """The samples of a split; `LOADED` are the columns that a loader needs, in a third of the memory."""
         return self._table(columns, split=_known(split))
+
+    def parts_of_split(self, split: Split, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """The same in parts, one after the other: so that all of them need not be held."""
+        return self._matching(columns, split=_known(split))
+
+    def rows_of_split(self, split: Split, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
+        """The same as arrays. Divided samples are never held as a table, which takes four times the memory."""
+        columns = loaded_columns(targets)
+        if self._parts is None:
+            return self.rows(self.of_split(split, columns), targets)
+        return joined_rows(self.rows(part, targets) for part in self.parts_of_split(split, columns))
 
     def driving_view(self, split: Split) -> pa.Table:
         """Samples as the car itself sees them: the centre camera, unmirrored and unaltered, each picture once.
@@ -247,13 +258,17 @@ class Samples(Closeable):
 
     def _table(self, columns: Sequence[str] | None, **values: str | bool) -> pa.Table:
         """The rows of which these columns have these values."""
-        parts = []
+        try:
+            return pa.concat_tables(self._matching(columns, **values))
+        except _UNREADABLE as error:
+            raise self._damaged(error) from None
+
+    def _matching(self, columns: Sequence[str] | None, **values: str | bool) -> Iterator[pa.Table]:
         try:
             for part in self._groups(columns):
                 for name, value in values.items():
                     part = part.filter(pc.equal(part[name], value))
-                parts.append(part)
-            return pa.concat_tables(parts)
+                yield part
         except _UNREADABLE as error:
             raise self._damaged(error) from None
 

@@ -19,7 +19,6 @@ from common.errors import counted
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
-from dataset.samples.samples_reader import loaded_columns
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
@@ -76,7 +75,7 @@ class TrainingLoop:
         budget_bytes = config.picture_memory_mb << 20
         loader = Loader(
             samples,
-            samples.of_split("train", loaded_columns(config.targets)),
+            samples.rows_of_split("train", config.targets),
             batch=config.batch,
             seed=config.seed,
             rank=group.rank,

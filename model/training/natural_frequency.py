@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from dataset import Loader, Samples
 from dataset.drawn_views import LAST_VIEW, VIEWPOINT
@@ -26,6 +27,8 @@ MOST_FRAMES: Final = 1000
 TOWARDS_BALANCE: Final = 0.25
 """How far from the frequency of the road (0), which has few hard bends, to that where all bins count alike (1).
 At 0 answers have the least error, but hairpins are driven wide, or not: see docs/learning-from-people.md."""
+
+_ASKED: Final = ("split", "camera", "alteration", "seed", "bin", "copy")
 
 
 class NaturalFrames:
@@ -53,22 +56,34 @@ def _at_natural_frequency(samples: Samples) -> pa.Table:
     Balancing has left each bin a random part of its frames and their views from beside the line, `after` of
     `before`. Each original that was left stands for others of its bin.
     """
-    training = samples.of_split("train")
-    is_original = ~np.asarray(training["copy"])
-    is_view = np.asarray(pc.starts_with(training["alteration"], VIEWPOINT))
-    is_first = is_original | (is_view & (training["seed"].to_numpy() <= LAST_VIEW))  # it repeats no other sample
     before = Balance.from_dict(samples.metadata["balance"]).before
-    after = np.bincount(training["bin"].to_numpy()[is_first], minlength=len(before))
-    originals = training.filter(pa.array(is_original))
-    bins = originals["bin"].to_numpy()
+    after = np.zeros(len(before), np.int64)
+    of_parts: list[tuple[NDArray[np.int16], NDArray[np.bool_]]] = []  # of originals, bin and whether it is central
+    for part in samples.parts_of_split("train", _ASKED):  # of many samples, all at once would not fit
+        is_original = ~np.asarray(part["copy"])
+        is_view = np.asarray(pc.starts_with(part["alteration"].cast(pa.string()), VIEWPOINT))
+        is_first = is_original | (is_view & (part["seed"].to_numpy() <= LAST_VIEW))  # it repeats no other sample
+        bin_of = part["bin"].to_numpy()
+        after += np.bincount(bin_of[is_first], minlength=len(before))
+        is_center = np.asarray(pc.equal(part["camera"].cast(pa.string()), "center"))
+        of_parts.append((bin_of[is_original].astype(np.int16), is_center[is_original]))
+    bins, is_center = (np.concatenate(column) for column in zip(*of_parts, strict=True))
     of_bin = np.bincount(bins, minlength=len(before))
     on_road = before * of_bin / np.maximum(after, 1)
     stands_for = (on_road ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
-    is_center = np.asarray(pc.equal(originals["camera"], "center"))
     stands_for = np.where(is_center, stands_for, 0.0) if is_center.any() else stands_for
     count = min(MOST_FRAMES, int(np.count_nonzero(stands_for)))
-    if not count:
-        return originals.slice(0, 0)
     quantiles = (np.arange(count) + 0.5) / count * stands_for.sum()
     at = np.minimum(np.searchsorted(np.cumsum(stands_for), quantiles), len(bins) - 1)
-    return originals.take(pa.array(at))
+    return _originals(samples, at)
+
+
+def _originals(samples: Samples, at: NDArray[np.int64]) -> pa.Table:
+    """Training samples that repeat no other one, by their positions (N,) among these, which ascend."""
+    taken, begin = [], 0
+    for part in samples.parts_of_split("train"):
+        originals = part.filter(pa.array(~np.asarray(part["copy"])))
+        first, last = np.searchsorted(at, (begin, begin + len(originals)))
+        taken.append(originals.take(pa.array(at[first:last] - begin)))
+        begin += len(originals)
+    return pa.concat_tables(taken)

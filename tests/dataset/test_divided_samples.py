@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from dataset import DatasetError, IndexConfig, Samples, build_index, load
 from dataset.index.leaks import find_leaks
 from dataset.samples.balance import PerBin, quota_of, shares
+from divided import in_one_file
 from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tag, tags_path
@@ -150,16 +151,12 @@ def test_what_reads_an_index_reads_a_divided_one(tmp_path: Path) -> None:
             ]
         divided = samples.fingerprint
     # as one file, the same samples are the same to whoever learns from them
-    whole = shutil.copytree(tmp_path / "index", tmp_path / "whole")
-    shutil.rmtree(whole / "samples")
-    about = pq.read_schema(whole / "samples.parquet").metadata
-    changed = {
-        b"bc.index": about[b"bc.index"].replace(b'"parts"', b'"others"').replace(b'"format": 6', b'"format": 5')
-    }
-    pq.write_table(expected.replace_schema_metadata(changed), whole / "samples.parquet")
+    whole = in_one_file(tmp_path / "index", tmp_path / "whole")
     with Samples(whole) as samples:
         assert samples.fingerprint == divided
-    with load(tmp_path / "index", batch=8) as loader:
+    with load(tmp_path / "index", batch=8) as loader, load(whole, batch=8) as of_whole:
+        for field in fields(loader.rows):
+            assert np.array_equal(getattr(loader.rows, field.name), getattr(of_whole.rows, field.name)), field.name
         assert len(loader) == sum(row["split"] == "train" for row in expected.to_pylist())
     assert find_leaks(tmp_path / "index") == []
     assert view_index(tmp_path / "index").after == indexed.balance.after.tolist()
