@@ -7,12 +7,13 @@ both places, tells of each file which object it is a copy of (`common.store_reco
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from common.closeable import Closeable
 from common.errors import NoSuchObjectError, ObjectChangedError, UserError
@@ -31,6 +32,12 @@ from common.object_store import (
 )
 from common.store_record import RECORD_NAME, Copy, StoreRecord, bytes_of, read_record, record_of, write_record
 from common.users_cache import users_cache
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+OnBytes: TypeAlias = Callable[[int], object]
+"""Is told how many bytes more are fetched."""
 
 _LOCK: Final = ".store.lock"
 _MOST_BYTES: Final = 1 << 28
@@ -62,11 +69,6 @@ class StoredFolder(Closeable):
         self._record = record if record.url == str(url) else StoreRecord(str(url))
         self._copies = dict(self._record.files)
 
-    @staticmethod
-    def is_copy(here: Path, url: Url) -> bool:
-        """True for a folder that was brought from there, or sent there."""
-        return read_record(here).url == str(url)
-
     def close(self) -> None:
         self._stream.close()
 
@@ -76,12 +78,13 @@ class StoredFolder(Closeable):
         keeps_ours: bool = False,
         objects: Iterable[StoredObject] | None = None,
         wanted: Collection[str] | None = None,
+        progress: Progress | None = None,
     ) -> None:
         """Make the folder here hold what the other one does. What was changed here and never went up is lost; or,
         with `keeps_ours`, stays, if it was not changed there too. Lines that were added here stay.
 
         `objects` is a listing of the folder, for who has one. Of files that are not `wanted`, what the store tells
-        is recorded (`StoreRecord.left`), and none is fetched.
+        is recorded (`StoreRecord.left`), and none is fetched. `progress` gets a line while others are.
 
         Raises UserError for a file that was, or whose name cannot be here; StoreError.
         """
@@ -102,8 +105,12 @@ class StoredFolder(Closeable):
         elif not differ:
             told_by = self._record.told_by
         fetched = [name for name in differ if wanted is None or name in wanted]
-        with ThreadPoolExecutor(_AT_ONCE) as pool:
-            fetching = [(name, pool.submit(self._fetch, name, there[name], told.get(name))) for name in fetched]
+        size = sum(there[name].size for name in fetched)
+        bar = _line_of(progress, f"fetching {self.url.name}, bytes", size)
+        with bar as on_bytes, ThreadPoolExecutor(_AT_ONCE) as pool:
+            fetching = [
+                (name, pool.submit(self._fetch, name, there[name], told.get(name), on_bytes)) for name in fetched
+            ]
             for name, each in fetching:
                 self._copies[name] = each.result()
         left = {name: _as_told(there[name], told.get(name)) for name in set(differ).difference(fetched)}
@@ -208,7 +215,9 @@ class StoredFolder(Closeable):
             )
         return not is_ours or (is_changed and not keeps_ours)
 
-    def _fetch(self, name: str, there: StoredObject, told: Copy | None) -> Copy:
+    def _fetch(
+        self, name: str, there: StoredObject, told: Copy | None, on_bytes: OnBytes = lambda more: None
+    ) -> Copy:
         """Fetch a file over what is here; of one of lines, those that were added here stay behind those there."""
         path = self.here / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -225,6 +234,7 @@ class StoredFolder(Closeable):
                 for data in source.read_many((at, min(_PART_BYTES, source.size - at)) for at in starts):
                     content.update(data)
                     stream.write(data)
+                    on_bytes(len(data))
         except NoSuchObjectError:
             raise ObjectChangedError(
                 f"{there.url}: was removed while it was read; give the command again"
@@ -268,6 +278,19 @@ def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
 def _is_hidden(name: str) -> bool:
     """Of locks and the like, which other programs may have copied there."""
     return any(part.startswith(".") for part in name.split("/"))
+
+
+@contextlib.contextmanager
+def _line_of(progress: Progress | None, description: str, total: int) -> Iterator[OnBytes]:
+    """A line of a progress bar while the block runs; gives what is told how many bytes more have come."""
+    if progress is None or not total:
+        yield lambda more: None
+        return
+    task = progress.add_task(description, total=total, note="")
+    try:
+        yield lambda more: progress.advance(task, more)
+    finally:
+        progress.remove_task(task)
 
 
 def _seen(copy: Copy) -> Seen:

@@ -115,6 +115,20 @@ def keep(store: Store) -> None:
         assert (folder.here / "config.json").read_text() == "second"
 
 
+def add(store: Store) -> None:
+    """Two machines add lines to the same file there."""
+    folders = [store.made / name for name in ("one", "two")]
+    for number in range(2):
+        for here in folders:
+            with StoredFolder(store.bucket.url("run"), here, lines=["results"]) as folder:
+                with (here / "results").open("a") as stream:
+                    stream.write(f"{number} of {here.name}\n")
+                assert folder.send()
+    added = ["0 of one", "0 of two", "1 of one", "1 of two"]
+    assert (folders[1] / "results").read_text().splitlines() == added
+    assert (store.bucket.folder / "run/results").read_text().splitlines() == added
+
+
 REQUESTS: dict[Callable[[Store], None], int] = {
     upload: 11,
     upload_in_parts: 10,
@@ -122,6 +136,7 @@ REQUESTS: dict[Callable[[Store], None], int] = {
     index: 6,
     read: 8,
     keep: 10,
+    add: 24,
 }
 """What is done with a store, and how many requests that is."""
 
@@ -131,6 +146,7 @@ FAULTS_OF = {
     download: ("cut", "truncated"),
     index: ("cut", "truncated"),
     keep: ("lost", "truncated"),
+    add: ("lost",),
 }
 
 

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from common.files import remove_empty
 from common.location import Location, Url, location
+from common.progress import progress_bar
 from common.store_record import read_record
 from common.untrusted import read_bounded
 from dataset.picture_spec import ORIGINAL, PictureSpec
@@ -164,7 +165,8 @@ def _brought(name: str | None, runs: Location) -> Path | None:
     found = find_in_store(of_run if is_last else name, runs)
     if found is None:
         return None
-    copy = bring_run(found)
+    with progress_bar() as progress:
+        copy = bring_run(found, progress=progress)
     return copy / LAST if is_last else copy
 
 

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from common.location import Location, Url, is_in_store, location
+from common.progress import track
 from common.store_record import cached_from, read_record
 from model.errors import RunError
 from model.runs.run_arguments import suggest_runs
@@ -20,6 +21,8 @@ from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS
 from model.runs.training_progress import METRICS_FILE
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from common.object_store import StoredObject
     from common.stored_folder import StoredFolder
 
@@ -95,24 +98,25 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     return run
 
 
-def bring_run(run: RunInStore, wanted: Collection[str] | None = None) -> Path:
-    """A copy of a run in the user's cache, as the listing tells of it; with `wanted`, of these files only. Raises
-    StoreError."""
+def bring_run(run: RunInStore, wanted: Collection[str] | None = None, progress: Progress | None = None) -> Path:
+    """A copy of a run in the user's cache, as the listing tells of it; with `wanted`, of these files only.
+    `progress` gets a line while something is fetched. Raises StoreError."""
     with stored_run_folder(run.url) as folder:
-        folder.bring(objects=run.files.values(), wanted=wanted)
+        folder.bring(objects=run.files.values(), wanted=wanted, progress=progress)
         return folder.here.absolute()
 
 
 def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:
     """All runs in a folder, by name, and copies of those of their files that tell how each one is: what has not
-    changed since the last time is not fetched.
+    changed since the last time is not fetched. A bar counts the runs.
 
     The weights are fetched of a run whose results cannot be told to be theirs otherwise, because no toolkit has
     written its record there. Raises StoreError.
     """
     found = runs_in_store(runs)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        yield from zip(found, pool.map(bring_summary, found), strict=True)
+        brought = zip(found, pool.map(bring_summary, found), strict=True)
+        yield from track(brought, "fetching runs", len(found))
 
 
 def bring_summary(run: RunInStore) -> Path:

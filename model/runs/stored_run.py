@@ -10,6 +10,7 @@ from typing import Final
 from common import UserError
 from common.errors import UsageError
 from common.location import Location, Url
+from common.progress import progress_bar
 from common.store_record import read_record
 from model.errors import RunError
 from model.runs.run_files import CONFIG
@@ -44,8 +45,8 @@ def _bring_to(here: Path, found: RunInStore) -> None:
         raise RunError(
             f"{here}: is here already, and no copy of {found.url}; move it away, or give another --runs"
         )
-    with stored_run_folder(found.url, here) as folder:
-        folder.bring(keeps_ours=True, objects=found.files.values())
+    with stored_run_folder(found.url, here) as folder, progress_bar() as progress:
+        folder.bring(keeps_ours=True, objects=found.files.values(), progress=progress)
 
 
 def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
