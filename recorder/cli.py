@@ -12,6 +12,7 @@ import tyro
 
 from common.command import check_port, flags_given, run_command, usage_errors, warn_skipped
 from common.errors import UsageError, counted
+from common.files import refuse_existing
 from common.location import Url, local_path
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
@@ -19,6 +20,7 @@ from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
+from recorder.log_made_cli import brought_as_they_are
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
@@ -41,9 +43,9 @@ class Record:
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session: a plain name, without folders or ending."""
-    source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
+    source: Annotated[LocationFlag | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
     """What has been recorded: a folder of the Udacity simulator (driving_log.csv and IMG/), a DonkeyCar tub,
-    another program's log (.mcap), a ROS 2 bag, a LeRobot dataset, or pictures with a csv (--columns)."""
+    another program's log (.mcap, or its URL), a ROS 2 bag, a LeRobot dataset, pictures with a csv (--columns)."""
     watch: bool = False
     """Follow the folder given to --from while the simulator writes it, also if it is not there yet."""
     listen: bool = False
@@ -107,7 +109,11 @@ def record(config: Record) -> int:
 
 def _record_to(config: Record, log: Path) -> Imported:
     car = None if config.car is None else named_car(config.car)
+    source = config.source
     with contextlib.ExitStack() as stack:
+        if isinstance(source, Url):
+            refuse_existing(log, config.force)  # before gigabytes are brought
+            (source,) = stack.enter_context(brought_as_they_are([source]))
 
         def show(growing: Path) -> None:
             if config.viewer:
@@ -129,12 +135,12 @@ def _record_to(config: Record, log: Path) -> Imported:
             from recorder.sources.record_gymnasium import record_gymnasium
 
             return record_gymnasium(replace(_gym_recording(config), car=car), log, overwrite=config.force)
-        if config.source is not None and config.watch:
+        if source is not None and config.watch:
             from recorder.sources.udacity_follow import watch_udacity
 
-            refuse_to_watch(config.source)
+            refuse_to_watch(source)
             return watch_udacity(
-                config.source,
+                source,
                 log,
                 rate_hz=config.rate,
                 idle_s=config.idle,
@@ -142,9 +148,9 @@ def _record_to(config: Record, log: Path) -> Imported:
                 overwrite=config.force,
                 on_started=show,
             )
-        if config.source is not None:
+        if source is not None:
             return import_recording(
-                config.source,
+                source,
                 log,
                 config.topics,
                 columns=config.columns,
@@ -181,6 +187,11 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
     if config.source is not None and config.listen:
         raise UsageError("--from and --listen: give one of them")
+    if isinstance(config.source, Url) and (config.watch or config.source.suffix != ".mcap"):
+        raise UsageError(
+            f"--from {config.source}: of what is in a store, another program's log (.mcap) is expected, without"
+            " --watch; copy a folder here first"
+        )
     if config.watch and config.source is None:
         raise UsageError("--watch follows a folder: give it with --from FOLDER")
     if (config.source is not None or config.listen) and (

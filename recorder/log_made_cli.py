@@ -43,7 +43,7 @@ def make_logs(command: MakesLogs) -> int:
     if isinstance(to, Path):
         if to.suffix == ".mcap" and any(isinstance(place, Url) for place in originals):
             refuse_existing(to, command.force)  # before gigabytes are brought
-        with _brought(originals) as logs:
+        with brought_as_they_are(originals) as logs:
             return command.make(logs, to)
     if to.suffix == ".mcap":
         refuse_taken_name(to, command.force)
@@ -52,7 +52,7 @@ def make_logs(command: MakesLogs) -> int:
     folder = Path(tempfile.mkdtemp(prefix="bc-new-logs-"))
     stays = False
     try:
-        with _brought(originals) as logs, shown_as({f"{folder}/": ""}):
+        with brought_as_they_are(originals) as logs, shown_as({f"{folder}/": ""}):
             code = command.make(logs, folder / to.name if to.suffix == ".mcap" else folder)
         if made := sorted(folder.glob("*.mcap")):
             stays = True
@@ -74,7 +74,7 @@ def _copied(made: Sequence[Path], to: Url, overwrite: bool) -> int:
 
 
 @contextlib.contextmanager
-def _brought(places: Sequence[Location]) -> Iterator[list[Path]]:
+def brought_as_they_are(places: Sequence[Location]) -> Iterator[list[Path]]:
     """The same logs as files of this machine, told of by the names that they have in the store. Unfinished or
     damaged ones are brought as they are: who reads them says so."""
     if not any(isinstance(place, Url) for place in places):

@@ -544,6 +544,21 @@ def test_damage_is_told_by_the_name_in_the_store(
     assert list(temporary.iterdir()) == []
 
 
+def test_another_programs_log_is_imported_from_there(
+    bucket: Bucket, log: Path, temporary: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = ("new", "--sessions", tmp_path, "--from")
+    assert call(bc_record, *record, bucket.url("b.mcap")) == 1
+    assert "s3://logs/b.mcap: a log of this toolkit" in one_line_in(capsys)
+    topics = ("--image", "/camera/center", "--steering", "/vehicle.steering")
+    assert call(bc_record, *record, bucket.url("b.mcap"), *topics) == 0
+    with Log(tmp_path / "new.mcap") as made, Log(log) as there:
+        assert made.vehicle()["steering"].equals(there.vehicle()["steering"])
+        assert made.metadata["recording"] == "b.mcap"
+    assert list(temporary.iterdir()) == []
+    assert call(bc_record, *record, bucket.url("folder")) == 2
+
+
 def test_who_tags_at_the_same_moment_is_told_and_nobodys_tags_are_lost(
     bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
