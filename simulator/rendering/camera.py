@@ -38,6 +38,7 @@ MOUNT_LEFT_M: dict[Camera, float] = {"center": 0.0, "left": 0.9, "right": -0.9}
 
 HAZE_M = 420.0  # the distance at which 63 % of a colour is haze
 GRAIN_TEXEL_M, COBBLE_TEXEL_M, COARSE_TEXEL_M = 0.02, 0.0125, 0.16
+SKY_PER_M = 1e-4  # one over the distance: what is no nearer is sky
 SHARP_M = 9.0  # up to here the road texture's sharpest level is right
 
 
@@ -71,7 +72,9 @@ class Renderer:
         rotation = _rotation(pose)
         view = self._view(pose, rotation, MOUNT_LEFT_M[camera])
         inverse = self._inverse_distance(view)
-        picture = self._ground(view, inverse)
+        picture = np.zeros((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
+        first = int((inverse > SKY_PER_M).any(axis=1).argmax())  # above it there is nothing but sky
+        picture[first:] = self._ground(View(view.eye, view.side[first:], view.up[first:]), inverse[first:])
         self._sky(picture, view, inverse, pose.heading_rad)
         place = self._world.origin_m + CELL_M * np.array([view.eye.column, view.eye.row])
         self._props.draw(
@@ -165,7 +168,7 @@ class Renderer:
         return np.asarray(1.0 + gain * np.float32(1 / 256), dtype=np.float32)
 
     def _sky(self, picture: Picture, view: View, inverse: Field, heading_rad: float) -> None:
-        sky = inverse <= 1e-4
+        sky = inverse <= SKY_PER_M
         lowest = int(np.flatnonzero(sky.any(axis=1)).max(initial=-1)) + 1
         if lowest == 0:
             return
