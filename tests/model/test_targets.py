@@ -80,10 +80,11 @@ SETTINGS = IndexConfig(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`index` of a drive, and a run of all targets on it that was stopped once: `run`."""
+    """`index` of a drive; a run of all targets on it, `run`, and as it was after two epochs, `stopped`."""
     folder = tmp_path_factory.mktemp("targets")
     build_index([write_drive(folder / "drive.mcap")], folder / "index", SETTINGS)
     train(folder / "index", folder / "run", replace(QUICK, epochs=2), figures=False)
+    shutil.copytree(folder / "run", folder / "stopped")
     train(folder / "index", folder / "run", QUICK, resume=True, figures=False)
     return folder
 
@@ -185,8 +186,10 @@ def test_speed_is_learnt_and_stands_beside_the_mean(folder: Path) -> None:
 
 
 def test_a_run_of_targets_that_was_stopped_goes_on_to_the_same_weights(folder: Path) -> None:
-    train(folder / "index", folder / "at-once", QUICK, figures=False)
-    ours, theirs = (load_file(folder / name / "model.safetensors") for name in ("run", "at-once"))
+    longer = replace(QUICK, epochs=3)
+    train(folder / "index", folder / "stopped", longer, resume=True, figures=False)
+    train(folder / "index", folder / "at-once", longer, figures=False)
+    ours, theirs = (load_file(folder / name / "model.safetensors") for name in ("stopped", "at-once"))
     assert ours["head.5.weight"].shape == (3, 16)
     assert all((ours[name] == theirs[name]).all() for name in ours)
 
