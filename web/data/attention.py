@@ -34,8 +34,9 @@ class Attention:
         self._lock = threading.Lock()
         self._networks: dict[Path, tuple[str, PictureNetwork, PictureSpec]] = {}
 
-    def overlay(self, run: Path, log: Location, encoded: bytes) -> bytes:
-        """A PNG with the shape of the picture: coloured where the network looks, dark where it sees nothing.
+    def overlay(self, run: Path, place: Location, log: Location, encoded: bytes) -> bytes:
+        """A PNG with the shape of the picture: coloured where the network looks, dark where it sees nothing. `run`
+        is here; `place` is where it is kept.
 
         Raises RunError for a run that cannot be loaded, or a network of which it cannot be told; WebError for code
         of one's own, and for a picture that does not decode.
@@ -50,14 +51,14 @@ class Attention:
         except ValueError as error:
             raise WebError(f"{log}: no picture here that decodes ({error})", 422) from None
         with self._lock:
-            network, seen = self._network(run, log)
+            network, seen = self._network(run, log, place)
             try:
                 _, maps = predict_with_attention(network, as_input(preprocess(picture, seen)[None]))
             except RunError as error:
                 raise RunError(f"{run}: {error}") from None
         return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], seen)
 
-    def _network(self, run: Path, log: Location) -> tuple[PictureNetwork, PictureSpec]:
+    def _network(self, run: Path, log: Location, place: Location) -> tuple[PictureNetwork, PictureSpec]:
         import torch
 
         from model.runs.run_folder import load_network, picture_of_run
@@ -67,7 +68,7 @@ class Attention:
         version = version_of(run / WEIGHTS, run / RUN_CONFIG)
         known = self._networks.pop(run, None)
         if known is None or known[0] != version:
-            check_network(run, log)
+            check_network(run, log, place)
             known = version, load_network(run), picture_of_run(run)
         self._networks[run] = known
         while len(self._networks) > _KEPT:

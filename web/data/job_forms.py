@@ -58,6 +58,7 @@ class JobForm:
     fields: tuple[Field, ...]
     folders: tuple[tuple[str, str], ...]  # flags, and the folder of the project that each names
     made: Callable[[Mapping[str, str]], str]
+    of_named: tuple[tuple[str, str], ...] = ()  # the same, where sessions are named
     to_store: str = ""  # the flag that names the folder of its sessions instead, if that is in a store
     fills_project: bool = False  # where none of the project's folders is there yet: `--folder` is theirs
 
@@ -75,7 +76,8 @@ class JobForm:
             words += field.words(value)
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
-        for flag, name in self.folders:
+        named = any(field.known == "sessions" and values.get(field.name, "").strip() for field in self.fields)
+        for flag, name in (*self.folders, *(self.of_named if named else ())):
             folder: Location = getattr(folders, name)
             if folder != getattr(ProjectFolders(), name):
                 is_there = self.to_store and isinstance(folder, Url)
@@ -205,6 +207,7 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         (("--runs", "runs"),),
         _run,
+        of_named=(("--sessions", "sessions"),),
     ),
     JobForm(
         "drive",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from common import UserError
 from common.errors import printable
+from common.location import Location
 from common.locks import is_being_written
 from web.data.background import Background
 from web.data.project_folders import RUN_CONFIG, ProjectFolders, key_of
@@ -81,7 +82,7 @@ class RunCards:
         found = self._folders.run_folders().values()
         versions = [(path, self._folders.version_of_run(path, _SUMMED_UP)) for path in found]
         summaries = self._summaries.results(versions, patience_s)
-        return [_card(path, summaries.get(path)) for path in found]
+        return [_card(path, summaries.get(path), self._folders.run_place(path)) for path in found]
 
     def history(self, path: Path) -> History:
         """The course of a training by now; of one that has not begun, none. Raises RunError where it cannot be
@@ -102,12 +103,13 @@ class RunCards:
         return known[1]
 
 
-def _card(path: Path, found: RunSummary | UserError | None) -> RunCard:
+def _card(path: Path, found: RunSummary | UserError | None, place: Location) -> RunCard:
     problem = ""
     if isinstance(found, UserError):
         problem, found = str(found), None
     elif found is not None and found.problem:
         problem, found = found.problem, None
+    problem = problem.replace(str(path), str(place))  # what is here is a copy of it
     return RunCard(key_of(path), path, found, printable(problem), _is_training(path))
 
 

@@ -15,16 +15,16 @@ NETWORK_FILES: Final = WEIGHTS, RUN_CONFIG
 """What a run's network is loaded from."""
 
 
-def check_network(run: Path, log: Location) -> None:
-    """Raises WebError for a run whose network is code of one's own, with the command that shows it over a log;
-    RunError for a run of a later version, or one that cannot be read."""
+def check_network(run: Path, log: Location, place: Location) -> None:
+    """Raises WebError for a run whose network is code of one's own, with the command that shows it over a log, by
+    the run's place, of which `run` may be a copy; RunError for a run of a later version, or an unreadable one."""
     from model.runs.network_of_run import is_own_network, network_flag, stored_network
     from model.runs.run_folder import load_config
 
     config = load_config(run)
     if is_own_network(config):
-        words = shlex.join(["bc-play", str(log), "--run", str(run)])
+        words = shlex.join(["bc-play", str(log), "--run", str(place)])
         command = f"{words} {network_flag(stored_network(config, run), run)}"
         raise WebError(
-            f"{run}: its network is code of your own, which runs only if you name it: `{command}` does", 409
+            f"{place}: its network is code of your own, which runs only if you name it: `{command}` does", 409
         )

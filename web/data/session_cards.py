@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import threading
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -26,10 +25,11 @@ from dataset.parquet_file import read_metadata
 from recorder import Log
 from recorder.log.log_info import LogInfo, describe
 from recorder.log.row_quality import ROW_FLAGS
-from recorder.log.tags import Tag, tags_by_content, tags_path
+from recorder.log.tags import Tag
 from web.data.background import Background
 from web.data.cache_folder import CacheFolder
 from web.data.file_versions import version_of
+from web.data.log_tags import LogTags, TagsBeside
 from web.data.project_folders import PLACES, Place, ProjectFolders, key_of
 
 TagRows = tuple[str, int, int]
@@ -48,15 +48,6 @@ class Share(msgspec.Struct, frozen=True):
 
     frames: dict[str, int]  # by split
     tags: list[TagRows] | None  # that its rows had; None where the file does not tell
-
-
-@dataclass(frozen=True)
-class TagsBeside:
-    """What the file of tags beside a log holds."""
-
-    version: str  # of the file
-    tags: list[Tag]  # of this content of the log, by their rows
-    stale: int  # those of what had its name before
 
 
 @dataclass(frozen=True)
@@ -120,10 +111,9 @@ class SessionCards:
     def __init__(self, folders: ProjectFolders, cache: CacheFolder, pools: Mapping[Place, Executor]) -> None:
         self._folders = folders
         self._cache = cache
-        self._lock = threading.Lock()
         self._glances = {place: Background[Location, Glance](pools[place], self._glance) for place in PLACES}
         self._shares = {place: Background[Path, Share](pools[place], self._share) for place in PLACES}
-        self._tags: dict[Location, tuple[tuple[str, str], TagsBeside | UserError]] = {}
+        self._tags = LogTags(folders, cache)
 
     @property
     def done(self) -> int:
@@ -152,34 +142,8 @@ class SessionCards:
         return self._glance(path, self._folders.version_of_log(path)).info
 
     def tags(self, path: Location, fingerprint: str) -> TagsBeside:
-        """Those beside the log, from memory while their file is unchanged. Raises LogError for a broken file."""
-        key = self._folders.version_of(tags_path(path)), fingerprint
-        with self._lock:
-            known = self._tags.get(path)
-        if known is None or known[0] != key:
-            found: TagsBeside | UserError
-            try:
-                by_content = self._tags_by_content(path, key[0])
-                tags = sorted(by_content.pop(fingerprint, ()))
-                found = TagsBeside(key[0], tags, sum(map(len, by_content.values())))
-            except StoreError:
-                raise  # the next one may get an answer
-            except UserError as error:
-                found = error
-            with self._lock:
-                self._tags[path] = known = key, found
-        if isinstance(known[1], UserError):
-            raise known[1]
-        return known[1]
-
-    def _tags_by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
-        if isinstance(path, Path):
-            return tags_by_content(path)
-        if not self._folders.has_tags(path):
-            return {}
-        self._folders.refuse_unanswered(path)
-        key = f"tags 1 {path} {version}"
-        return self._cache.struct(key, dict[str, set[Tag]], lambda: tags_by_content(path))
+        """Those beside the log. Raises LogError for a broken file, StoreError."""
+        return self._tags.of(path, fingerprint)
 
     def _card(
         self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex

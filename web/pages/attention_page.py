@@ -25,6 +25,7 @@ def attention_routes(bench: Workbench, place: Place) -> list[Route]:
             except LogError as error:
                 raise WebError(str(error), 404) from None
         bench.folders.bring_run(run, NETWORK_FILES)
-        return Response(bench.attention.overlay(run, path, encoded), media_type="image/png")
+        data = bench.attention.overlay(run, bench.folders.run_place(run), path, encoded)
+        return Response(data, media_type="image/png")
 
     return [Route(f"/{place}/{{log}}/attention/{{run}}/{{row:int}}", overlay)]

@@ -79,7 +79,7 @@ def _told(
     if not pictures:
         return {**told, "problem": "no picture of the centre camera in this log: a network has nothing to see"}
     if is_start:
-        check_network(run, path)
+        check_network(run, path, bench.folders.run_place(run))
         bench.predictions.start(key, path, fingerprint, run, pictures)
     predicting = bench.predictions.predicting(key)
     if predicting is None:
