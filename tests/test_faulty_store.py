@@ -142,7 +142,7 @@ REQUESTS: dict[Callable[[Store], None], int] = {
 
 FAULTS_OF = {
     upload: ("hung up", "lost", "cut"),
-    upload_in_parts: ("hung up", "lost", "truncated"),
+    upload_in_parts: ("lost", "truncated"),
     download: ("cut", "truncated"),
     index: ("cut", "truncated"),
     keep: ("lost", "truncated"),

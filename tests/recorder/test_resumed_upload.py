@@ -15,7 +15,8 @@ from typing import Final
 import pytest
 
 from bucket import Bucket, in_parts_of, serving_bucket, unfinished_parts
-from common.errors import ObjectExistsError
+from common.errors import ObjectExistsError, StoreError
+from common.store_connection import forget_stores
 from driving import one_line_in
 from faulty_proxy import Answer, Passing
 from logs import write_log
@@ -28,10 +29,23 @@ PARTS: Final = 6
 URL: Final = "s3://logs/a.mcap"
 
 
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bucket]:
+    folder = tmp_path_factory.mktemp("server")
+    with pytest.MonkeyPatch.context() as patch, serving_bucket(folder, patch) as bucket:
+        yield bucket
+
+
 @pytest.fixture
-def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
-    with serving_bucket(tmp_path / "server", monkeypatch) as served:
-        yield served
+def bucket(served: Bucket) -> Iterator[Bucket]:
+    """An empty one."""
+    for entry in served.folder.parent.iterdir():
+        shutil.rmtree(entry)
+    served.folder.mkdir()
+    served.delay_s = 0
+    served.pass_all()
+    yield served
+    forget_stores()  # what a test has set
 
 
 @pytest.fixture
@@ -66,25 +80,19 @@ def expired(passing: Passing) -> bool:
 
 def stop_at_part(bucket: Bucket, log: Path, first: int) -> None:
     bucket.answer = from_part(first, expired)
-    assert call(main, "copy", log, URL) == 1
+    with pytest.raises(StoreError, match="ExpiredToken"):
+        copy_log(log, bucket.url("a.mcap"))
     bucket.pass_all()
 
 
 @pytest.mark.parametrize("tells_checksums", [True, False])
 def test_a_copy_that_was_stopped_goes_on_with_the_parts_that_are_there(
-    bucket: Bucket,
-    log: Path,
-    tells_checksums: bool,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    bucket: Bucket, log: Path, tells_checksums: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Handler, "tells_checksums", tells_checksums)
     stop_at_part(bucket, log, 5)
-    told = capsys.readouterr().err
-    assert "ExpiredToken" in told
-    assert f"`bc-log copy {log} {URL}` goes on with them" in " ".join(told.split())
     assert list(bucket.folder.iterdir()) == []
-    assert call(main, "copy", log, URL) == 0
+    copy_log(log, bucket.url("a.mcap"))
     assert sent_parts(bucket) == 2
     assert {path.name: path.read_bytes() for path in bucket.folder.iterdir()} == {"a.mcap": log.read_bytes()}
     assert unfinished_parts(bucket) == []
@@ -99,9 +107,9 @@ def test_ctrl_c_leaves_what_has_come_and_says_so(
 
     bucket.answer = from_part(PARTS, interrupt)
     assert call(main, "copy", log, URL) == 130
-    assert "goes on with them" in " ".join(capsys.readouterr().err.split())
+    assert f"`bc-log copy {log} {URL}` goes on with them" in " ".join(capsys.readouterr().err.split())
     bucket.pass_all()
-    assert call(main, "copy", log, URL) == 0
+    copy_log(log, bucket.url("a.mcap"))
     assert sent_parts(bucket) < PARTS
     assert (bucket.folder / "a.mcap").read_bytes() == log.read_bytes()
 
@@ -111,7 +119,7 @@ def test_another_logs_parts_are_not_taken_and_can_be_removed(
 ) -> None:
     stop_at_part(bucket, log, 5)
     other = write_log(tmp_path / "other/a.mcap", [0.2] * 60)
-    assert call(main, "copy", other, URL) == 0
+    copy_log(other, bucket.url("a.mcap"))
     assert sent_parts(bucket) >= PARTS
     assert (bucket.folder / "a.mcap").read_bytes() == other.read_bytes()
     assert len(unfinished_parts(bucket)) == 4
@@ -127,7 +135,7 @@ def test_an_upload_of_which_a_later_part_is_another_logs_is_not_gone_on_with(buc
     stop_at_part(bucket, log, 5)
     last = unfinished_parts(bucket)[-1]
     last.write_bytes(bytes(last.stat().st_size))
-    assert call(main, "copy", log, URL) == 0
+    copy_log(log, bucket.url("a.mcap"))
     assert sent_parts(bucket) == PARTS
     assert (bucket.folder / "a.mcap").read_bytes() == log.read_bytes()
 
@@ -161,20 +169,18 @@ def test_a_part_that_has_come_once_more_meanwhile_is_no_harm(bucket: Bucket, log
     assert (bucket.folder / "a.mcap").read_bytes() == log.read_bytes()
 
 
-def test_who_takes_the_name_meanwhile_wins_unless_it_may_be_replaced(
-    bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_who_takes_the_name_meanwhile_wins_unless_it_may_be_replaced(bucket: Bucket, log: Path) -> None:
     def somebody(passing: Passing) -> bool:
         if passing.command == "POST" and "uploadId" in passing.path:
             (bucket.folder / "a.mcap").write_bytes(b"somebody else's")
         return False
 
     bucket.answer = somebody
-    assert call(main, "copy", log, URL) == 1
-    assert "exists already" in one_line_in(capsys)
+    with pytest.raises(ObjectExistsError):
+        copy_log(log, bucket.url("a.mcap"))
     assert (bucket.folder / "a.mcap").read_bytes() == b"somebody else's"
     assert unfinished_parts(bucket) == []
-    assert call(main, "copy", log, URL, "--force") == 0
+    copy_log(log, bucket.url("a.mcap"), overwrite=True)
     assert (bucket.folder / "a.mcap").read_bytes() == log.read_bytes()
 
 
@@ -190,7 +196,7 @@ def test_where_uploads_cannot_be_listed_logs_are_copied_all_the_same(
     assert "ExpiredToken" in one_line_in(capsys)  # and nothing of what stays
     assert unfinished_parts(bucket) == []
     bucket.answer = unlisted
-    assert call(main, "copy", log, URL) == 0
+    copy_log(log, bucket.url("a.mcap"))
 
 
 def test_parts_are_sent_in_the_name_and_to_the_place_that_others_are(
@@ -213,6 +219,7 @@ def test_parts_are_sent_in_the_name_and_to_the_place_that_others_are(
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "config"))
     monkeypatch.setenv("AWS_PROFILE", "lab")
     monkeypatch.setenv("AWS_SERVER_SIDE_ENCRYPTION", "aws:kms")
+    forget_stores()
     copy_log(log, bucket.url("a.mcap"))
     names = [headers["Authorization"] for _, headers in seen]
     assert all("Credential=LABKEY/" in name and "/eu-west-3/" in name for name in names)
@@ -221,6 +228,7 @@ def test_parts_are_sent_in_the_name_and_to_the_place_that_others_are(
     assert begun["x-amz-server-side-encryption"] == "aws:kms"
     seen.clear()
     monkeypatch.setenv("AWS_SKIP_SIGNATURE", "true")
+    forget_stores()
     copy_log(log, bucket.url("b.mcap"))
     assert {headers["Authorization"] for path, headers in seen if "uploadId" in path} == {None}
 
