@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import math
@@ -9,6 +10,7 @@ import os
 import shutil
 import signal
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,12 +24,13 @@ from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.evaluation.aggregation import Aggregation, AggregationFolders
 from drive.evaluation.simulator_process import BuiltInSimulator
-from driving import Process, command, one_line_in, road_jpeg, run
+from driving import Process, call_drive, command, one_line_in, road_jpeg
 from logs import write_log
 from model import TrainConfig, train
 from model.cli import main
 from model.runs.checkpoint import read_position
 from model.runs.training_progress import METRICS_FILE
+from places import as_bucket
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.topics import DRIVE_METADATA
@@ -50,10 +53,15 @@ class Aggregated:
 @pytest.fixture(scope="module")
 def aggregated(tmp_path_factory: pytest.TempPathFactory) -> Aggregated:
     """A network that has learnt next to nothing, and drives another track; by now, one of its two sessions is
-    damaged."""
+    damaged. What it makes is kept in a store, too."""
     folder = tmp_path_factory.mktemp("aggregated")
     train_on_what_is_damaged(folder, "first")
-    return aggregate(folder, "first", 1)
+    store = folder / "store"
+    store.mkdir()
+    with as_bucket(store) as variables:
+        return aggregate(
+            folder, "first", 1, "--runs", "s3://store/runs", "--drives", "s3://store/drives", **variables
+        )
 
 
 def a_session(path: Path, first: int, rows: int) -> Path:
@@ -82,10 +90,22 @@ def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
         hurt.write(bytes([byte ^ 1]))
 
 
-def aggregate(folder: Path, run_name: str, rounds: int) -> Aggregated:
-    drive = ("bc-drive", run_name, "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
-    done = run(*drive, "--aggregate", rounds, "--epochs", 1, cwd=folder)
-    return Aggregated(folder, done.returncode, done.stdout.splitlines(), done.stderr.splitlines())
+def aggregate(folder: Path, run_name: str, rounds: int, *flags: str, **variables: str) -> Aggregated:
+    drive = (f"runs/{run_name}", *flags, "--simulator", TRACK, "--laps", LAPS, "--speed", SPEED)
+    out, said = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(said):
+        patch.chdir(folder)
+        for name, value in {"COLUMNS": "400", **variables}.items():
+            patch.setenv(name, value)
+        code = call_drive(*drive, "--aggregate", rounds, "--epochs", 1)
+    return Aggregated(folder, code, out.getvalue().splitlines(), said.getvalue().splitlines())
+
+
+def test_what_every_round_has_made_is_copied_to_the_store(aggregated: Aggregated) -> None:
+    store = aggregated.folder / "store"
+    logs = [store / f"drives/first-random-3-{number}.mcap" for number in (0, 1)]
+    for copy in (*logs, store / "runs/first-random-3-1/model.safetensors"):
+        assert copy.read_bytes() == (aggregated.folder / copy.relative_to(store)).read_bytes()
 
 
 def commands(log: Path) -> list[PilotCommand]:
