@@ -57,11 +57,17 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(folder: Path, host: str = "127.0.0.1", token: str = "", at: Location | None = None) -> Iterator[Served]:
-    """The workbench over the folders of a project, which is `at` another place if one is given; its cache is in
-    `folder`, too. It listens on loopback, whatever it believes its `host` to be."""
+def served(
+    folder: Path,
+    host: str = "127.0.0.1",
+    token: str = "",
+    at: Location | None = None,
+    drives: Location | None = None,
+) -> Iterator[Served]:
+    """The workbench over the folders of a project, which is `at` another place if one is given, as may be its
+    `drives` alone; its cache is in `folder`. It listens on loopback, whatever it believes its `host` to be."""
     within = at or folder
-    folders = ProjectFolders(within / "sessions", within / "index", within / "runs", within / "drives")
+    folders = ProjectFolders(within / "sessions", within / "index", within / "runs", drives or within / "drives")
     with workbench_app(folders, host, token, folder / "cache") as app:
         server = WorkbenchServer(app, "127.0.0.1", 0)
         server.start()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from logs import write_log
 from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
 from pages import open_session, opened_page
+from places import url_within
 from recorder import LogWriter
 from toy import STEERING, road
 from waiting import wait_until
@@ -32,15 +34,23 @@ ROWS = len(STEERING)
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+def bench(tmp_path_factory: pytest.TempPathFactory, bucket_of_tests: dict[str, str]) -> Iterator[Served]:
+    """Sessions and runs on the disk, the log of a drive in a bucket."""
     folder = tmp_path_factory.mktemp("predictions")
     (folder / "sessions").mkdir()
+    write_log(folder / "drives" / "toy.mcap", STEERING, road, cameras=["center"])
     write_log(folder / "sessions" / "toy.mcap", STEERING, road, cameras=["center"])
     write_log(folder / "sessions" / "blind.mcap", STEERING[:5], cameras=[])
     constant_run(folder / "runs" / "constant")
     constant_run(folder / "runs" / "another", 0.5)
-    with served(folder) as found:
-        yield found
+    drives = url_within(tmp_path_factory.getbasetemp())(folder / "drives")
+    with pytest.MonkeyPatch.context() as patched:
+        (folder / "temporary").mkdir()
+        patched.setattr(tempfile, "tempdir", str(folder / "temporary"))
+        for name, value in {**bucket_of_tests, "BC_CACHE": str(folder / "chunks")}.items():
+            patched.setenv(name, value)
+        with served(folder, drives=drives) as found:
+            yield found
 
 
 def constant_run(folder: Path, first_layers: float = 0) -> None:
@@ -65,7 +75,7 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(browser: Brow
     worst = int(np.argmax(np.abs(errors_deg)))
     rmse_deg = math.sqrt(np.mean(errors_deg**2))
     mean_rmse_deg = 25 * np.std(STEERING)
-    with opened_page(browser, f"{bench.address}/sessions/toy") as page:
+    with opened_page(browser, f"{bench.address}/drives/toy") as page:  # as any log, and this one is in a bucket
         open_session(page)
         page.select_option("#run", "constant")
         page.wait_for_selector("#session[data-run=constant]")
@@ -83,7 +93,7 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(browser: Brow
         page.keyboard.press("a")
         page.wait_for_selector(".attention", state="detached")
         # kept: a page that names the run has it at once, and the project's own folders have nothing new
-        page.goto(f"{bench.address}/sessions/toy#run=constant")
+        page.goto(f"{bench.address}/drives/toy#run=constant")
         page.reload()
         page.wait_for_selector("#session[data-run=constant]")
         page.select_option("#run", "another")
@@ -92,7 +102,8 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(browser: Brow
         assert page.input_value("#run") == ""
         assert page.locator("#predict-stop").is_hidden()
     wait_until(lambda: predicting() == [])
-    assert sorted(path.name for path in (bench.folder / "sessions").iterdir()) == ["blind.mcap", "toy.mcap"]
+    assert [path.name for path in (bench.folder / "drives").iterdir()] == ["toy.mcap"]
+    wait_until(lambda: not list((bench.folder / "temporary").iterdir()))  # also of the one that was killed
     assert len(list((bench.folder / "cache").rglob("predictions/*.npz"))) == 1
 
 
