@@ -80,6 +80,15 @@ def test_the_sky_is_above_and_the_bonnet_below(flat: Track, flat_world: WorldMap
     assert not np.array_equal(here[120:125], there[120:125])
 
 
+def test_every_pixel_is_sky_or_ground_or_stands_on_it(mountain_world: WorldMaps) -> None:
+    """Nothing there is black: what nobody had drawn would be. Once the nose is so high that all is sky."""
+    renderer, track = Renderer(mountain_world), load_track("mountain")
+    for arc_m in (0.0, 150.0, 300.0):
+        pose = on_road(track, mountain_world, arc_m)
+        for pitch_rad in (pose.pitch_rad, 0.3, 1.2):
+            assert renderer.render(replace(pose, pitch_rad=pitch_rad))[:110].any(axis=2).all()
+
+
 @pytest.mark.parametrize(("camera", "mount_left_m"), [("center", 0.0), ("left", 0.9), ("right", -0.9)])
 @pytest.mark.parametrize("ahead_m", [5.0, 8.0, 14.0])
 @pytest.mark.parametrize("line_left_m", [3.5, -3.5])
