@@ -20,14 +20,14 @@ from recorder.log.edit import merge, rewrite, split, trim, trim_times
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.recover import recover, recovered_name
-from recorder.log_made_cli import make_logs
+from recorder.log_made_cli import MakesLogs, MakesLogsOfOne
 from recorder.log_report import print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
 from recorder.log_tag_cli import LogPlace
 
 
 @dataclass(frozen=True)
-class Recover:
+class Recover(MakesLogsOfOne):
     """Make a finished log out of one that is not (its recording was killed), or out of a damaged one. The original
     stays. Everything is kept whose CRC holds; what is lost is named, with exit code 3. A log that is
     whole is not copied, unless --to asks for it."""
@@ -39,17 +39,10 @@ class Recover:
     force: bool = False
     """Replace a file of the new log's name."""
 
-    def run(self) -> int:
-        return make_logs(self)
-
-    def originals(self) -> Sequence[Location]:
-        return (self.log,)
-
     def target(self) -> Location:
         return recovered_name(self.log) if self.to is None else _named(self.to)
 
-    def make(self, logs: Sequence[Path], to: Path) -> int:
-        (path,) = logs
+    def make_of(self, path: Path, to: Path) -> int:
         if final_path(path) == path and is_whole(path):
             print_result(f"{path}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
             if self.to is None:
@@ -64,7 +57,7 @@ class Recover:
 
 
 @dataclass(frozen=True)
-class Trim:
+class Trim(MakesLogsOfOne):
     """Write a part of a log to a new one. Rows keep their numbers."""
 
     log: LogPlace
@@ -80,17 +73,10 @@ class Trim:
     force: bool = False
     """Replace a file of the new log's name."""
 
-    def run(self) -> int:
-        return make_logs(self)
-
-    def originals(self) -> Sequence[Location]:
-        return (self.log,)
-
     def target(self) -> Location:
         return _named(self.to)
 
-    def make(self, logs: Sequence[Path], to: Path) -> int:
-        (path,) = logs
+    def make_of(self, path: Path, to: Path) -> int:
         code = noted(path)
         if self.rows is not None:
             rows = rows_of_flags(path, self.start, self.end, self.rows)
@@ -100,7 +86,7 @@ class Trim:
 
 
 @dataclass(frozen=True)
-class Merge:
+class Merge(MakesLogs):
     """Write several logs into one new log, in the order given; its rows are numbered anew."""
 
     logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
@@ -109,9 +95,6 @@ class Merge:
     """The new log."""
     force: bool = False
     """Replace a file of the new log's name."""
-
-    def run(self) -> int:
-        return make_logs(self)
 
     def originals(self) -> Sequence[Location]:
         return some_logs(self.logs, 2)
@@ -125,7 +108,7 @@ class Merge:
 
 
 @dataclass(frozen=True)
-class Rewrite:
+class Rewrite(MakesLogsOfOne):
     """Write a log of an earlier version as this one writes logs: pictures in chunks of their own, so that whoever
     wants numbers reads none of them. Pictures, rows, times and tags stay as they are, and runs know it again."""
 
@@ -136,24 +119,17 @@ class Rewrite:
     force: bool = False
     """Replace a file of the new log's name."""
 
-    def run(self) -> int:
-        return make_logs(self)
-
-    def originals(self) -> Sequence[Location]:
-        return (self.log,)
-
     def target(self) -> Location:
         return _named(self.to)
 
-    def make(self, logs: Sequence[Path], to: Path) -> int:
-        (path,) = logs
+    def make_of(self, path: Path, to: Path) -> int:
         code = print_written(rewrite(path, to, overwrite=self.force))
         print_message(f"{path} is as it was; once {to} is checked it can take its place")
         return code
 
 
 @dataclass(frozen=True)
-class Split:
+class Split(MakesLogsOfOne):
     """Write each drive of a log to a new log of its own: NAME-1.mcap, NAME-2.mcap and so on. A new drive begins
     after a gap of more than a second, or where time goes back."""
 
@@ -164,17 +140,10 @@ class Split:
     force: bool = False
     """Replace files of the new logs' names."""
 
-    def run(self) -> int:
-        return make_logs(self)
-
-    def originals(self) -> Sequence[Location]:
-        return (self.log,)
-
     def target(self) -> Location:
         return self.log.parent if self.to is None else self.to
 
-    def make(self, logs: Sequence[Path], to: Path) -> int:
-        (path,) = logs
+    def make_of(self, path: Path, to: Path) -> int:
         code = noted(path)
         parts = split(path, to, overwrite=self.force)
         return max(code, *map(print_written, parts))

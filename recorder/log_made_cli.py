@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import shutil
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from common.command import FAILED
 from common.errors import UsageError
@@ -20,20 +20,42 @@ from recorder.errors import LogError
 from recorder.log_copy_cli import copy_logs, refuse_taken_name, size_of
 
 
-class MakesLogs(Protocol):
+class MakesLogs(ABC):
     """A command that writes new logs, and leaves those alone that they are made of."""
 
-    @property
-    def force(self) -> bool: ...
+    force: bool
 
+    def run(self) -> int:
+        return make_logs(self)
+
+    @abstractmethod
     def originals(self) -> Sequence[Location]:
         """The logs that are read."""
 
+    @abstractmethod
     def target(self) -> Location:
         """The new log, or the folder of new logs. Raises UserError."""
 
+    @abstractmethod
     def make(self, logs: Sequence[Path], to: Path) -> int:
         """Write the new logs; the exit code."""
+
+
+class MakesLogsOfOne(MakesLogs):
+    """One that reads a single log."""
+
+    log: Location
+
+    def originals(self) -> Sequence[Location]:
+        return (self.log,)
+
+    def make(self, logs: Sequence[Path], to: Path) -> int:
+        (path,) = logs
+        return self.make_of(path, to)
+
+    @abstractmethod
+    def make_of(self, path: Path, to: Path) -> int:
+        """`make`, of that log."""
 
 
 def make_logs(command: MakesLogs) -> int:
