@@ -18,6 +18,7 @@ import recorder.log_cli
 from common.car import Camera
 from driving import road_jpeg
 from logs import START_NS, write_log
+from recorder import LogWriter
 from udacity import call
 from waiting import wait_until
 from workbench import Served, served
@@ -175,3 +176,17 @@ def decoded(data: bytes) -> np.ndarray:
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     return picture
+
+
+def test_a_recording_is_one_from_its_first_moment(tmp_path: Path) -> None:
+    """Before its first second is on the disk it is no log yet, but not damaged."""
+    with LogWriter(tmp_path / "sessions" / "new.mcap", {}):
+        (part,) = (tmp_path / "sessions").iterdir()
+        write_log(tmp_path / "sessions" / "read_after_it.mcap", [0.1] * 3)
+        with served(tmp_path) as bench:
+            wait_until(lambda: "3 rows" in rows(bench)["read_after_it"])
+            said = rows(bench)[part.name]
+            assert "recording" in said
+            assert "damaged" not in said
+            assert "not an MCAP log" not in said
+            assert part.stat().st_size == 0

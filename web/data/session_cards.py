@@ -149,10 +149,13 @@ class SessionCards:
         self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
     ) -> SessionCard:
         problem, tags_problem, counts = "", "", Counter[str]()
+        is_recording = path.name.endswith(PART_SUFFIX) and is_being_written(path)
         if isinstance(glance, StoreError):
             tags_problem, glance = printable(str(glance)), None  # it is not known to be damaged
         elif isinstance(glance, UserError):
-            problem, glance = printable(str(glance)), None
+            # of what is being recorded, nothing may have reached the disk yet
+            problem = "" if is_recording and _is_empty(path) else printable(str(glance))
+            glance = None
         if glance is not None:
             try:
                 counts = rows_by_name(self.tags(path, glance.fingerprint).tags)
@@ -167,7 +170,7 @@ class SessionCards:
             tags=dict(counts),
             tags_problem=tags_problem,
             index=index,
-            is_recording=path.name.endswith(PART_SUFFIX) and is_being_written(path),
+            is_recording=is_recording,
         )
 
     def _glance(self, path: Location, version: str) -> Glance:
@@ -222,6 +225,13 @@ def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
         counts[tag.name] += max(0, tag.last_row - first + 1)
         reached[tag.name] = max(tag.last_row, reached.get(tag.name, -1))
     return counts
+
+
+def _is_empty(path: Location) -> bool:
+    try:
+        return isinstance(path, Path) and path.stat().st_size == 0
+    except OSError:  # it was finished at this moment
+        return False
 
 
 def _read_glance(path: Location) -> Glance:
