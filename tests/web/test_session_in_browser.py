@@ -176,6 +176,8 @@ def test_the_pictures_follow_the_mouse_and_the_keys(browser: Browser, bench: Ser
         wait_until(lambda: now(page) > 30)
         page.keyboard.press(" ")
         assert page.get_attribute("#play", "aria-pressed") == "false"
+        page.evaluate("location.hash = 'row=450'")  # a link to another row of the page that is open
+        assert_shown(page, 450)
 
 
 def now(page: Page) -> int:

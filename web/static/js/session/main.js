@@ -340,20 +340,27 @@ listen({
   "?": toggleHelp,
 });
 
-try {
-  await data.load();
+/** The address names a row, a run: when the page is opened, and when a link leads to another row of the same page. */
+function followAddress() {
   const named = new URLSearchParams(location.hash.slice(1));
   const asked = named.get("row");
   if (asked !== null && data.length) {
     const at = data.position(Number(asked), false);
+    player.pause();
+    curves.reveal({ first: at, last: at }); // before the move: the mouse, if it is over the curves, points as well
     move(at);
-    curves.reveal({ first: curves.position, last: curves.position });
   }
-  data.follow();
   if (named.get("run")) {
     by("run").value = named.get("run");
     predictions.choose(by("run").value);
   }
+}
+
+try {
+  await data.load();
+  addEventListener("hashchange", followAddress);
+  data.follow();
+  followAddress();
 } catch (error) {
   data.tell(error.message);
 }
