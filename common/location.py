@@ -80,13 +80,15 @@ def location(text: str | Location) -> Location:
         return text
     found = _URL.fullmatch(text)
     if found is None:
+        if _COLLAPSED.match(text):
+            raise UsageError(f"{text}: no path; a URL is spelt {_with_all_slashes(text)}")
         return Path(text)
     scheme, rest = found[1].lower(), found[2]
     if scheme == "file":
         return Path(unquote(urlsplit(text).path))
     if scheme not in SCHEMES:
         kinds = ", ".join(f"{each}://" for each in SCHEMES)
-        raise UsageError(f"{text}: no place for logs; give a path, or a URL that begins with {kinds} or file://")
+        raise UsageError(f"{text}: neither a path nor the URL of a store, which begins with {kinds} or file://")
     bucket, _, key = rest.partition("/")
     if not bucket:
         raise UsageError(f"{text}: no bucket in it; {scheme}://BUCKET/NAME is expected")
@@ -114,7 +116,11 @@ def local_path(place: Location) -> Path:
 def refuse_collapsed(path: Path) -> None:
     """Raise UsageError for a path that was made of a URL: what it is asked for has to lie on this machine."""
     if _COLLAPSED.match(text := os.fspath(path)):
-        refuse_urls([text.replace(":/", ":///" if text.startswith("file:") else "://", 1)])
+        refuse_urls([_with_all_slashes(text)])
+
+
+def _with_all_slashes(text: str) -> str:
+    return text.replace(":/", ":///" if text.startswith("file:") else "://", 1)
 
 
 def refuse_urls(words: Sequence[str]) -> None:

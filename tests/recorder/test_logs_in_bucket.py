@@ -18,7 +18,7 @@ import localbucket
 import pytest
 
 from bucket import Answer, Bucket, serving_bucket
-from common.errors import ObjectChangedError, ObjectExistsError, StoreError
+from common.errors import ObjectChangedError, ObjectExistsError, StoreError, UsageError
 from common.location import Url, location, relative_to
 from driving import one_line_in
 from faulty_proxy import Passing
@@ -75,6 +75,14 @@ def test_a_place_is_a_path_or_a_url() -> None:
     assert url == Url("s3", "bucket", "sessions/a.mcap")
     assert (str(url), url.name, url.stem, url.suffix) == ("s3://bucket/sessions/a.mcap", "a.mcap", "a", ".mcap")
     assert str(url.parent / "b.mcap") == "s3://bucket/sessions/b.mcap"
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"), [("s3:/x/a.mcap", "s3://x/a.mcap"), ("file:/a.mcap", "file:///a.mcap")]
+)
+def test_a_url_that_lacks_a_slash_is_told_with_it(text: str, meant: str) -> None:
+    with pytest.raises(UsageError, match=f"{text}: no path; a URL is spelt {meant}"):
+        location(text)
 
 
 @pytest.mark.parametrize("text", ["http://x/a.mcap", "s3:///a.mcap", "ftp://x/y"])
