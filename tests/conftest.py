@@ -21,6 +21,8 @@ from repository import ROOT
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+    from bucket import Bucket
+
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=50)
 settings.register_profile("long", settings.get_profile("tests"), max_examples=1000)
@@ -115,6 +117,17 @@ def place(
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("BC_CACHE", str(tmp_path_factory.mktemp("cache")))
     return url_within(tmp_path_factory.getbasetemp())
+
+
+@pytest.fixture
+def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
+    """An empty bucket of its own, for who works in an empty folder and has nothing cached yet."""
+    from bucket import serving_bucket  # botocore
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    with serving_bucket(tmp_path / "server", monkeypatch) as served:
+        yield served
 
 
 @pytest.fixture(params=["eventlet", "threading"])

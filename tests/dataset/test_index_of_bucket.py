@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket, serving_bucket
+from bucket import Bucket
 from dataset import IndexConfig, Samples, build_index
 from dataset.cli import main
 from layouts import mixed
@@ -21,14 +20,6 @@ from udacity import call
 
 SETTINGS = ("--labels", "as-recorded", "--block-s", "1", "--gap-s", "0")
 NOISE = bytes(range(256)) * 16
-
-
-@pytest.fixture
-def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    with serving_bucket(tmp_path / "server", monkeypatch) as served:
-        yield served
 
 
 def drive(path: Path, number: int = 0) -> Path:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bucket import Bucket, serving_bucket
+from bucket import Bucket
 from common.location import Location
 from common.stored_folder import StoredFolder
 from driving import one_line_in, untrained_run
@@ -25,14 +24,6 @@ from udacity import call
 
 RUNS = "s3://logs/runs"
 LAKE = {"track": "lake", "set_speed_mph": 10.0, "interventions": 1, "distance_m": 500.0}
-
-
-@pytest.fixture
-def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    with serving_bucket(tmp_path / "server", monkeypatch) as served:
-        yield served
 
 
 def a_run(folder: Path, seed: int = 0) -> Path:
