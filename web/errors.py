@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import traceback
+
 from common import UserError
 
 
@@ -11,3 +13,9 @@ class WebError(UserError):
     def __init__(self, text: str, status: int = 400) -> None:
         super().__init__(text)
         self.status = status
+
+
+def tell_bug(error: Exception, what: str = "a bug") -> str:
+    """What a page says of a mistake of ours; its traceback goes to the terminal."""
+    traceback.print_exception(error)
+    return f"{what} ({type(error).__name__}); the terminal of bc-web tells more"

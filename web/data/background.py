@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, wait
 from typing import Final, Generic, NamedTuple, TypeVar
@@ -12,6 +11,7 @@ from typing import Final, Generic, NamedTuple, TypeVar
 from common import UserError
 from common.errors import StoreError
 from common.location import Location
+from web.errors import tell_bug
 
 Place = TypeVar("Place", bound=Location)
 Result = TypeVar("Result")
@@ -74,8 +74,7 @@ class Background(Generic[Place, Result]):
         except OSError as error:  # deleted meanwhile, or not ours to read
             return UserError(f"{path}: {error.strerror or error}")
         except Exception as error:  # a bug: one log must not take the others out of the list
-            traceback.print_exception(error)
-            return UserError(f"{path}: a bug ({type(error).__name__}); the terminal of bc-web tells more")
+            return UserError(f"{path}: {tell_bug(error)}")
         finally:
             with self._lock:
                 self.done += 1

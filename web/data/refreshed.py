@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import threading
 import time
-import traceback
 from collections.abc import Callable
 from typing import Final, Generic, TypeVar
 
 from common import UserError
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
+from web.errors import tell_bug
 
 Value = TypeVar("Value")
 
@@ -58,8 +58,7 @@ class Refreshed(Generic[Value]):
         except OSError as error:
             problem = printable(f"{error.filename}: {error.strerror}")
         except Exception as error:
-            traceback.print_exception(error)
-            problem = f"a bug ({type(error).__name__}); the terminal of bc-web tells more"
+            problem = tell_bug(error)
         now_s = time.monotonic()
         with self._lock:
             self.value, self.problem = value, problem

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import traceback
 from http import HTTPStatus
 
 from starlette.datastructures import Headers
@@ -14,7 +13,7 @@ from starlette.types import Scope
 from common import UserError
 from common.errors import StoreError, printable
 from common.output import safe_line
-from web.errors import WebError
+from web.errors import WebError, tell_bug
 from web.server.templates import render
 
 
@@ -51,9 +50,7 @@ def on_os_error(request: Request, error: Exception) -> Response:
 
 def on_bug(request: Request, error: Exception) -> Response:
     """Anything else is a mistake of ours: its traceback is on the command's stderr."""
-    traceback.print_exception(error)
-    why = f"a bug of the workbench ({type(error).__name__}); the terminal of bc-web tells more"
-    return error_answer(request.scope, WebError(why, 500))
+    return error_answer(request.scope, WebError(tell_bug(error, "a bug of the workbench"), 500))
 
 
 HANDLERS = {UserError: on_user_error, HTTPException: on_http_error, OSError: on_os_error, Exception: on_bug}
