@@ -67,7 +67,8 @@ class Shown:
     def page(self, path: str, height: int, *, is_dark: bool = False) -> Iterator[Page]:
         size = {"width": _WIDTH, "height": height}
         scheme = "dark" if is_dark else "light"
-        page = self._browser.new_page(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
+        # bypass_csp: wait_for_function polls by an eval in the page, which the pages' policy forbids
+        page = self._browser.new_page(viewport=size, color_scheme=scheme, bypass_csp=True)  # type: ignore[arg-type]
         page.set_default_timeout(_PATIENCE_MS)
         page.goto(f"{self._address}{path}", wait_until="networkidle")
         if path.startswith("/sessions/"):

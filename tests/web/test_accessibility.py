@@ -107,5 +107,5 @@ def test_every_page_is_for_everybody(browser: Browser, bench: Served) -> None:
             page.emulate_media(color_scheme="light")
             for width in (1280, 2560):
                 page.set_viewport_size({"width": width, "height": width * 9 // 16})
-                page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+                wait_until(lambda: page.evaluate("document.documentElement.scrollWidth <= innerWidth"))
     assert wrong == {}
