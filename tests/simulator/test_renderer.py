@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
 from simulator.pose import Pose
-from simulator.rendering.camera import Renderer
+from simulator.rendering.camera import MOUNT_FORWARD_M, Renderer
 from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster
 from simulator.rendering.terrain import CELL_M
 from simulator.rendering.world_maps import WorldMaps, build_world
@@ -44,13 +44,13 @@ def on_road(track: Track, world: WorldMaps, arc_m: float) -> Pose:
     return Pose(place.x_m, place.y_m, height, place.heading_rad, float(np.arctan(place.slope)))
 
 
-def pixel(ahead_m: float, left_m: float) -> tuple[float, float]:
-    """(row, column) of a point of level ground, from a pinhole 1.4 m up with a 60 degree vertical field of
+def pixel(ahead_m: float, left_m: float, height_m: float = 1.4) -> tuple[float, float]:
+    """(row, column) of a point of level ground, from a pinhole so high up with a 60 degree vertical field of
     view and the horizon at row 60 of 160."""
     focal = 80 / np.tan(np.radians(30))
     tilt = np.arctan(20 / focal)
-    depth = ahead_m * np.cos(tilt) + 1.4 * np.sin(tilt)
-    up = ahead_m * np.sin(tilt) - 1.4 * np.cos(tilt)
+    depth = ahead_m * np.cos(tilt) + height_m * np.sin(tilt)
+    up = ahead_m * np.sin(tilt) - height_m * np.cos(tilt)
     return 80 - focal * up / depth, 160 - focal * left_m / depth
 
 
@@ -102,6 +102,21 @@ def test_a_line_is_where_a_pinhole_camera_sees_it(
     around = picture[round(row - 0.5), int(column) - 8 : int(column) + 9].mean(axis=1)
     assert around.max() > np.median(around) + 30
     assert abs(int(np.argmax(around)) - 8) <= 2
+
+
+def test_far_ground_is_where_a_pinhole_camera_sees_it(flat_world: WorldMaps) -> None:
+    """Seen from 20 m up, where a map without a road is red from 150 to 200 m ahead of the camera."""
+    ground = np.zeros_like(flat_world.ground)
+    east_m = np.arange(ground.shape[1]) * CELL_M
+    ground[:, (east_m >= 200) & (east_m <= 250)] = 0, 0, 255
+    level, nowhere = np.zeros_like(flat_world.height), np.full_like(flat_world.offset, 99.0)
+    world = replace(flat_world, ground=ground, height=level, offset=nowhere, props=flat_world.props[:0])
+    east_of_origin_m, north_of_origin_m = 50.0 - MOUNT_FORWARD_M, 100.0
+    place = flat_world.origin_m[0] + east_of_origin_m, flat_world.origin_m[1] + north_of_origin_m
+    picture = Renderer(world).render(Pose(*place, 20.0, 0.0, 0.0), "center").astype(int)
+    rows = np.flatnonzero(picture[:, 160, 2] > picture[:, 160, 1] + 60)
+    (first, _), (last, _) = (pixel(ahead_m, 0.0, 21.4) for ahead_m in (200.0, 150.0))
+    assert (rows[0], rows[-1]) == pytest.approx((first, last), abs=1.5)
 
 
 def test_the_horizon_follows_the_nose(flat: Track, flat_world: WorldMaps) -> None:

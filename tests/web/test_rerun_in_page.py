@@ -171,4 +171,5 @@ def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, 
         assert axe_finds(page.frames[-1]) == []
         page.keyboard.press("o")
         frame.wait_for(state="detached")
+        wait_until(lambda: serving() == set())  # also of a page that stays
         assert (asked, wrong) == ({f"127.0.0.1:{port}"}, [])
