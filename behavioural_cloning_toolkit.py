@@ -1,9 +1,8 @@
 """The entry points of all commands, and the check that the rooms' names are not taken by other packages.
 
 The rooms have short names that others use too: a student's own `model.py` beside a script, or a package that is
-installed beside. This module has a name that nobody else has. Each room calls `refuse_hidden` before it imports
-those under it, and every command is begun here: what it imports takes a second or more, in which somebody may
-press Ctrl-C.
+installed beside. This module's name is unique. Each room calls `refuse_hidden` before it imports those under it,
+and every command starts here: its imports take a second or more, in which Ctrl-C may be pressed.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def __getattr__(name: str) -> str:
 def refuse_hidden(room: str) -> None:
     """Raise ImportError if something else is imported by the name of a room that `room` needs."""
     for name in NEEDS[room]:
-        if line := _who_hides(name):
+        if line := _hidden_room_line(name):
             raise ImportError(line)
 
 
@@ -65,7 +64,7 @@ def _command(prog: str, module: str) -> Callable[[], None]:
         main = _import_main(prog, module)
         try:
             main()
-        except RuntimeError as error:  # before anything of ours could tell it
+        except RuntimeError as error:  # raised before the command's own handler
             if "start new thread" not in str(error):
                 raise
             _fail(prog, _NO_MEMORY)
@@ -77,7 +76,7 @@ def _import_main(prog: str, module: str) -> Callable[[], None]:
     """The `main` of one of our modules; ends the process with a line where it cannot be imported."""
     room = module.partition(".")[0]
     try:
-        if line := _who_hides(room):
+        if line := _hidden_room_line(room):
             raise ImportError(line)
         main: Callable[[], None] = import_module(module).main
     except MemoryError:
@@ -105,12 +104,12 @@ bc_demo = _command("bc-demo", "drive.demo")
 bc_web = _command("bc-web", "web.cli")
 
 
-def _who_hides(room: str) -> str | None:
+def _hidden_room_line(room: str) -> str | None:
     """A line about what is imported as `room` in place of ours; None if ours is."""
     loaded = sys.modules.get(room)
     spec = loaded.__spec__ if loaded is not None else find_spec(room)
     if spec is None:
-        return None  # Python says that it is missing
+        return None  # Python itself reports it as missing
     # a folder without an __init__.py has no origin
     found = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
     ours = (Path(__file__).parent / room).resolve()
@@ -137,10 +136,10 @@ def _is_intact(room: Path) -> bool:
 
 def _overwritten(room: str) -> str:
     if owners := _owners(room):
-        who = ", ".join(owners)
+        names = ", ".join(owners)
         return (
-            f"another installed package ({who}) has written its `{room}` over this toolkit's:"
-            f" `pip uninstall {who}` and install the toolkit again, or install it into an environment of its own"
+            f"another installed package ({names}) has written its `{room}` over this toolkit's:"
+            f" `pip uninstall {names}` and install the toolkit again, or install it into an environment of its own"
         )
     return f"this toolkit's `{room}` was overwritten by another package of that name: install the toolkit again"
 
@@ -151,16 +150,16 @@ def _owned_by_two() -> str | None:
 
 
 def _of_another(room: str, owners: list[str]) -> str:
-    who = ", ".join(owners)
+    names = ", ".join(owners)
     return (
-        f"`{room}` is also a name of another installed package ({who}), which hides this toolkit's:"
-        f" `pip uninstall {who}`, or install the toolkit into an environment of its own"
+        f"`{room}` is also a name of another installed package ({names}), which hides this toolkit's:"
+        f" `pip uninstall {names}`, or install the toolkit into an environment of its own"
     )
 
 
 def _owners(room: str) -> list[str]:
     """The other distributions that have installed something under that name."""
-    from importlib.metadata import packages_distributions  # reads what all of them say of themselves
+    from importlib.metadata import packages_distributions  # reads the metadata of all of them
 
     return sorted(set(packages_distributions().get(room, ())) - {"behavioural-cloning-toolkit"})
 

@@ -58,19 +58,19 @@ class Drive:
     """Start the built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED), and end when it has
     driven."""
     laps: float = 1.0
-    """How far the built-in simulator drives; with --aggregate, each round of any simulator that tells its laps."""
+    """Laps of the built-in simulator; with --aggregate, of each round of any simulator that reports its laps."""
     real_time: bool = False
     """The built-in simulator goes no faster than the clock; otherwise it hurries from answer to answer."""
     takeover: bool = False
-    """The simulator's expert takes over where the network leaves the lane, if the simulator tells of one, as the
-    built-in one does; `bc-index --sessions drives --drives takeovers` makes samples of that."""
+    """The simulator's expert takes over where the network leaves the lane, if the simulator sends its commands, as
+    the built-in one does; `bc-index --sessions drives --drives takeovers` makes samples of that."""
     aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
     """So often, train on what the expert did where it took over, and drive again (dataset aggregation). Without
     --simulator, each round drives the simulator that connects."""
     epochs: int = 5
     """Epochs of each training of --aggregate."""
     sessions: LocationFlag = Path("sessions")
-    """Where the logs are that the run was trained on, for --aggregate."""
+    """Folder of the logs that the run was trained on, for --aggregate."""
     speed: float = 10.0
     """Set speed in mph."""
     slow_in_curves: bool = False
@@ -85,7 +85,7 @@ class Drive:
     """Show the drive while it goes on: in a window, in a browser, in a viewer that runs already, or in a file.
     auto: in a window where there is a display."""
     server: Literal["eventlet", "threading"] = "eventlet"
-    """What serves the simulator."""
+    """The server that the simulator connects to."""
     host: str = "127.0.0.1"
     """Address to listen on; other machines are let in by 0.0.0.0."""
     port: int = 4567
@@ -154,7 +154,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
             path,
             overwrite=config.force,
             host=config.host,
-            port=config.port if simulator is None else 0,  # nobody else's simulator
+            port=config.port if simulator is None else 0,  # any free port: no other simulator connects
             mode=config.server,
             is_built_in=simulator is not None,
             notify=_notify,
@@ -207,7 +207,7 @@ def _refuse_contradictions(config: Drive) -> None:
         others = ("simulator", "laps", "real_time", "takeover", "aggregate", "server", "host", "port")
         if flags := flags_given(config, *others, "epochs", "sessions"):
             raise UsageError(
-                f"{flags}: not with --gym, which neither connects to a port nor tells where its car is"
+                f"{flags}: not with --gym, which neither connects to a port nor knows where its car is"
             )
         if config.seed < 0:
             raise UsageError(f"--seed {config.seed}: a whole number from 0 on was expected")
@@ -251,8 +251,8 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
         settings = _with_car(config, settings, run)
         pilot = load_pilot(run, config.precision)
         pilot.warm_up()
-        told = {"simulator": car.name, "gym.args": config.environment.gym_args, "gym.action": car.actions.text}
-        metadata = drive_metadata(pilot, settings) | told
+        source = {"simulator": car.name, "gym.args": config.environment.gym_args, "gym.action": car.actions.text}
+        metadata = drive_metadata(pilot, settings) | source
         writer = LogWriter(path, metadata, overwrite=config.force, live=True)
         session = after.enter_context(DriveSession(pilot, settings, writer, _notify))
         if (viewer := _viewer_target(config, path)) is not None:
@@ -292,8 +292,8 @@ def _print_drives(sessions: Sequence[DriveSession]) -> int:
     code = DONE
     for session in sessions:
         log, summary = session.writer.path, session.summary
-        look = f"; look at it with `bc-play {shlex.quote(str(log))}`" if session.log.frames else ""
-        print_result(f"{log}: {counted(session.log.frames, 'frame')}{look}")
+        hint = f"; look at it with `bc-play {shlex.quote(str(log))}`" if session.log.frames else ""
+        print_result(f"{log}: {counted(session.log.frames, 'frame')}{hint}")
         for line in summary_lines(summary):
             print_result(f"  {line}")
         if summary.bad or summary.without_number:

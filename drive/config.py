@@ -18,7 +18,7 @@ class DriveConfig:
     smooth_s: float = 0.0  # time constant of the steering's smoothing; 0: off
     max_steering_per_s: float = 0.0  # how fast the steering may change; 0: no limit
     takeover: bool = False  # the simulator's expert drives where the network leaves the lane
-    car: Car | None = None  # that is driven; None: nobody tells, so its numbers are as Udacity's
+    car: Car | None = None  # that is driven; None: unknown, and taken for Udacity's
 
     def __post_init__(self) -> None:
         if not 0 < self.set_speed_mph <= 100:

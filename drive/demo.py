@@ -65,19 +65,19 @@ def steps_of(config: Demo) -> list[DemoStep]:
 
 def demo(config: Demo) -> int:
     folder = config.folder or Path("demo") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}"
-    _refuse_what_fails_later(config, folder)
+    _refuse_unusable_settings(config, folder)
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     steps = steps_of(config)
     seconds = sum(step.seconds for step in steps)
     print_result(f"working in {folder}; all takes about {duration_text(seconds)} on two idle cores")
-    if (how := _how_to_type_them()) is not None:
-        print_result(f"to type these commands yourself, there: {how}")
+    if (activate := _activation_command()) is not None:
+        print_result(f"to type these commands yourself, there: {activate}")
     start_s, code = time.monotonic(), DONE
     for number, step in enumerate(steps):
         done = sum(each.seconds for each in steps[:number])
-        gone_s = time.monotonic() - start_s
-        left = f", about {duration_text((seconds - done) * gone_s / done)} left" if number else ""
+        elapsed_s = time.monotonic() - start_s
+        left = f", about {duration_text((seconds - done) * elapsed_s / done)} left" if number else ""
         print_result("", f"{number + 1} of {len(steps)}{left}", f"$ {step.command}")
         try:
             code = max(code, _run(step.command, folder))
@@ -97,8 +97,8 @@ def demo(config: Demo) -> int:
     return code
 
 
-def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
-    """Raise UserError, or UsageError, for settings that a later step would refuse, after minutes."""
+def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
+    """Raise UserError, or UsageError, now for settings that a later step would refuse, after minutes."""
     if there := [name for name in _MADE if (folder / name).exists()]:
         raise UserError(f"{folder}: has {', '.join(there)} already; give another --folder")
     if folder.exists() and not folder.is_dir():
@@ -115,8 +115,8 @@ def _refuse_what_fails_later(config: Demo, folder: Path) -> None:
         _program(step.command.split()[0])
 
 
-def _how_to_type_them() -> str | None:
-    """The line with which a shell finds the commands; None if it does already."""
+def _activation_command() -> str | None:
+    """The line after which a shell finds the commands; None if it does already."""
     if shell_command("bc-play") == "bc-play":
         return None
     activate = Path(sysconfig.get_path("scripts")) / "activate"

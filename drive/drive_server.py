@@ -90,14 +90,14 @@ class DriveServer:
 
     @property
     def session(self) -> DriveSession:
-        """The first simulator's session, whose log is the one that was asked for."""
+        """The first simulator's session; its log has the path that the caller gave."""
         return self.sessions[0]
 
     @property
     def no_drive_reason(self) -> str:
         """The notice about a drive without a single telemetry."""
         if self._connections:
-            return "a simulator connected, but told no telemetry; choose Autonomous Mode there"
+            return "a simulator connected, but sent no telemetry; choose Autonomous Mode there"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
 
     def run(self, until: Callable[[], bool] = lambda: False, stopped: StopEvent | None = None) -> None:
@@ -108,12 +108,12 @@ class DriveServer:
         """
 
         def is_over() -> bool:
-            is_asked = stopped is not None and stopped.is_set()
-            if not (is_asked or until() or self._failure is not None):
+            is_stop_requested = stopped is not None and stopped.is_set()
+            if not (is_stop_requested or until() or self._failure is not None):
                 return False
             if self._stopping_since_s is None:
                 self.stop()
-            self._notify_stopping(may_hurry=is_asked)
+            self._notify_stopping(may_hurry=is_stop_requested)
             return self._all_stopped() or (stopped is not None and stopped.again.is_set())
 
         self._server.run(is_over)
@@ -232,7 +232,7 @@ class DriveServer:
             if session.connections <= MAX_CONNECTION_NOTICES:
                 self.notify(f"connected again: {session.writer.path} goes on")
             elif session.connections == MAX_CONNECTION_NOTICES + 1:
-                self.notify("it comes and goes: no more is said of that, the log has it as events")
+                self.notify("it comes and goes: no more notices of that; the log has it as events")
         elif session is not self.session:
             self.notify(
                 f"a second simulator has connected: it is driven too, and logged to {session.writer.path};"

@@ -112,7 +112,7 @@ class DriveSession:
         if not (self.is_connected and self._is_stopping) or self.silent_s < SILENT_S:
             return None
         steering, throttle = self._driver.brake_without_telemetry()
-        self.rolling_reason, self.is_at_rest = "it tells nothing any more", throttle == 0.0
+        self.rolling_reason, self.is_at_rest = "it sends nothing any more", throttle == 0.0
         self._report_braking(throttle < 0)
         if self._last_steer.throttle == throttle:
             return None
@@ -129,7 +129,7 @@ class DriveSession:
         self._driver.stop()
         self._is_stopping, self.is_at_rest = True, False
         self._was_braking, self.stop_notice = False, ""
-        self.rolling_reason = "it tells nothing any more"
+        self.rolling_reason = "it sends nothing any more"
 
     def final_command(self) -> Steer:
         """The last command, which the simulator's car keeps for ever."""
@@ -184,7 +184,7 @@ class DriveSession:
         speed_mph, is_braking = decision.speed_mph, decision.throttle < 0
         self._report_braking(is_braking)
         if speed_mph is None:
-            self.rolling_reason = "its speed is not told"
+            self.rolling_reason = "its speed is unknown"
             self.is_at_rest = not is_braking
         else:
             stands = speed_mph <= WALKING_MPH

@@ -13,25 +13,25 @@ from recorder.log.session_car import UDACITY, Car, built_in, named_car
 
 def driven_car(run: Path, named: str | None) -> Car | None:
     """The car that `named` names (see `named_car`), by default that of the run's sessions. None where that is
-    Udacity's or the built-in simulator's: which of them is driven, nobody tells, and their numbers are the same.
+    Udacity's or the built-in simulator's: telemetry does not distinguish them, and their numbers are the same.
 
     Raises RunError as `load_config` does, RecordingError for a file that is none, DriveError for settings of a run
     that no car has.
     """
     if named is not None:
         return named_car(named)
-    told = car_settings_of_run(run)
+    stored = car_settings_of_run(run)
     try:
-        car = None if told is None else settings_from(Car, told)
+        car = None if stored is None else settings_from(Car, stored)
     except ValueError as error:
-        raise DriveError(f"{run}: what its config.json tells of its car cannot be used ({error})") from None
+        raise DriveError(f"{run}: the car in its config.json cannot be used ({error})") from None
     if car is None and (degrees := max_steering_deg_of_run(run)) != MAX_STEERING_DEG:
         return Car(max_steering_deg=degrees)
     return None if car in (UDACITY, built_in()) else car
 
 
 def other_steering(run: Path, car: Car | None) -> str:
-    """A line about a run whose steering 1 is another angle than the car's; empty where it is the same."""
+    """A line about a run in which steering 1 is another angle than in the car; empty where it is the same."""
     learnt_deg, driven_deg = max_steering_deg_of_run(run), (car or UDACITY).max_steering_deg
     if learnt_deg == driven_deg:
         return ""

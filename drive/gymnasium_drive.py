@@ -31,10 +31,10 @@ class Episode:
 
 
 def check_pedals(car: GymnasiumCar) -> None:
-    """Raise DriveError where nobody knows how far to press the pedals: a network steers only."""
+    """Raise DriveError if nothing can work the pedals: a network only steers."""
     if car.actions.has_pedals and not (car.tells_speed or car.has_expert):
         raise DriveError(
-            f"--gym-action {car.actions.text}: the network steers; for the pedals tell its speed, which is kept at"
+            f"--gym-action {car.actions.text}: the network steers; for the pedals give its speed, which is kept at"
             " --speed, by --gym-speed KEY, give their driver by --expert MODULE:FUNCTION, or give"
             " constants in their place (steering,0.1,0)"
         )
@@ -45,7 +45,7 @@ def drive_gymnasium(
 ) -> Iterator[Episode]:
     """Drive episodes, reset with `seed` and those after it; each is yielded when it has ended.
 
-    The network steers. Where the environment tells its speed, the speed controller works the pedals; else the
+    The network steers. Where the environment gives its speed, the speed controller works the pedals; else the
     expert does, if there is one.
     """
     driven = []
@@ -83,6 +83,6 @@ def drive_gymnasium(
 
 
 def mean_reward(episodes: list[Episode]) -> float:
-    """Of the episodes that came to their end; NaN if none did."""
+    """The mean reward of the episodes that came to their end; NaN if none did."""
     ended = [episode.reward for episode in episodes if episode.end != "stopped"]
     return sum(ended) / len(ended) if ended else math.nan

@@ -1,4 +1,4 @@
-"""A simple expert for CarRacing-v3, who reads the track: `--expert examples/car_racing_expert.py:drive`.
+"""A simple expert for CarRacing-v3, which reads the track: `--expert examples/car_racing_expert.py:drive`.
 
 It steers towards a point of the track's middle ahead of the car, and keeps a steady speed, slower where the track
 ahead turns. Where the car has been turned away from the track, it slows down first.

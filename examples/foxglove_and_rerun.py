@@ -3,7 +3,8 @@
     python examples/foxglove_and_rerun.py run.mcap [run.rrd]
 
 Rerun's own reader takes the file (into run.rrd, where that is given, and not into a window). Foxglove opens it
-(Open local file), too; here it is played, again and again, to whoever connects (Open connection, ws://localhost:8765).
+(Open local file), too; here it is played, again and again, to each viewer that connects (Open connection,
+ws://localhost:8765).
 """
 
 import sys
@@ -25,7 +26,7 @@ def show_in_rerun(log: Path, rrd: str | None = None) -> None:
 
 
 def channels_of(log: Path) -> dict[str, foxglove.Channel]:
-    """The log's topics, as a viewer is told of them."""
+    """The log's topics, as they are advertised to a viewer."""
     with log.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     if summary is None:

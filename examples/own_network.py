@@ -1,4 +1,4 @@
-"""A network of one's own: it looks where in the width of the picture the road goes.
+"""A network of one's own: it finds where in the width of the picture the road goes.
 
 bc-train --name mine --network examples/own_network.py:ColumnNet --network-args planes=24
 """
@@ -15,7 +15,7 @@ class ColumnNet(nn.Module):
 
     def __init__(self, planes: int = 16, dropout: float = 0.1) -> None:
         super().__init__()
-        self.see = nn.Sequential(
+        self.features = nn.Sequential(
             nn.Conv2d(3, planes, 5, stride=2),
             nn.ReLU(),
             nn.Conv2d(planes, planes, 5, stride=2),
@@ -23,9 +23,9 @@ class ColumnNet(nn.Module):
             nn.Conv2d(planes, 2 * planes, (9, 3), stride=2),  # all rows: 18 columns are left
             nn.ReLU(),
         )
-        self.act = nn.Sequential(nn.Flatten(), nn.Dropout(dropout), nn.Linear(2 * planes * 18, 1))
+        self.head = nn.Sequential(nn.Flatten(), nn.Dropout(dropout), nn.Linear(2 * planes * 18, 1))
 
     def forward(self, pictures: Tensor) -> Tensor:
         """(N, 1) for pictures (N, 3, height, width) that are scaled to -1..1."""
-        answers: Tensor = self.act(self.see(pictures))
+        answers: Tensor = self.head(self.features(pictures))
         return answers

@@ -1,4 +1,4 @@
-"""A log of one's own robot: what it sees and how it is steered, twenty times a second.
+"""A log of one's own robot: its picture and its steering, twenty times a second.
 
 python examples/own_robot.py sessions/robot.mcap
 bc-log check sessions/robot.mcap
@@ -20,7 +20,7 @@ RATE_HZ, ROWS = 20, 100
 
 
 class Robot:
-    """In the place of yours: a line on the floor goes to and fro, and it is steered after it."""
+    """A stand-in for yours: it follows a line on the floor that goes to and fro."""
 
     def __init__(self) -> None:
         self.frame = 0

@@ -23,7 +23,7 @@ def network() -> nn.Module:
 
 
 def inputs(pictures: Tensor) -> Tensor:
-    """What the layers get of pictures (N, height, width, 3), uint8."""
+    """The layers' input for pictures (N, height, width, 3), uint8."""
     return pictures.permute(0, 3, 1, 2) / 127.5 - 1.0
 
 

@@ -1,4 +1,4 @@
-"""How a session was steered, ten seconds at a time, with pandas.
+"""The steering of a session, ten seconds at a time, with pandas.
 
 python examples/steering_over_time.py sessions/lake.mcap
 """

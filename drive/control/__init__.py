@@ -1,1 +1,1 @@
-"""From a telemetry to a command: the picture, the network's steering, the speed, the brake, who drives."""
+"""From a telemetry to a command: picture, the network's steering, speed, brake, takeover."""

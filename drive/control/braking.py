@@ -27,8 +27,8 @@ def stopping_s(speed_mph: float) -> float:
 class EmergencyBrake:
     """Full brake from its first `throttle()` on, until the car must stand; then nothing, until `release()`.
 
-    The car stands when its speed says so, and else after the time that the brakes need from the last known speed:
-    from the top speed if none is known, by which a car that stood is reversed for two seconds. The speed of the
+    The car stands when its speed is about 0, else after the time that the brakes need from the last known speed,
+    or from the top speed if none is known, by which a car that stood is reversed for two seconds. The speed of the
     real simulator has no sign: only one that is lower than all before shows that there is more to be braked. A car
     that does not get slower, or was stopped once, may be rolling backwards, and a brake would speed it up.
     """

@@ -10,9 +10,9 @@ class DriveClock:
     """Seconds since the first telemetry; they never go back.
 
     Between two telemetries that both hold the simulated time, that time passes, unless it jumps; between any
-    others, the time of this computer. So a drive in lock-step depends on nobody's speed, and one telemetry with
-    another clock, or with none, does not move the drive's clock by hours. A simulated clock that stands still
-    while this computer's runs on is not used.
+    others, the time of this computer. So a drive in lock-step is the same on slow and fast computers, and one
+    telemetry with another clock, or with none, does not move the drive's clock by hours. A simulated clock that
+    stands still while this computer's runs on is not used.
     """
 
     def __init__(self) -> None:

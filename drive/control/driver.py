@@ -47,13 +47,13 @@ class Decision:
     steering: float  # -1..1, as sent
     throttle: float  # -1..1, as sent
     decimal_separator: str = POINT
-    driver: Literal["pilot", "expert", "brake"] = "pilot"  # whose throttle was sent
+    driver: Literal["pilot", "expert", "brake"] = "pilot"  # the one whose throttle was sent
     speed_mph: float | None = None  # the car's, also where nothing else of the telemetry could be used
     telemetry: Telemetry | None = None
     picture_size: tuple[int, int] | None = None  # width, height; None where the telemetry could not be used
     crop: Image | None = None
-    predicted_steering: float = 0.0  # the network's, whoever drives; not clamped, NaN if it gave no number
-    predicted_speed_mph: float | None = None  # the same; None: it says nothing of the speed
+    predicted_steering: float = 0.0  # the network's, also while the expert drives; not clamped, may be NaN
+    predicted_speed_mph: float | None = None  # the same; None: it has no such output
     predicted_throttle: float | None = None
     parse_ms: float = 0.0  # from the telemetry's last byte until its numbers are read
     decode_ms: float = 0.0  # JPEG and crop
@@ -195,7 +195,7 @@ class Driver:
         return self._decision(steering, throttle, events=events, target_mph=_target_mph(answer))
 
     def _throttle(self, telemetry: Telemetry, answer: NetworkAnswer, steering: float, time_s: float) -> float:
-        """By the speed; where that is unknown, the expert's, if the simulator tells of one.
+        """By the speed; where that is unknown, the expert's, if the simulator sends it.
 
         The network's own throttle is sent as it is while it does not bring the car above the set speed.
         """
@@ -254,11 +254,11 @@ class Driver:
 
 
 def _target_mph(answer: NetworkAnswer) -> float:
-    """The speed that the network wants; without bound where it says nothing of it."""
+    """The network's target speed; infinite where it has no such output."""
     return math.inf if answer.speed_mph is None else answer.speed_mph
 
 
 def _braking_text(speed_mph: float | None) -> str:
     if speed_mph is None:
-        return "the car is braked, as from its top speed: its own was never told"
+        return "the car is braked, as from its top speed: its own is unknown"
     return "the car stands" if speed_mph <= WALKING_MPH else "the car is braked"

@@ -26,8 +26,8 @@ _UNKNOWN_AFTER_S: Final = 1.0  # without a telemetry; what the throttle was mean
 class SpeedController:
     """Gives the throttle for each telemetry's speed.
 
-    `throttle` holds the set speed, as the original project's controller does. `follow` gives the car a speed that
-    somebody else wants `target_ahead_s` later, and never more than the set speed.
+    `throttle` holds the set speed, as the original project's controller does. `follow` brings the car to a target
+    speed within `target_ahead_s`, never above the set speed.
     """
 
     def __init__(
@@ -47,8 +47,8 @@ class SpeedController:
         self._last: _Given | None = None
 
     def set_speed_for(self, steering: float, target_mph: float = math.inf) -> float:
-        """The speed in mph that is driven: the set speed, or the target if that is lower; less in a curve, which
-        the steering of -1..1 tells, if that was asked for."""
+        """The speed in mph to drive: the set speed, or the target if that is lower; with `slow_in_curves`, less
+        where the steering (-1..1) is far from straight."""
         speed_mph = min(self.set_speed_mph, max(target_mph, 0.0))
         return min(speed_mph, max_curve_speed_mph(steering, self._car)) if self._slow_in_curves else speed_mph
 
@@ -66,13 +66,13 @@ class SpeedController:
     def follow(
         self, time_s: float, speed_mph: float, target_mph: float, steering: float = 0.0, at_most: float = 1.0
     ) -> float:
-        """-1 .. 1, as from `throttle`, for a target in mph that may be another one with each telemetry; no more
-        throttle than `at_most`, if somebody wants less.
+        """-1 .. 1, as from `throttle`, for a target in mph that may change with each telemetry; never more than
+        `at_most`.
 
         The car needs the acceleration that brings it to its target in `target_ahead_s`. The throttle is that and
-        the resistances over what engine or brakes of the simulator's car give at most. Nobody tells of slopes:
-        they show in what is missing of the acceleration. `time_s` never goes back; all numbers but the target are
-        finite.
+        the resistances over what engine or brakes of the simulator's car give at most. Slopes are not in the
+        telemetry: they are estimated from the acceleration that is missing. `time_s` never goes back; all numbers
+        but the target are finite.
         """
         speed_mps = speed_mph * MPS_PER_MPH
         if self._last is not None:

@@ -33,7 +33,7 @@ _LONGEST_GAP_S: Final = 0.5  # between two telemetries that give a sideways spee
 
 
 class Takeover:
-    """Decides who drives: the expert takes over before the car is off the road, and hands back once it is
+    """Chooses the driver: the expert takes over before the car is off the road, and hands back once it is
     steady."""
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Takeover:
         self._reported_missing = False
 
     def update(self, time_s: float, world: World | None, predicted_steering: float) -> list[str]:
-        """Decide who drives on from `time_s`, and give the events of that. `time_s` is by the simulator's clock
+        """Choose the driver from `time_s` on, and return the events of that. `time_s` is by the simulator's clock
         where it sends one. Where the world lacks the car's offset or the expert's command, the network drives."""
         if world is None or world.offset is None or world.expert is None:
             self._last = None
@@ -88,7 +88,7 @@ class Takeover:
             self._reported_missing = True
             missing = [name for name in REQUIRED_MEMBERS if getattr(world, name, None) is None]
             events.append(
-                f"nobody can take over: the simulator does not tell {', '.join(missing)} (`bc-sim --tell-world`"
+                f"nobody can take over: the simulator does not send {', '.join(missing)} (`bc-sim --tell-world`"
                 " does); in Udacity's, a human takes over by holding a key"
             )
         return events

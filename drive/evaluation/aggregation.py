@@ -112,7 +112,7 @@ class Aggregation:
             yield done
 
     def _left(self) -> str:
-        """Those of the files to be made that exist already, quoted for a shell."""
+        """The output files that exist already, quoted for a shell."""
         made = (*self._logs, self._index, *self._runs[1:])
         return shlex.join(str(path) for path in made if os.path.lexists(path))
 

@@ -23,7 +23,7 @@ from model.runs.run_folder import run_name
 from recorder.log_copy_cli import refuse_taken_name
 
 DRIVES: Final = Path("drives")
-"""Where drives are logged, unless a flag says otherwise."""
+"""The default folder of the drives' logs."""
 
 
 @dataclass(frozen=True)

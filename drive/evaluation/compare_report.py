@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
-    """Print the table of a comparison on recorded frames, and what it says."""
+    """Print the table of a comparison on recorded frames, and its verdict."""
     length = f" of {BLOCK_S:g} s" if comparison.units == "blocks" else ""
     units = f"{comparison.unit_count:,} {comparison.units}{length}"
     title = f"{counted(len(comparison.unit), 'frame')} in {units}; errors in degrees"
@@ -35,7 +35,7 @@ def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
 
 
 def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) -> None:
-    """Print the tables of a comparison by driving, and what it says."""
+    """Print the tables of a comparison by driving, and its verdict."""
     drives = Table(title="each drive, A then B", title_justify="left", box=None, pad_edge=False)
     for heading in ("track", "set mph", "interventions", "", "autonomy", "", "mean offset", ""):
         drives.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
@@ -58,7 +58,7 @@ def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) ->
 
 
 def _print_verdict(verdict: Verdict, differences: Sequence[Difference], tolerance: float, units: str) -> None:
-    """Print the line that tells whether B is worse, and by what."""
+    """Print the line with the verdict, and the measures that it rests on."""
     of = {
         each: ", ".join(found.measure.heading for found in differences if found.verdict == each)
         for each in ("worse", "better")
@@ -71,7 +71,7 @@ def _print_verdict(verdict: Verdict, differences: Sequence[Difference], toleranc
     elif verdict == "not told apart":
         print_result(f"B is not shown to be worse than A{beyond}")
     else:
-        print_message(f"nothing can be said: at least {FEWEST_BLOCKS} {units} are needed", style="yellow")
+        print_message(f"no verdict: at least {FEWEST_BLOCKS} {units} are needed", style="yellow")
 
 
 def _table(title: str, differences: Sequence[Difference], names: Sequence[str]) -> Table:

@@ -56,7 +56,7 @@ class DriveComparison:
 
     @cached_property
     def _sums(self) -> tuple[Floats, Floats]:
-        """Of every stretch of road that either run has driven, (stretches, K) each."""
+        """The sums of every stretch of road that either run has driven, (stretches, K) each."""
         a, b = (_sums_of_tracks(drives) for drives in (self.a, self.b))
         is_driven = (a[:, 0] > 0) | (b[:, 0] > 0)
         return a[is_driven], b[is_driven]
@@ -106,8 +106,8 @@ def _sums_of_tracks(drives: Sequence[DriveResult]) -> Floats:
 
 
 def _sums_of_stretches(drive: DriveResult) -> Floats:
-    """What was driven on each stretch of the track's road, (stretches, 3): seconds, interventions, and the
-    distance from the centre line (a share of the half width) times seconds. Laps are added up."""
+    """The sums over each stretch of the track's road, (stretches, 3): seconds, interventions, and the distance
+    from the centre line (a share of the half width) times seconds. Laps are added up."""
     track = load_track(drive.simulator.track)
     time_ns, arc_m, offset = _course(drive.log, track)
     with Log(drive.log) as log:
@@ -124,8 +124,8 @@ def _sums_of_stretches(drive: DriveResult) -> Floats:
 
 
 def _course(path: Location, track: Track) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """Where the car was on the road at each pose of the log: log time in ns, arc length in m, and the distance
-    from the centre line as a share of the half width there."""
+    """The car's course along the road, one entry for each pose of the log: log time in ns, arc length in m, and
+    the distance from the centre line as a share of the half width there."""
     with Log(path) as log:
         poses = [(message.log_time_ns, pose.pose) for message, pose in log.decoded(POSE)]
     near_m = 0.0  # where every drive begins

@@ -80,7 +80,7 @@ class Eval:
     it has steered the car."""
     departure: Annotated[float | None, _default("METRES", "1")] = None
     """Distance from the recorded line from which on the car is put back, which is an intervention."""
-    car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one that the log tells")] = None
+    car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one in the log")] = None
     """The car that a recording is of: where its cameras stand, and how it turns."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
     """Let it drive these tracks instead: lake, mountain, random:SEED, hairpins:SEED; the same run gives the same
@@ -186,17 +186,17 @@ def _measure(config: Eval) -> int:
     from model.worst_moments import worst_frames
 
     (run,) = _found_runs(config, config.run)
-    what, (found,) = _evaluations(config, [run])
-    code = _keep(run, "frames", {**what, **found.as_dict()})
+    measured_on, (found,) = _evaluations(config, [run])
+    code = _keep(run, "frames", {**measured_on, **found.as_dict()})
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst, found.max_deg)
     if config.json:
-        print_result(json.dumps({**what, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
+        print_result(json.dumps({**measured_on, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
     else:
         from drive.evaluation.eval_report import print_evaluation
 
         print_evaluation(found, worst)
-        _print_what(what)
-    return max(code, _print_notices(found, what))
+        _print_measured_on(measured_on)
+    return max(code, _print_notices(found, measured_on))
 
 
 def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
@@ -233,11 +233,10 @@ def _keep(run: Path, way: Way, result: dict[str, Any]) -> int:
     return DONE
 
 
-def _print_what(what: dict[str, str | None]) -> None:
-    if what["index"] is not None:
-        print_result(
-            f"measured on what {what['index']} {'holds out' if what['split'] == 'validation' else 'trains on'}"
-        )
+def _print_measured_on(measured_on: dict[str, str | None]) -> None:
+    if measured_on["index"] is not None:
+        split = "holds out" if measured_on["split"] == "validation" else "trains on"
+        print_result(f"measured on what {measured_on['index']} {split}")
 
 
 def _index_of(run: Path) -> Location:
@@ -255,17 +254,17 @@ def _index_of(run: Path) -> Location:
     return index
 
 
-def _print_notices(found: Evaluation, what: dict[str, str | None]) -> int:
+def _print_notices(found: Evaluation, measured_on: dict[str, str | None]) -> int:
     """Print what a person should know before the numbers are used; the exit code."""
     code = warn_skipped(found.skipped)
     for notice in found.notices:
         code = warn(notice)
     for remark in found.remarks:
         print_message(remark)
-    return max(code, _print_learnt(found, what))
+    return max(code, _print_learnt(found, measured_on))
 
 
-def _print_learnt(found: Evaluation, what: dict[str, str | None]) -> int:
+def _print_learnt(found: Evaluation, measured_on: dict[str, str | None]) -> int:
     """Print whether the run has learnt from the frames that it is measured by; the exit code."""
     from model.runs.run_folder import run_name
 
@@ -274,14 +273,14 @@ def _print_learnt(found: Evaluation, what: dict[str, str | None]) -> int:
         return warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
     elif found.trained_on:
         line = f"{run} has learnt from {found.trained_on:,} of these {counted(count, 'frame')}"
-        if what["split"] != "train":
+        if measured_on["split"] != "train":
             return warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
         print_message(f"bc-eval: {line}")
     return DONE
 
 
 def _compare(config: Eval, runs: tuple[str, str]) -> int:
-    """Compare two runs; exit code 1 if the second one is worse, 3 if nothing can be said."""
+    """Compare two runs; exit code 1 if the second one is worse, 3 if there is no verdict."""
     from model.runs.run_folder import run_name
 
     a, b = _found_runs(config, *runs)
@@ -299,16 +298,16 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
     from model.evaluation.differences import overall
     from model.evaluation.run_comparison import Comparison
 
-    what, (of_a, of_b) = _evaluations(config, [a, b])
+    measured_on, (of_a, of_b) = _evaluations(config, [a, b])
     found = Comparison(of_a, of_b, config.tolerance or 0.0)
     if config.json:
-        print_result(json.dumps({**what, **found.as_dict()}))
+        print_result(json.dumps({**measured_on, **found.as_dict()}))
     else:
         from drive.evaluation.compare_report import print_comparison
 
         print_comparison(found, names)
-        _print_what(what)
-    code = max(_print_notices(of_a, what), DONE if a == b else _print_learnt(of_b, what))
+        _print_measured_on(measured_on)
+    code = max(_print_notices(of_a, measured_on), DONE if a == b else _print_learnt(of_b, measured_on))
     return overall(found.differences), code
 
 
@@ -436,7 +435,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
                     refuse_other_steering(run, views.geometry.max_steering_deg, str(log))
                     drive = drive_views(pilot.predict, views, departure_m)
             except RecordingError as error:
-                raise UserError(f"{error}; else tell it by --car") from None
+                raise UserError(f"{error}; else name it with --car") from None
             drives.append(drive)
             codes.append(_keep(run, "recording", drive.as_dict()))
             if config.json:

@@ -35,12 +35,12 @@ _MOST_OVERSHOOT_LAPS: Final = 0.05
 
 @dataclass(frozen=True)
 class Swept:
-    """What became of one training of a sweep."""
+    """The outcome of one training of a sweep."""
 
     training: Training
     summary: RunSummary | None  # as far as it came; None where there is no run
     failure: str = ""  # why it did not come to its end
-    problems: tuple[str, ...] = ()  # what of it is not in the store where it belongs
+    problems: tuple[str, ...] = ()  # files that could not be copied to the store
 
 
 def run_sweep(sweep: SweepPlan, index: Location, runs: Location, logs: Location, tasks: Tasks) -> Iterator[Swept]:

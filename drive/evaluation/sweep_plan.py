@@ -1,4 +1,4 @@
-"""What a sweep trains and drives: FILE.toml, as trainings with a name and settings each.
+"""The plan of a sweep, read from FILE.toml: trainings, each with a name and settings, and drives.
 
 seeds = [0, 1, 2]
 
@@ -121,7 +121,7 @@ def _training(path: Path, sweep: str, of_all: Mapping[str, Any], varied: Mapping
         raise UserError(f"{path}: {error}") from None
     parts = [sweep, *(f"{name}_{_text(value)}" for name, value in varied.items())]
     run = "-".join(_NOT_IN_NAMES.sub("_", part) for part in parts)
-    if len(run) > _MOST_NAME:  # a path of somebody's own network, say
+    if len(run) > _MOST_NAME:  # for example the path of a network of one's own
         run = f"{run[:_MOST_NAME]}-{hashlib.sha256(run.encode()).hexdigest()[:8]}"
     texts = ", ".join(f"{name} {_text(value)}" for name, value in varied.items())
     return Training(f"{run}-seed{seed}", texts, config)

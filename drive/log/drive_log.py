@@ -33,7 +33,7 @@ class DriveLog(Closeable):
     Where the disk is too slow, rows lose their pictures first, and are lost themselves only after many minutes of
     that; both are counted, and events report it. A decision is written later: it must not change any more.
 
-    Not to be called by two threads at once. Until it is closed, nobody else may use the writer.
+    Not to be called by two threads at once. Until it is closed, no other code may use the writer.
     """
 
     def __init__(self, writer: LogWriter) -> None:
@@ -88,9 +88,9 @@ class DriveLog(Closeable):
         self._is_closed = True
         for text in self._bad.left():
             self._problem(text)
-        for count, what in ((self.dropped_pictures, "pictures"), (self.dropped_rows, "rows and events")):
+        for count, items in ((self.dropped_pictures, "pictures"), (self.dropped_rows, "rows and events")):
             if count:
-                self._problem(f"the disk was too slow: {count:,} {what} are missing")
+                self._problem(f"the disk was too slow: {count:,} {items} are missing")
         self._thread.close()
 
     def _row(self, received_ns: int, decision: Decision, telemetry: Telemetry, total_ms: float) -> None:
@@ -132,7 +132,7 @@ class DriveLog(Closeable):
         if decision.crop is not None:
             # as OpenCV writes it by default: half the time of its best compression in hand, a fifth larger
             ok, png = cv2.imencode(".png", decision.crop)
-            if not ok:  # cannot happen with a crop of ours; said rather than lost in silence
+            if not ok:  # cannot happen with a crop of ours, but a lost crop must not go unnoticed
                 raise RuntimeError("OpenCV could not write a PNG of the crop")
             self._writer.crop(time_ns, row, png.tobytes())
         state = VehicleState(

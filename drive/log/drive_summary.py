@@ -61,13 +61,13 @@ class DriveSummary:
         self.telemetries = 0
         """All that were answered: frames, malformed ones, and those of a human's driving."""
         self.frames_with_interventions = 0
-        """Frames whose telemetry gives the simulator's count of them."""
+        """Frames with the simulator's count of interventions in their telemetry."""
         self.speed_mph: float | None = None  # this and the next three: the last known values
         self.driver: Literal["pilot", "expert", "human"] = "pilot"
         self.is_braked = False
         self.steering = 0.0
         self.wanted_mph: tuple[float, float] | None = None
-        """The least and the most speed that the network has wanted; None where it says nothing of it."""
+        """The least and the most target speed of the network; None where it has no such output."""
         self.total_ms = 0.0
         """The sum of all telemetries' times to their answers."""
         self.last_ms = 0.0

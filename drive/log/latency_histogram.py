@@ -35,11 +35,11 @@ class LatencyHistogram:
         """The smallest time that at least so many percent of all times do not exceed; 0 where there are none."""
         if not self.count:
             return 0.0
-        wanted = max(1, math.ceil(percent / 100 * self.count))
-        seen = 0
+        rank = max(1, math.ceil(percent / 100 * self.count))
+        cumulative = 0
         for number, times in enumerate(self._bins):
-            seen += times
-            if seen >= wanted:
+            cumulative += times
+            if cumulative >= rank:
                 return min(SMALLEST_MS * math.exp((number + 0.5) * _RATIO), self.max_ms)
         return self.max_ms
 

@@ -14,7 +14,7 @@ _BRIEF_S: Final = 1.0
 
 
 def summary_lines(summary: DriveSummary) -> list[str]:
-    """What is printed at the end of a drive."""
+    """The lines that are printed at the end of a drive."""
     laps = "" if summary.laps is None else f"{summary.laps:.2f} laps, "
     speed_mph = summary.mean_speed_mph
     far = (
@@ -33,11 +33,11 @@ def summary_lines(summary: DriveSummary) -> list[str]:
         stages = (f"{stage} {latency}" for stage, latency in summary.latency.items())
         lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}")
     if summary.bad:
-        what = counted(summary.malformed, "telemetry", "telemetries")
+        unusable = counted(summary.malformed, "telemetry", "telemetries")
         kinds = ", ".join(f"{kind} ({count:,})" for kind, count in summary.bad.most_common(MAX_KINDS))
         others = len(summary.bad) - MAX_KINDS
         more = f", and {counted(others, 'other kind')}" if others > 0 else ""
-        lines.append(f"{what} could not be used: {kinds}{more}")
+        lines.append(f"{unusable} could not be used: {kinds}{more}")
     if summary.without_number:
         frames = counted(summary.without_number, "frame")
         lines.append(f"the network gave no number for {frames}: the car was braked")
@@ -68,17 +68,17 @@ def _interventions(summary: DriveSummary) -> str:
 
 
 def _unknown_interventions(summary: DriveSummary) -> str:
-    """A remark on frames whose telemetry did not hold the simulator's interventions."""
+    """A remark on frames without the simulator's interventions in their telemetry."""
     if not summary.frames:
         return ""
     frames = summary.frames - summary.frames_with_interventions
     if frames == summary.frames:
-        return " (this simulator does not tell when the car leaves the road)"
-    return f" (for {counted(frames, 'frame')} nobody told when the car left the road)" if frames else ""
+        return " (this simulator does not report when the car leaves the road)"
+    return f" (for {counted(frames, 'frame')} unknown whether the car left the road)" if frames else ""
 
 
 def _clock(summary: DriveSummary) -> str:
-    """A remark on whose seconds those of the drive are, where they are not this computer's alone."""
+    """A remark on the clock of the drive's seconds, where that is not this computer's alone."""
     if summary.clock == "both":
         return f" ({summary.simulated_s:,.1f} s by the simulator's clock)"
     return " by the simulator's clock" if summary.clock == "simulator" else ""

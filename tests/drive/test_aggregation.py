@@ -295,7 +295,7 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
         with Process(command("bc-sim", "--port", port, "--laps", 50)):
             assert process.join() == 1
     log = "drives/alone-connected-0.mcap"
-    process.wait_for(f"{log}: nobody could take over, .* never tells offset, expert_steering, expert_throttle ")
+    process.wait_for(f"{log}: nobody could take over, .* never sends offset, expert_steering, expert_throttle ")
     with Log(aggregated.folder / log) as opened:
         assert not opened.problem
 

@@ -618,7 +618,7 @@ def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
         process.popen.send_signal(signal.SIGINT)
         assert process.join() == 0
         client.close()
-    assert process.stderr[-1] == "bc-drive: the car may still roll: it tells nothing any more"
+    assert process.stderr[-1] == "bc-drive: the car may still roll: it sends nothing any more"
     assert (tmp_path / "run.mcap").exists()
 
 
@@ -648,7 +648,7 @@ def test_a_silent_simulator_is_sent_the_brake_and_its_release_without_being_aske
     said = [line for line in process.stderr if "brake" in line or "roll" in line]
     assert said == [
         "bc-drive: the car is braked to a stand; Ctrl-C again ends at once",
-        "bc-drive: the car may still roll: it tells nothing any more",
+        "bc-drive: the car may still roll: it sends nothing any more",
     ]
     events = [LogMessage.FromString(data).message for _, _, data in messages(log, "/events")]
     assert events.count("the drive ends: the car is braked to a stand") == 1
@@ -677,7 +677,7 @@ def test_a_brake_is_released_after_the_stopping_time_and_said_only_once_it_was_s
         assert (braked, list(sent.values())) == (0, [-1.0, 0.0])
         assert 4 <= released <= 9
         assert session.is_at_rest
-        assert session.end_notice() == "the car may still roll: it tells nothing any more"
+        assert session.end_notice() == "the car may still roll: it sends nothing any more"
         session.connected()  # silence on the drive: a brake is not repeated
         server.telemetry("a", fields(0, speed="30.0000"), time.perf_counter()).on_sent(1.0)
         for _ in range(30):
@@ -763,7 +763,7 @@ def test_a_client_that_tells_nothing_is_told_what_to_do(pilot_run: Path, tmp_pat
         process.wait_for("connected, but no telemetry comes: choose Autonomous Mode")
         client.close()
         assert process.end() == 1
-    assert "told no telemetry" in process.stderr[-1]
+    assert "sent no telemetry" in process.stderr[-1]
     assert list(tmp_path.iterdir()) == []
 
 

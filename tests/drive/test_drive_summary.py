@@ -77,7 +77,7 @@ def test_laps_are_told_only_if_every_frame_told_them() -> None:
     assert "laps" not in summary.as_metadata()
     distance, autonomy, *_ = summary_lines(summary)
     assert "laps" not in distance
-    assert autonomy == "autonomy 100.0 %, 0 interventions (for 3 frames nobody told when the car left the road)"
+    assert autonomy == "autonomy 100.0 %, 0 interventions (for 3 frames unknown whether the car left the road)"
     assert "laps" not in LiveStatus(summary).line(2.0)
 
 
@@ -184,7 +184,7 @@ def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float
     summary.manual(2.0, now_s=1500 * clocks_s + 0.5)  # 0.5 s of ours, at 20 mph nobody knows
     assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 60.5))
     assert summary.laps is None
-    assert "this simulator does not tell when the car leaves the road" in " ".join(summary_lines(summary))
+    assert "this simulator does not report when the car leaves the road" in " ".join(summary_lines(summary))
 
 
 def test_it_is_said_whose_seconds_they_are() -> None:
@@ -216,7 +216,7 @@ def test_laps_and_interventions_may_be_told_without_each_other() -> None:
         put_back.decision(decided(world=World(interventions=i)), 2.0, now_s=i / 10)
     assert (laps.laps, laps.put_back) == (1.0, 0)
     assert (put_back.laps, put_back.put_back) == (None, 2)
-    assert "nobody told" not in " ".join(summary_lines(put_back))
+    assert "unknown whether" not in " ".join(summary_lines(put_back))
 
 
 def test_a_lap_of_the_expert_is_what_the_simulators_own_book_says() -> None:

@@ -371,7 +371,7 @@ def test_a_car_whose_speed_is_never_told_is_braked_once_and_not_reversed_for_eve
         events += decision.events
         for _ in range(2):
             car = step(car, decision.steering, decision.throttle)
-    assert events == ["nothing usable for 1 s: the car is braked, as from its top speed: its own was never told"]
+    assert events == ["nothing usable for 1 s: the car is braked, as from its top speed: its own is unknown"]
     assert 1.5 < throttles.count(-1.0) * 2 * STEP_S < 2.5
     assert throttles[:25] == [0.0] * 25
     assert throttles[-1] == 0.0

@@ -109,7 +109,7 @@ def test_a_network_drives_car_racing(capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize(
     ("arguments", "code", "expected"),
     [
-        (BAR, 1, "tell its speed, which is kept at --speed, by --gym-speed KEY"),
+        (BAR, 1, "give its speed, which is kept at --speed, by --gym-speed KEY"),
         ([*BAR, *SPEED, "--simulator", "lake"], 2, "--simulator: not with --gym"),
         ([*BAR, *SPEED, "--takeover"], 2, "--takeover: not with --gym"),
         ([*BAR, *SPEED, "--seed", "-1"], 2, "--seed -1"),

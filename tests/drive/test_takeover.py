@@ -123,7 +123,7 @@ def test_a_car_that_was_put_back_has_not_driven_to_the_middle() -> None:
 def test_without_a_world_the_network_drives_and_that_is_said_once() -> None:
     takeover = Takeover()
     missing = [
-        "nobody can take over: the simulator does not tell offset, expert_steering, expert_throttle"
+        "nobody can take over: the simulator does not send offset, expert_steering, expert_throttle"
         " (`bc-sim --tell-world` does); in Udacity's, a human takes over by holding a key"
     ]
     times_s = (0.0, 0.9, 1.0, 1.1, 3.0)
@@ -155,7 +155,7 @@ def test_what_an_expert_needs_and_is_not_told_is_named() -> None:
     takeover = Takeover()
     takeover.update(0.0, World(time_s=1.0, offset=0.95), 0.0)
     (said,) = takeover.update(1.0, World(time_s=2.0, offset=0.95), 0.0)
-    assert "does not tell expert_steering, expert_throttle (" in said
+    assert "does not send expert_steering, expert_throttle (" in said
 
 
 def test_laps_and_cars_that_were_put_back_are_events() -> None:
