@@ -104,7 +104,7 @@ def sides(path: Path) -> None:
             found.append((pictures["center"], view.picture, pictures[side], known))
         by_side.append(found)
     columns = []
-    for rows in (ORIGINAL.seen_rows(160), slice(64, ORIGINAL.seen_rows(160).stop)):
+    for rows in (ORIGINAL.crop_slice(160), slice(64, ORIGINAL.crop_slice(160).stop)):
         columns.append(mean([errors(found, rows) for found in by_side]))
     print(f"| {path.stem} | {2 * len(taken)} | {cells(columns[0])} | {cells(columns[1])} |", flush=True)
 
@@ -128,9 +128,9 @@ def rendered(track: str) -> None:
                 known = nearest.is_known & centre.is_known & ~is_bonnet(built_in(), "center")
                 by_centre.append((pictures["center"], centre.picture, true, known))
                 by_nearest.append((pictures["center"], nearest.picture, true, known))
-                shares.append(nearest.is_known[ORIGINAL.seen_rows(160)].mean())
-            without, shifted, warped = errors(by_centre, ORIGINAL.seen_rows(160))
-            results.append((without, shifted, warped, errors(by_nearest, ORIGINAL.seen_rows(160))[2]))
+                shares.append(nearest.is_known[ORIGINAL.crop_slice(160)].mean())
+            without, shifted, warped = errors(by_centre, ORIGINAL.crop_slice(160))
+            results.append((without, shifted, warped, errors(by_nearest, ORIGINAL.crop_slice(160))[2]))
         share = f"{100 * float(np.mean(shares)):.0f} %"
         print(f"| {track} | {left_m:g} m, {left_deg:g} | {share} | {cells(mean(results))} |", flush=True)
 

@@ -36,7 +36,7 @@ _END: Final = 1 << 17  # of a file, read at once: a log of ours says there what 
 
 
 @dataclass(frozen=True)
-class Seen:
+class ObjectVersion:
     """By which an object is told from what takes its name later."""
 
     e_tag: str  # as the store writes it
@@ -72,7 +72,7 @@ class ObjectFile(Closeable):
                 is_end = len(data) == found["size"]
         self.size: int = found["size"]
         self.version: str = found["e_tag"] or ""
-        self.seen = Seen(self.version, found["version"])
+        self.object_version = ObjectVersion(self.version, found["version"])
         self._keep(self.size - len(data) if is_end else 0, data)
         if not is_end:
             last = min(_END, self.size)

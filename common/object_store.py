@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 from common.errors import ObjectChangedError, StoreError
 from common.location import Url
-from common.object_file import CUT_OFF, LARGEST_READ, ObjectFile, Seen, read_part
+from common.object_file import CUT_OFF, LARGEST_READ, ObjectFile, ObjectVersion, read_part
 from common.store_connection import store_of
 from common.store_errors import as_store_error, is_cut_off, is_no_bucket, obstore
 from common.store_errors import exceptions as failures
@@ -105,39 +105,39 @@ def put_over(url: Url, data: bytes) -> None:
         obstore.put(store_of(url, True), url.key, data)
 
 
-def put_file(url: Url, file: Path, seen: Seen | None) -> Seen:
-    """Write a file, whole or not at all, over the object that was `seen` last; None: where there is none.
+def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVersion:
+    """Write a file, whole or not at all, over the version that it `replaces`; None: only where there is no object.
 
     Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
     5 GB.
     """
     if (size := file.stat().st_size) > MOST_IN_ONE_REQUEST:
         raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
-    there = find_object(url) if seen is not None else None  # not every store knows the condition
+    there = find_object(url) if replaces is not None else None  # not every store knows the condition
     with as_store_error(url):
         try:
             mode: PutMode = "create"
-            if seen is not None:
-                if there is None or there.version != seen.name:
+            if replaces is not None:
+                if there is None or there.version != replaces.name:
                     raise failures.PreconditionError
-                mode = {"e_tag": seen.e_tag}
-                if seen.version is not None:
-                    mode["version"] = seen.version
+                mode = {"e_tag": replaces.e_tag}
+                if replaces.version is not None:
+                    mode["version"] = replaces.version
             made = obstore.put(store_of(url, True), url.key, file, mode=mode, use_multipart=False)
         except (failures.PreconditionError, failures.AlreadyExistsError):
-            if (ours := _seen_if_same(url, file)) is not None:  # by this very call, and the answer was lost
+            if (ours := _version_if_same(url, file)) is not None:  # by this very call, and the answer was lost
                 return ours
             raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
-    return Seen(made["e_tag"] or "", made["version"])
+    return ObjectVersion(made["e_tag"] or "", made["version"])
 
 
-def _seen_if_same(url: Url, file: Path) -> Seen | None:
+def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
     """Which object this is, if it has the bytes of the file. Raises StoreError."""
     with ObjectFile(url) as there, file.open("rb") as here:
         starts = range(0, there.size, LARGEST_READ)
         parts = there.read_many((at, min(LARGEST_READ, there.size - at)) for at in starts)
         is_same = all(data == here.read(len(data)) for data in parts) and not here.read(1)
-        return there.seen if is_same else None
+        return there.object_version if is_same else None
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
@@ -175,12 +175,12 @@ def remove(url: Url) -> None:
         obstore.delete(store_of(url, True), url.key)
 
 
-def _again_if_cut_off(ask: Callable[[], T], may_ask: Callable[[], bool] = lambda: True) -> T:
+def _again_if_cut_off(request: Callable[[], T], may_repeat: Callable[[], bool] = lambda: True) -> T:
     """What a store answers; asked again where the answer came incomplete, as long as that makes no difference."""
     for _ in range(CUT_OFF - 1):
         try:
-            return ask()
+            return request()
         except failures.GenericError as error:
-            if not (is_cut_off(str(error)) and may_ask()):
+            if not (is_cut_off(str(error)) and may_repeat()):
                 raise
-    return ask()
+    return request()

@@ -40,7 +40,7 @@ _MOST_TASKS: Final = 4_000
 
 _IN_FLIGHT: Final = 1_000
 _READY_AT_ONCE: Final = 64
-_LOOK_EVERY_S: Final = 0.5
+_POLL_EVERY_S: Final = 0.5
 
 # a client's first bytes in HTTP/2, and an empty SETTINGS frame (RFC 9113, 3.4 and 6.5): gRPC answers with its own
 _HTTP2_PREFACE: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
@@ -186,7 +186,7 @@ def _results(
             if not firsts:
                 return
             pending = list(firsts)
-            ready, _ = ray.wait(pending, num_returns=min(len(pending), _READY_AT_ONCE), timeout=_LOOK_EVERY_S)
+            ready, _ = ray.wait(pending, num_returns=min(len(pending), _READY_AT_ONCE), timeout=_POLL_EVERY_S)
             for reference in ready:
                 first = firsts.pop(reference)
                 try:

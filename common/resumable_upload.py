@@ -23,7 +23,7 @@ from common.errors import ObjectExistsError, StoreError, UserError
 from common.interrupts import uninterrupted
 from common.location import Url
 from common.s3_settings import S3Settings, s3_settings
-from common.store_errors import as_told
+from common.store_errors import store_error
 
 try:
     import botocore.session
@@ -45,7 +45,11 @@ _AT_ONCE: Final = 4
 _CHECKSUMS: Final = ("ETag", "ChecksumSHA256")  # as a store tells them, and wants to hear them
 _TRIES: Final = 10  # of each request, later and later: a minute without the network is waited for
 _ALGORITHM: Final = "SHA256"
-_NOT_TOLD: Final = (403, 405, 501)  # to who may not ask which uploads there are; by a store that does not know
+_LISTING_REFUSED: Final = (
+    403,
+    405,
+    501,
+)  # to who may not ask which uploads there are; by a store that does not know
 
 
 class _UploadGoneError(StoreError):
@@ -65,7 +69,7 @@ class ResumableUpload:
         self._sent: dict[int, dict[str, Any]] = {}  # by their number, as a store wants to hear of them
         self._id = ""
         self._stays = False
-        with _told(url):
+        with _translating_errors(url):
             self._client = _client(s3_settings(), url.bucket)
         self._names = {"Bucket": url.bucket, "Key": url.key}
 
@@ -78,11 +82,11 @@ class ResumableUpload:
         """Send what is not there yet, and give it its name. Raises ObjectExistsError where there is something of
         that name, unless `overwrite`; StoreError, also where only the answer was lost."""
         try:
-            with _told(self.url):
+            with _translating_errors(self.url):
                 self._find(on_bytes)
                 if not self._id:
                     begin = partial(self._client.create_multipart_upload, **self._names, **_encryption())
-                    self._id = _asked(begin, ChecksumAlgorithm=_ALGORITHM)["UploadId"]
+                    self._id = _answer_of(begin, ChecksumAlgorithm=_ALGORITHM)["UploadId"]
                 self._send_parts(on_bytes)
                 self._complete(overwrite)
         except BaseException as error:
@@ -90,7 +94,7 @@ class ResumableUpload:
                 self._stays = False
             if not self._stays and self._id:
                 # what was raised first says more than why this cannot be done
-                with uninterrupted(), contextlib.suppress(StoreError), _told(self.url):
+                with uninterrupted(), contextlib.suppress(StoreError), _translating_errors(self.url):
                     _abort(self._client, self.url, self._id)
             raise
 
@@ -105,7 +109,7 @@ class ResumableUpload:
                     self._id = upload["UploadId"]
                     return
         except ClientError as error:
-            if _status_of(error) not in _NOT_TOLD:
+            if _status_of(error) not in _LISTING_REFUSED:
                 raise
             self._stays = False
 
@@ -141,7 +145,7 @@ class ResumableUpload:
     def _send_part(self, number: int, on_bytes: OnBytes) -> None:
         data = self._read(number)
         send = partial(self._client.upload_part, **self._names, UploadId=self._id, PartNumber=number, Body=data)
-        self._note(number, _asked(send, ChecksumSHA256=_sha256(data)))
+        self._note(number, _answer_of(send, ChecksumSHA256=_sha256(data)))
         on_bytes(len(data))
 
     def _complete(self, overwrite: bool) -> None:
@@ -154,7 +158,7 @@ class ResumableUpload:
         for tries_left in reversed(range(_TRIES)):
             parts = [self._sent[number] for number in sorted(self._sent)]
             try:
-                _asked(complete, MultipartUpload={"Parts": parts})
+                _answer_of(complete, MultipartUpload={"Parts": parts})
                 return
             except ClientError as error:
                 if _code_of(error) != "InvalidPart" or not tries_left:
@@ -180,7 +184,7 @@ class ResumableUpload:
 def remove_unfinished(url: Url) -> int:
     """Remove what uploads to a name have sent that are not finished, also of those that still go on. Returns how
     many there were. Raises StoreError."""
-    with _told(url):
+    with _translating_errors(url):
         client = _client(s3_settings(), url.bucket)
         uploads = _uploads(client, url)
         for upload in uploads:
@@ -196,7 +200,7 @@ def _uploads(client: Any, url: Url) -> list[dict[str, Any]]:
 
 def _abort(client: Any, url: Url, upload_id: str) -> None:
     try:
-        _asked(client.abort_multipart_upload, Bucket=url.bucket, Key=url.key, UploadId=upload_id)
+        _answer_of(client.abort_multipart_upload, Bucket=url.bucket, Key=url.key, UploadId=upload_id)
     except ClientError as error:
         if _code_of(error) != "NoSuchUpload":
             raise
@@ -204,18 +208,18 @@ def _abort(client: Any, url: Url, upload_id: str) -> None:
 
 def _pages(client: Any, operation: str, name: str, **names: str) -> list[dict[str, Any]]:
     """All entries of a list that comes in pages."""
-    pages = _asked(lambda: list(client.get_paginator(operation).paginate(**names)))
+    pages = _answer_of(lambda: list(client.get_paginator(operation).paginate(**names)))
     return [entry for page in pages for entry in page.get(name, [])]
 
 
-def _asked(ask: Callable[..., T], **names: Any) -> T:
+def _answer_of(request: Callable[..., T], **names: Any) -> T:
     """What a store answers. botocore asks again where none comes, or an error; here, where half of one does."""
     for _ in range(_TRIES - 1):
         try:
-            return ask(**names)
+            return request(**names)
         except ResponseParserError:
             continue
-    return ask(**names)
+    return request(**names)
 
 
 def _is_of(part: dict[str, Any], data: bytes) -> bool:
@@ -262,7 +266,7 @@ def _client(settings: S3Settings, bucket: str) -> Any:
 
 
 @contextlib.contextmanager
-def _told(url: Url) -> Iterator[None]:
+def _translating_errors(url: Url) -> Iterator[None]:
     """Make one line of what botocore raises, the same as of what obstore does."""
     try:
         yield
@@ -274,9 +278,9 @@ def _told(url: Url) -> Iterator[None]:
         if code in ("NoSuchUpload", "InvalidPart"):
             spoilt = f"{url}: another process has ended the upload, or sent other parts; give the command again"
             raise _UploadGoneError(spoilt) from None
-        raise as_told(url, error, _text(error)) from None
+        raise store_error(url, error, _text(error)) from None
     except (BotoCoreError, ResponseParserError) as error:
-        raise as_told(url, error, " ".join(str(error).split())) from None
+        raise store_error(url, error, " ".join(str(error).split())) from None
 
 
 def _text(error: ClientError) -> str:

@@ -22,7 +22,7 @@ from common.store_errors import from_url
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
-_asked_by = 0  # the process that has asked a store first
+_used_by = 0  # the process that has asked a store first
 _is_hurried = False
 
 # The first request of a process to a bucket shall fail within seconds; those of a training that has run for hours
@@ -47,7 +47,7 @@ def forget_stores() -> None:
 
 
 def store_of(url: Url, is_patient: bool) -> ObjectStore:
-    if _asked_by not in (0, os.getpid()):  # obstore's threads are not in it: it would wait forever
+    if _used_by not in (0, os.getpid()):  # obstore's threads are not in it: it would wait forever
         raise StoreError(
             f"{url}: cannot be read in a process that was forked from one which has read from a store; start it"
             ' anew (a DataLoader: multiprocessing_context="spawn")'
@@ -57,8 +57,8 @@ def store_of(url: Url, is_patient: bool) -> ObjectStore:
 
 
 def _note_process() -> None:
-    global _asked_by
-    _asked_by = os.getpid()
+    global _used_by
+    _used_by = os.getpid()
 
 
 @cache

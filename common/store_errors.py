@@ -49,7 +49,7 @@ def as_store_error(url: Url) -> Iterator[None]:
     try:
         yield
     except (exceptions.BaseError, FileNotFoundError) as error:  # of what is not there, it raises Python's own
-        raise as_told(url, error, " ".join(str(error).split())) from None
+        raise store_error(url, error, " ".join(str(error).split())) from None
 
 
 def is_out_of_range(text: str) -> bool:
@@ -64,7 +64,7 @@ def is_no_bucket(text: str) -> bool:
     return "NoSuchBucket" in text or "ContainerNotFound" in text or "specified bucket does not exist" in text
 
 
-def as_told(url: Url, error: Exception, text: str) -> StoreError:
+def store_error(url: Url, error: Exception, text: str) -> StoreError:
     """The error to raise, in one line, for what a store's client has raised, and says in `text`."""
     bucket = f"{url.scheme}://{url.bucket}"
     if isinstance(error, exceptions.AlreadyExistsError):

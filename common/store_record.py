@@ -34,7 +34,7 @@ class StoreRecord(msgspec.Struct, frozen=True):
     files: dict[str, Copy] = {}
     left: dict[str, Copy] = {}
     """Of a copy that has not all files: those that it has not, or not as they are there now."""
-    told_by: str = ""
+    record_version: str = msgspec.field(default="", name="told_by")
     """Of a copy: the version of the store's own record that was read last."""
 
 

@@ -20,7 +20,7 @@ from common.errors import NoSuchObjectError, ObjectChangedError, UserError
 from common.files import PART_SUFFIX, atomic_file
 from common.location import Url
 from common.locks import lock, try_lock
-from common.object_file import ObjectFile, Seen
+from common.object_file import ObjectFile, ObjectVersion
 from common.object_store import (
     StoredObject,
     find_object,
@@ -98,23 +98,24 @@ class StoredFolder(Closeable):
             if not (is_ours and self._is_changed(name)):
                 (self.here / name).unlink(missing_ok=True)
             del self._copies[name]
-        told: Mapping[str, Copy] = {**self._copies, **self._record.left}
-        told_by = "" if record is None else record.version
-        if differ and record is not None and record.version != self._record.told_by:
-            told = record_of(read_object(record.url, _MOST_BYTES) or b"").files
+        recorded: Mapping[str, Copy] = {**self._copies, **self._record.left}
+        record_version = "" if record is None else record.version
+        if differ and record is not None and record.version != self._record.record_version:
+            recorded = record_of(read_object(record.url, _MOST_BYTES) or b"").files
         elif not differ:
-            told_by = self._record.told_by
+            record_version = self._record.record_version
         fetched = [name for name in differ if wanted is None or name in wanted]
         size = sum(there[name].size for name in fetched)
         bar = _line_of(progress, f"fetching {self.url.name}, bytes", size)
         with bar as on_bytes, ThreadPoolExecutor(_AT_ONCE) as pool:
             fetching = [
-                (name, pool.submit(self._fetch, name, there[name], told.get(name), on_bytes)) for name in fetched
+                (name, pool.submit(self._fetch, name, there[name], recorded.get(name), on_bytes))
+                for name in fetched
             ]
             for name, each in fetching:
                 self._copies[name] = each.result()
-        left = {name: _as_told(there[name], told.get(name)) for name in set(differ).difference(fetched)}
-        self._write_record(left, told_by)
+        left = {name: _unfetched(there[name], recorded.get(name)) for name in set(differ).difference(fetched)}
+        self._write_record(left, record_version)
 
     def forget(self, *names: str) -> None:
         """Remove files here that are not there, and never were: by their names, or a folder's, with a slash."""
@@ -145,7 +146,7 @@ class StoredFolder(Closeable):
             _do_at_once(self._remove, gone)
         finally:
             left = {name: copy for name, copy in self._record.left.items() if name not in changed}
-            self._write_record(left, self._record.told_by)
+            self._write_record(left, self._record.record_version)
         if changed or gone:
             self._put_record(changed, gone)
         return bool(changed or gone)
@@ -155,7 +156,7 @@ class StoredFolder(Closeable):
 
     def _remove(self, name: str) -> None:
         there = find_object(self.url.joined(name))
-        if there is not None and there.version == _seen(self._copies[name]).name:
+        if there is not None and there.version == _version_of(self._copies[name]).name:
             remove(there.url)
         del self._copies[name]
 
@@ -165,7 +166,7 @@ class StoredFolder(Closeable):
             status, sha256 = path.stat(), _sha256_of(path)
             copy = self._copies.get(name)
             try:
-                seen = put_file(self.url.joined(name), path, None if copy is None else _seen(copy))
+                version = put_file(self.url.joined(name), path, None if copy is None else _version_of(copy))
             except ObjectChangedError:
                 if is_last or name not in self._lines:
                     raise
@@ -173,7 +174,7 @@ class StoredFolder(Closeable):
                 if not self._is_changed(name):  # what was added here is there already
                     return self._copies[name]
                 continue
-            return Copy(status.st_size, status.st_mtime_ns, seen.e_tag, seen.version, sha256)
+            return Copy(status.st_size, status.st_mtime_ns, version.e_tag, version.version, sha256)
         raise AssertionError
 
     def _put_record(self, changed: Sequence[str], gone: Sequence[str]) -> None:
@@ -205,7 +206,7 @@ class StoredFolder(Closeable):
         if any(not part or "\\" in part or ":" in part for part in name.split("/")):
             raise UserError(f"{there.url}: a name that no file here may have; remove it there")
         ours = self._copies.get(name)
-        is_ours = ours is not None and _seen(ours).name == there.version
+        is_ours = ours is not None and _version_of(ours).name == there.version
         is_changed = self._is_changed(name)
         if name in self._lines:
             return not is_ours or not (self.here / name).exists()
@@ -216,7 +217,7 @@ class StoredFolder(Closeable):
         return not is_ours or (is_changed and not keeps_ours)
 
     def _fetch(
-        self, name: str, there: StoredObject, told: Copy | None, on_bytes: OnBytes = lambda more: None
+        self, name: str, there: StoredObject, recorded: Copy | None, on_bytes: OnBytes = lambda more: None
     ) -> Copy:
         """Fetch a file over what is here; of one of lines, those that were added here stay behind those there."""
         path = self.here / name
@@ -239,19 +240,23 @@ class StoredFolder(Closeable):
             raise ObjectChangedError(
                 f"{there.url}: was removed while it was read; give the command again"
             ) from None
-        if told is not None and _seen(told).name == source.seen.name:
-            os.utime(path, ns=(told.mtime_ns, told.mtime_ns))
+        if recorded is not None and _version_of(recorded).name == source.object_version.name:
+            os.utime(path, ns=(recorded.mtime_ns, recorded.mtime_ns))
         elif there.written_ns:
             os.utime(path, ns=(there.written_ns, there.written_ns))
         status = path.stat()
         if ours:
             _add_lines(path, ours)
         return Copy(
-            status.st_size, status.st_mtime_ns, source.seen.e_tag, source.seen.version, content.hexdigest()
+            status.st_size,
+            status.st_mtime_ns,
+            source.object_version.e_tag,
+            source.object_version.version,
+            content.hexdigest(),
         )
 
-    def _write_record(self, left: dict[str, Copy], told_by: str) -> None:
-        self._record = StoreRecord(str(self.url), dict(self._copies), left, told_by)
+    def _write_record(self, left: dict[str, Copy], record_version: str) -> None:
+        self._record = StoreRecord(str(self.url), dict(self._copies), left, record_version)
         write_record(self.here, self._record)
 
 
@@ -293,14 +298,14 @@ def _line_of(progress: Progress | None, description: str, total: int) -> Iterato
         progress.remove_task(task)
 
 
-def _seen(copy: Copy) -> Seen:
-    return Seen(copy.e_tag, copy.version)
+def _version_of(copy: Copy) -> ObjectVersion:
+    return ObjectVersion(copy.e_tag, copy.version)
 
 
-def _as_told(there: StoredObject, told: Copy | None) -> Copy:
+def _unfetched(there: StoredObject, recorded: Copy | None) -> Copy:
     """What is known of a file that was not fetched."""
-    if told is not None and _seen(told).name == there.version:
-        return told
+    if recorded is not None and _version_of(recorded).name == there.version:
+        return recorded
     return Copy(there.size, there.written_ns, there.version)
 
 

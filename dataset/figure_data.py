@@ -102,7 +102,7 @@ def steering_distribution(samples: Samples, config: IndexConfig) -> Distribution
 
 def crop_rows(height: int) -> tuple[int, int]:
     """The first row of a picture that the network sees, and the first below that it does not see."""
-    rows = ORIGINAL.seen_rows(height)
+    rows = ORIGINAL.crop_slice(height)
     return rows.start, rows.stop
 
 

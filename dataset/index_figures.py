@@ -101,17 +101,17 @@ def draw_preprocessing(moments: list[Moment]) -> Figure:
     for axes, moment in zip(grid, moments, strict=True):
         height, width = moment.picture.shape[:2]
         top, bottom = crop_rows(height)
-        camera, crop, seen = axes
+        camera, crop, network_input = axes
         _show(camera, moment.picture, (0, width, height, 0))
         for edge, cut in ((top, (0, top)), (bottom, (bottom, height))):
             camera.axhspan(*cut, color="black", alpha=0.4, linewidth=0)
             camera.axhline(edge, color=YELLOW, linewidth=1.2)
         _show(crop, moment.picture[top:bottom], (0, width, bottom, top))
         crop.set_ylim(height, 0)
-        _show(seen, preprocess(moment.picture), (0, ORIGINAL.width_px, ORIGINAL.height_px, 0))
+        _show(network_input, preprocess(moment.picture), (0, ORIGINAL.width_px, ORIGINAL.height_px, 0))
         camera.set_yticks([0, height])  # the edges are beside it, at the crop
         crop.set_yticks([top, bottom])
-        seen.set_yticks([0, ORIGINAL.height_px])
+        network_input.set_yticks([0, ORIGINAL.height_px])
         camera.set_ylabel(f"{moment.kind}\nsteering {_signed(moment.steering)}\nrow (px)")
     for panel, title in zip(grid[0], ("camera picture", "crop", "network’s input"), strict=True):
         panel.set_title(title)
@@ -138,8 +138,8 @@ def draw_augmentation(moment: Moment, config: IndexConfig, seed: int) -> Figure:
     for axes, name in zip(grid.T, names, strict=True):
         axes[0].set_title(titles[name])
         for panel, flipped, draw in zip(axes, flips, two_draws(crop, name, seed), strict=False):
-            seen = np.ascontiguousarray(crop[:, ::-1]) if flipped else crop
-            _show(panel, alter(seen, name, draw), (0, ORIGINAL.width_px, ORIGINAL.height_px, 0))
+            shown = np.ascontiguousarray(crop[:, ::-1]) if flipped else crop
+            _show(panel, alter(shown, name, draw), (0, ORIGINAL.width_px, ORIGINAL.height_px, 0))
             panel.set_xticks([])
             panel.set_yticks([])
     for panel, flipped in zip(grid[:, 0], flips, strict=True):
@@ -154,7 +154,7 @@ def draw_balance(distribution: Distribution, config: IndexConfig) -> Figure:
     edges = np.linspace(-1, 1, bins + 1)
     centers, width = (edges[:-1] + edges[1:]) / 2, 2 / bins * 0.9
     is_empty = distribution.before == 0
-    whose = f"{config.per_bin} of the bins that are not empty" if isinstance(config.per_bin, str) else "target"
+    target = f"{config.per_bin} of the bins that are not empty" if isinstance(config.per_bin, str) else "target"
     figure = new_figure(4.6)
     before, after = figure.subplots(2, 1, sharex=True)
     before.bar(
@@ -177,7 +177,7 @@ def draw_balance(distribution: Distribution, config: IndexConfig) -> Figure:
         # the upper legend explains the line and the marks for both panels: what begins with "_" is in no legend
         hidden = "" if axes is before else "_"
         if distribution.per_bin:
-            label = f"{hidden}{whose}: {distribution.per_bin:,}"
+            label = f"{hidden}{target}: {distribution.per_bin:,}"
             axes.axhline(distribution.per_bin, color="black", linewidth=1, linestyle="--", label=label)
         if is_empty.any():
             at, label = centers[is_empty], f"{hidden}empty bin"

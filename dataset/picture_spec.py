@@ -83,7 +83,7 @@ class PictureSpec:
     def size_bytes(self) -> int:
         return self.height_px * self.width_px * 3
 
-    def seen_rows(self, height: int) -> slice:
+    def crop_slice(self, height: int) -> slice:
         """The rows of a picture so high that the network sees."""
         return slice(round(height * (self.crop_top / ROWS)), height - round(height * (self.crop_bottom / ROWS)))
 

@@ -43,30 +43,30 @@ def may_be_crop(encoded: bytes) -> bool:
     return 0 < (pixels(encoded) or 0) <= MOST_PX**2
 
 
-def preprocess(picture: Image, seen: PictureSpec = ORIGINAL) -> Image:
-    """A camera picture (height, width, 3) BGR uint8 as the network's input, (`seen.shape`) uint8."""
-    return in_channels(crop_of(picture, seen), seen)
+def preprocess(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
+    """A camera picture (height, width, 3) BGR uint8 as the network's input, (`spec.shape`) uint8."""
+    return in_channels(crop_of(picture, spec), spec)
 
 
-def crop_of(picture: Image, seen: PictureSpec = ORIGINAL) -> Image:
+def crop_of(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
     """What a network sees of a camera picture (height, width, 3), still in BGR.
 
     The crop is a share of the height, so that pictures of another size show the same part of the world.
     """
-    rows = picture[seen.seen_rows(picture.shape[0])]
-    resized = cv2.resize(rows, (seen.width_px, seen.height_px), interpolation=cv2.INTER_LINEAR)
+    rows = picture[spec.crop_slice(picture.shape[0])]
+    resized = cv2.resize(rows, (spec.width_px, spec.height_px), interpolation=cv2.INTER_LINEAR)
     return resized.astype(np.uint8, copy=False)
 
 
-def in_channels(crop: Image, seen: PictureSpec) -> Image:
+def in_channels(crop: Image, spec: PictureSpec) -> Image:
     """A crop in BGR in the network's order of colours; itself, where that is BGR."""
-    if seen.channels == "BGR":
+    if spec.channels == "BGR":
         return crop
-    return cv2.cvtColor(crop, _FROM_BGR[seen.channels]).astype(np.uint8, copy=False)
+    return cv2.cvtColor(crop, _FROM_BGR[spec.channels]).astype(np.uint8, copy=False)
 
 
-def as_bgr(crop: Image, seen: PictureSpec) -> Image:
+def as_bgr(crop: Image, spec: PictureSpec) -> Image:
     """A network's input as BGR, to be looked at; itself, where it is BGR."""
-    if seen.channels == "BGR":
+    if spec.channels == "BGR":
         return crop
-    return cv2.cvtColor(crop, _TO_BGR[seen.channels]).astype(np.uint8, copy=False)
+    return cv2.cvtColor(crop, _TO_BGR[spec.channels]).astype(np.uint8, copy=False)

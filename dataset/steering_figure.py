@@ -80,10 +80,10 @@ def draw_steering(sessions: list[SteeredSession]) -> Figure:
     for (course, histogram), session in zip(grid, sessions, strict=True):
         _draw_course(course, session)
         _draw_histogram(histogram, session)
-    told = {
+    handles = {
         name: handle for axes in grid[:, 0] for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    figure.legend([*told.values()], [*told], loc="outside upper center", ncols=3)
+    figure.legend([*handles.values()], [*handles], loc="outside upper center", ncols=3)
     grid[-1, 0].set_xlabel("time (s)")
     grid[-1, 1].set_xlabel("rows")
     figure.align_labels()

@@ -50,7 +50,7 @@ class Viewpoint:
         shown = np.eye(3)
         self.width_px, self.height_px = width_px, height_px
         if of_crops is not None:
-            rows = of_crops.seen_rows(height_px)
+            rows = of_crops.crop_slice(height_px)
             across, down = of_crops.width_px / width_px, of_crops.height_px / (rows.stop - rows.start)
             shown = np.array([[across, 0.0, 0.0], [0.0, down, -down * rows.start], [0.0, 0.0, 1.0]])
             self.width_px, self.height_px = of_crops.width_px, of_crops.height_px

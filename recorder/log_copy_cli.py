@@ -60,8 +60,8 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
                 on_bytes, on_left = partial(progress.advance, task), partial(_print_left, log, target)
                 done = copy_log(log, target, overwrite=overwrite, on_bytes=on_bytes, on_left=on_left)
             except (UserError, OSError) as error:
-                told = error if isinstance(error, UserError) else UserError(f"{log}: {error.strerror}")
-                codes.append(print_error(prog, told))
+                shown = error if isinstance(error, UserError) else UserError(f"{log}: {error.strerror}")
+                codes.append(print_error(prog, shown))
                 continue
             finally:
                 progress.remove_task(task)

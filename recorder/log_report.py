@@ -45,9 +45,9 @@ def print_info(info: LogInfo) -> None:
 
 
 def print_checked(checked: Checked) -> None:
-    looked = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
+    decoded = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
     verdict = counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
-    print_result(f"{checked.path}: {counted(checked.messages, 'message')}{looked}: {verdict}")
+    print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
     found = Skipped()
     for finding in checked.findings:
         found.add(finding.kind, finding.where)

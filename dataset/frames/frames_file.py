@@ -146,13 +146,15 @@ def extent_of(path: Path) -> Extent:
     except (OSError, pa.ArrowException) as error:
         raise _damaged(path, error) from None
     paths = [about.schema.column(number).path for number in range(about.num_columns)]
-    told: list[Any] = []
+    statistics_ns: list[Any] = []
     if "log_time_ns" in paths:
         at = paths.index("log_time_ns")
-        told = [about.row_group(group).column(at).statistics for group in range(about.num_row_groups)]
-    if not told or any(each is None or not each.has_min_max for each in told):  # another program wrote it anew
+        statistics_ns = [about.row_group(group).column(at).statistics for group in range(about.num_row_groups)]
+    if not statistics_ns or any(
+        each is None or not each.has_min_max for each in statistics_ns
+    ):  # another program wrote it anew
         return Extent(about.num_rows, *_ALWAYS_NS)
-    return Extent(about.num_rows, min(each.min for each in told), max(each.max for each in told))
+    return Extent(about.num_rows, min(each.min for each in statistics_ns), max(each.max for each in statistics_ns))
 
 
 def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:

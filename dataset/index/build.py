@@ -84,7 +84,7 @@ from recorder.log.session_car import (
     max_steering_deg_of,
     metadata_of,
     named_car,
-    told_car,
+    stored_car,
 )
 from recorder.log.tags import read_tags
 from recorder.log.topics import QUALITY_METADATA, camera_topic
@@ -392,7 +392,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
         tags = read_tags(path, log.fingerprint)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
-        car = told_car(log)
+        car = stored_car(log)
         entry = BuiltLog(
             sources,
             log.fingerprint,
@@ -426,10 +426,10 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
     )
 
 
-def _about_car(entry: BuiltLog, seen_from: Car | None) -> dict[str, Any]:
+def _about_car(entry: BuiltLog, views_car: Car | None) -> dict[str, Any]:
     """What the samples' metadata tells of a session's car: what its log does, and what its views are taken by."""
     steering = {"max_steering_deg": entry.max_steering_deg}
-    car = metadata_of(seen_from).get(CAR_KEY, entry.car)
+    car = metadata_of(views_car).get(CAR_KEY, entry.car)
     return {
         **(steering if entry.max_steering_deg != MAX_STEERING_DEG else {}),
         **({CAR_KEY: json.loads(car)} if car else {}),

@@ -63,7 +63,7 @@ def refuse_shared_pictures(
         opened: dict[int, _Session] = {}
         for start in groups.tolist():
             end = int(np.searchsorted(key[order], key[order][start], side="right"))
-            seen: dict[bytes, tuple[int, int]] = {}
+            first_shown: dict[bytes, tuple[int, int]] = {}
             for at in order[start:end].tolist():
                 number = int(owner[at])
                 if number not in opened:
@@ -73,7 +73,7 @@ def refuse_shared_pictures(
                     row, data = opened[number].picture(int(position[at]))
                 except LogError as error:
                     raise UnreadablePictureError(error, names[number]) from None
-                other, other_row = seen.setdefault(hashlib.sha256(data).digest(), (number, row))
+                other, other_row = first_shown.setdefault(hashlib.sha256(data).digest(), (number, row))
                 if other != number:
                     one, two = logs[names[other]], logs[names[number]]
                     raise DatasetError(

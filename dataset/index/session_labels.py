@@ -48,10 +48,10 @@ def labels_of_sessions(
     names = list(frames)
     steered = tasks(habits_of_frames, [(frames[name], built[name].max_steering_deg) for name in names])
     habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}
-    is_asked = config.labels == "auto" and config.label_shift_s is None
-    asked = [name for name in frames if is_asked and goes_by_lag(habits[name], built[name].driven_by)]
-    lags = {name: _read_lag(index, name, built[name].fingerprint) for name in asked}
-    missing = [name for name in asked if lags[name] is None]
+    needs_lag = config.labels == "auto" and config.label_shift_s is None
+    lagging = [name for name in frames if needs_lag and goes_by_lag(habits[name], built[name].driven_by)]
+    lags = {name: _read_lag(index, name, built[name].fingerprint) for name in lagging}
+    missing = [name for name in lagging if lags[name] is None]
     calls = [(logs[name], index, name, built[name].fingerprint) for name in missing]
     if tasks is one_by_one and any(isinstance(logs[name], Url) for name in missing):
         tasks = in_threads  # they wait for answers

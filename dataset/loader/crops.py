@@ -57,15 +57,15 @@ class Crops:
     """The pictures of some samples."""
 
     def __init__(
-        self, rows: Rows, logs: Mapping[str, Log], budget_bytes: int, seen: PictureSpec = ORIGINAL
+        self, rows: Rows, logs: Mapping[str, Log], budget_bytes: int, spec: PictureSpec = ORIGINAL
     ) -> None:
         """Keeps as many crops as fit into ``budget_bytes``: they are decoded once."""
         self._rows = rows
-        self._seen = seen
+        self._spec = spec
         self._logs = [logs[session] for session in rows.sessions]
         self._viewpoints: dict[int, Viewpoint] = {}  # by session
-        kept = min(len(rows.session), budget_bytes // seen.size_bytes)
-        self._kept = np.empty((kept, *seen.shape), np.uint8)  # no memory is taken before it is written to
+        kept = min(len(rows.session), budget_bytes // spec.size_bytes)
+        self._kept = np.empty((kept, *spec.shape), np.uint8)  # no memory is taken before it is written to
         self._is_kept = np.zeros(kept, np.bool_)
 
     def fill(self, pictures: Image, samples: NDArray[np.int64]) -> dict[int, UnusablePictureError]:
@@ -92,8 +92,8 @@ class Crops:
             if names := self._rows.alterations[alteration]:
                 cameras = self._cameras(number) if names.startswith(VIEWPOINT) else None
                 picture[:] = alter(picture, names, seed, cameras)
-            if self._seen.channels != "BGR":  # last: alterations are of BGR
-                picture[:] = in_channels(picture, self._seen)
+            if self._spec.channels != "BGR":  # last: alterations are of BGR
+                picture[:] = in_channels(picture, self._spec)
         return failed
 
     def wanted(self, samples: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -135,7 +135,7 @@ class Crops:
             except RecordingError:  # an index of an earlier version, or of another hand
                 car = UDACITY
             size = width_and_height(self._read(number)) or OUTLINE_PX  # all of a session's have one size
-            self._viewpoints[session] = Viewpoint(car, *size, of_crops=self._seen)
+            self._viewpoints[session] = Viewpoint(car, *size, of_crops=self._spec)
         return self._viewpoints[session]
 
     def _read(self, number: int) -> bytes:
@@ -149,7 +149,7 @@ class Crops:
         log = self._logs[rows.session[number]]
         offset = int(rows.offset[number])
         try:
-            return crop_of(decode(self._read(number)), self._seen)
+            return crop_of(decode(self._read(number)), self._spec)
         except LogError as error:
             raise UnusablePictureError(damaged_pictures(log.path), str(error)) from None
         except ValueError as error:

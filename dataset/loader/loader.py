@@ -137,7 +137,7 @@ class Loader(Closeable):
         that they are of. None is kept here; neighbours that show the same picture share its decoding."""
         size = max(1, -(-min(self.batch, len(self)) // self.ranks))
         parts = np.split(samples, np.arange(size, len(samples), size))
-        return self._decoded(parts, Crops(self.rows, self._samples.logs, budget_bytes=0, seen=self.seen))
+        return self._decoded(parts, Crops(self.rows, self._samples.logs, budget_bytes=0, spec=self.seen))
 
     @property
     def decoded(self) -> NDArray[np.bool_]:

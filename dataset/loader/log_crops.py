@@ -25,7 +25,7 @@ from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
-from recorder.log.session_car import max_steering_deg_of, metadata_of, told_car
+from recorder.log.session_car import max_steering_deg_of, metadata_of, stored_car
 from recorder.log.topics import camera_topic
 
 _AT_ONCE: Final = 4  # batches that are worked on
@@ -64,7 +64,7 @@ class LogCrops(Closeable):
     @property
     def about_car(self) -> dict[str, str]:
         """What the log's metadata tells of its car."""
-        return metadata_of(told_car(self._log))
+        return metadata_of(stored_car(self._log))
 
     @property
     def notice(self) -> str:
@@ -99,16 +99,16 @@ class LogCrops(Closeable):
     def __len__(self) -> int:
         return len(self.row)
 
-    def batches(self, size: int, seen: PictureSpec = ORIGINAL) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """Numbers of pictures and their crops (at most `size` of `seen.shape`), in order, read ahead by threads.
+    def batches(self, size: int, spec: PictureSpec = ORIGINAL) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """Numbers of pictures and their crops (at most `size` of `spec.shape`), in order, read ahead by threads.
 
         Pictures that do not decode, or lie where the log is damaged, are left out, and named in `skipped`.
         """
         numbers = np.arange(len(self))
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
-        of_log = Crops(self._rows, {self.session: self._log}, budget_bytes=0, seen=seen)
-        for part, crops, failed in prefetched(parts, of_log.fill, seen, threads=threads, at_once=_AT_ONCE):
+        of_log = Crops(self._rows, {self.session: self._log}, budget_bytes=0, spec=spec)
+        for part, crops, failed in prefetched(parts, of_log.fill, spec, threads=threads, at_once=_AT_ONCE):
             for number, error in failed.items():
                 if number not in self._undecoded:
                     self._undecoded.add(number)

@@ -69,7 +69,7 @@ class LogViews(Closeable):
                 is_usable[(row >= tag.first_row) & (row <= tag.last_row)] = False
         return stretches_to_drive(self.states, is_usable)
 
-    def seen(self, number: int, left_m: float, turn_rad: float) -> tuple[Image, float] | None:
+    def crop_from(self, number: int, left_m: float, turn_rad: float) -> tuple[Image, float] | None:
         """The crop (`picture.shape`, in BGR) that the network sees of row `number` from a car that is `left_m`
         to the left of the line and turned to the left by `turn_rad`, and how much of it is known (0 .. 1); None
         without a whole picture of the centre camera."""
@@ -88,7 +88,7 @@ class LogViews(Closeable):
             if beside is not None and beside.shape == centre.shape:
                 pictures[nearest] = beside
         view = viewpoint.view(pictures, left_m, turn_rad)
-        known = view.is_known[self.picture.seen_rows(size[1])]
+        known = view.is_known[self.picture.crop_slice(size[1])]
         return crop_of(view.picture, self.picture), float(known.mean())
 
     def _places_of(self, camera: Camera) -> dict[int, tuple[int, int, int]]:

@@ -23,9 +23,9 @@ Fill = Callable[[Image, Numbers], Failed]
 
 
 def prefetched(
-    parts: Iterable[Numbers], fill: Fill, seen: PictureSpec, *, threads: int, at_once: int
+    parts: Iterable[Numbers], fill: Fill, spec: PictureSpec, *, threads: int, at_once: int
 ) -> Iterator[tuple[Numbers, Image, Failed]]:
-    """Each part, what `fill` writes for it (N, `seen.shape`), and its numbers that have no picture, and why.
+    """Each part, what `fill` writes for it (N, `spec.shape`), and its numbers that have no picture, and why.
 
     `at_once` parts are worked on. What `fill` raises is raised in its part's turn.
     """
@@ -33,7 +33,7 @@ def prefetched(
     pool = ThreadPoolExecutor(threads)
     try:
         for part in parts:
-            pictures = np.empty((len(part), *seen.shape), np.uint8)
+            pictures = np.empty((len(part), *spec.shape), np.uint8)
             size = max(1, -(-len(part) // (_JOBS * threads)))
             starts = range(0, len(part), size)
             jobs = [pool.submit(fill, pictures[i : i + size], part[i : i + size]) for i in starts]

@@ -46,11 +46,11 @@ class Condition:
 
     def check(self, frames: pa.Table) -> None:
         """Raise DatasetError if it is no condition on the columns of `frames`; it is not evaluated."""
-        self._asked(frames, lambda chosen: None)
+        self._answered(frames, lambda chosen: None)
 
     def holds(self, frames: pa.Table) -> NDArray[np.bool_]:
         """For which rows of `frames` (N,) it is true. Raises DatasetError if it is no condition on them."""
-        found, again = self._asked(
+        found, again = self._answered(
             frames, lambda chosen: [np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2)]
         )
         if not np.array_equal(found, again):
@@ -59,31 +59,31 @@ class Condition:
         mask[found] = True
         return mask
 
-    def _asked(self, frames: pa.Table, what: Callable[[DuckDBPyRelation], Answer]) -> Answer:
+    def _answered(self, frames: pa.Table, what: Callable[[DuckDBPyRelation], Answer]) -> Answer:
         """`what` of the numbers of the rows for which it is true."""
         numbered = frames.append_column(_NUMBER, pa.array(np.arange(len(frames))))
 
-        def ask() -> Answer:
+        def query() -> Answer:
             # a filter takes one expression: no second statement, no ORDER BY or UNION behind it
             return what(self._connection.from_arrow(numbered).filter(self._where).project(_NUMBER))
 
         try:
-            return self._interruptible(ask)
+            return self._interruptible(query)
         except (self._error, KeyError) as error:
             what_is_wrong = str(error).splitlines()[0]
             columns = ", ".join(frames.column_names)
             raise DatasetError(f"--where {self._where!r}: {what_is_wrong}; the columns are {columns}") from None
 
-    def _interruptible(self, ask: Callable[[], Answer]) -> Answer:
+    def _interruptible(self, query: Callable[[], Answer]) -> Answer:
         """Ctrl-C ends it, as KeyboardInterrupt: in the main thread DuckDB hears signals itself, and what their
         handler raises becomes another error, or is lost."""
         with ThreadPoolExecutor(1) as pool:
-            asked = pool.submit(ask)
+            pending = pool.submit(query)
             try:
-                while not asked.done():
-                    wait([asked], _PATIENCE_S)
+                while not pending.done():
+                    wait([pending], _PATIENCE_S)
             finally:
-                while not asked.done():  # it may just have been about to begin
+                while not pending.done():  # it may just have been about to begin
                     self._connection.interrupt()
-                    wait([asked], _PATIENCE_S)
-            return asked.result()
+                    wait([pending], _PATIENCE_S)
+            return pending.result()

@@ -39,10 +39,10 @@ def choose_frames(
     is_bad = is_unusable(frames)
     is_tagged = is_excluded(frames)
     camera = codes(frames["camera"], CAMERAS)
-    is_asked_for = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
+    is_selected = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
     if condition is not None:
-        is_asked_for &= condition.holds(frames)
-    is_wanted = is_asked_for & is_taken(codes(frames["driver"], DRIVERS), config.drives)
+        is_selected &= condition.holds(frames)
+    is_wanted = is_selected & is_taken(codes(frames["driver"], DRIVERS), config.drives)
     steering, is_crashed = planned_labels(frames, plan)
     usable = is_wanted & ~is_bad & ~is_tagged
     has_label = ~np.isnan(steering)
@@ -56,8 +56,8 @@ def choose_frames(
         excluded=int((is_wanted & is_tagged).sum()),
         unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
         unlabelled=int((usable & ~has_label & (split != 2) & ~is_left_out).sum()),
-        not_asked_for=int((~is_asked_for).sum()),
+        not_asked_for=int((~is_selected).sum()),
         crashed=int((usable & is_left_out).sum()),
-        not_taken_over=int((is_asked_for & ~is_wanted).sum()),
+        not_taken_over=int((is_selected & ~is_wanted).sum()),
     )
     return FrameChoice(chosen, split == 0, steering, counts)

@@ -63,8 +63,8 @@ def recorded_throttle(frames: pa.Table) -> NDArray[np.float64]:
     session in which neither is ever touched: nothing drives so, nobody has told them."""
     pedals = [frames[name].to_numpy() for name in ("throttle", "brake")]
     throttle: NDArray[np.float64] = np.subtract(*pedals)
-    is_told = any(pedal.any() for pedal in pedals)
-    return np.where((np.abs(throttle) <= 1) & is_told, throttle, np.nan)
+    has_pedals = any(pedal.any() for pedal in pedals)
+    return np.where((np.abs(throttle) <= 1) & has_pedals, throttle, np.nan)
 
 
 def _is_good(frames: pa.Table) -> NDArray[np.bool_]:

@@ -157,9 +157,9 @@ class Samples(Closeable):
         """
         plain: dict[str, Any] = {"split": _known(split), "flip": False, "copy": False}
         center = self._table(None, **plain, camera="center")
-        seen = center if len(center) else self._table(None, **plain)
+        view = center if len(center) else self._table(None, **plain)
         try:
-            return seen.set_column(seen.schema.get_field_index("label"), "label", seen["recorded"])
+            return view.set_column(view.schema.get_field_index("label"), "label", view["recorded"])
         except _UNREADABLE as error:
             raise self._damaged(error) from None
 
@@ -174,8 +174,8 @@ class Samples(Closeable):
     @cached_property
     def max_steering_deg(self) -> float:
         """How far the front wheels turn at steering 1, in all sessions. Raises DatasetError for no angle."""
-        told = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
-        degrees = told.pop() if len(told) == 1 else None
+        angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
+        degrees = angles_deg.pop() if len(angles_deg) == 1 else None
         if not isinstance(degrees, int | float) or not 0 < degrees < 90:
             raise self._damaged(ValueError("no one angle of the wheels at steering 1"))
         return float(degrees)

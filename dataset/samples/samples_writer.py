@@ -182,21 +182,21 @@ def usable_frames(
     )
     if config.viewpoints:
         speed_mph = frames["speed_mph"].to_numpy()[at]
-        is_seen = session.is_training & (camera[at] == CAMERAS.index("center")) & has_way_back(speed_mph)
-        session = _with_views(session, speed_mph, is_seen, config.viewpoints, car, random)
+        has_views = session.is_training & (camera[at] == CAMERAS.index("center")) & has_way_back(speed_mph)
+        session = _with_views(session, speed_mph, has_views, config.viewpoints, car, random)
     return session, choice.counts
 
 
 def _with_views(
     session: UsableFrames,
     speed_mph: NDArray[np.float64],
-    is_seen: NDArray[np.bool_],
+    has_views: NDArray[np.bool_],
     each: int,
     car: Car,
     random: np.random.Generator,
 ) -> UsableFrames:
-    """A session's frames, and behind each that `is_seen` its views from beside the line."""
-    times = np.where(is_seen, 1 + each, 1)
+    """A session's frames, and behind each that `has_views` its views from beside the line."""
+    times = np.where(has_views, 1 + each, 1)
     frame = np.repeat(np.arange(len(times)), times)
     is_view = np.ones(len(frame), np.bool_)
     is_view[np.cumsum(times) - times] = False

@@ -159,7 +159,7 @@ class _Drive:
         car.put_on_line(steering[0])
         for here in range(len(steering)):
             advance()
-            seen = self._views.seen(stretch.first + here, car.left_m, car.turn_rad)
+            seen = self._views.crop_from(stretch.first + here, car.left_m, car.turn_rad)
             if seen is None:  # as a gap: nobody can steer
                 if here + 1 < len(steering):
                     car.put_on_line(steering[here + 1])

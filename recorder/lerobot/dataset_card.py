@@ -119,9 +119,9 @@ def card(
 
 
 def _origin(session: Mapping[str, str]) -> str:
-    told = [
+    parts = [
         f"{name}: {session[name]}"
         for name in ("source", "track", "driver", "run", "recording")
         if session.get(name)
     ]
-    return ", ".join(told) or "unknown"
+    return ", ".join(parts) or "unknown"

@@ -126,9 +126,9 @@ def info(
 def data_schema(of: Mapping[str, Feature]) -> pa.Schema:
     """The schema of the data files, with what the library `datasets` is told of their columns."""
     columns = {name: feature for name, feature in of.items() if feature.dtype != "video"}
-    told = {name: _as_datasets_has_it(feature) for name, feature in columns.items()}
+    described = {name: _as_datasets_has_it(feature) for name, feature in columns.items()}
     fields = [pa.field(name, _arrow_type(feature)) for name, feature in columns.items()]
-    return pa.schema(fields, {"huggingface": json.dumps({"info": {"features": told}})})
+    return pa.schema(fields, {"huggingface": json.dumps({"info": {"features": described}})})
 
 
 def _arrow_type(feature: Feature) -> pa.DataType:

@@ -35,7 +35,7 @@ from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, log_episodes
 from recorder.lerobot.picture_spool import PictureSpool
 from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
-from recorder.log.meant_gaps import tells_not_recorded
+from recorder.log.meant_gaps import is_not_recorded
 from recorder.log.reader import Log
 from recorder.log.row_quality import States
 from recorder.log.session_car import CAR_KEY, car_of, metadata_of
@@ -150,12 +150,12 @@ class _Export:
     ) -> None:
         cameras = () if self._files.is_video else self._plan.cameras
         with PictureSpool(self._files.root, len(cameras)) as spool:
-            kept, looked = self._gather(rows, pictures, spool)
+            kept, of_pictures = self._gather(rows, pictures, spool)
             if not kept:
                 return
             states = States(*(getattr(taken.states, name)[kept] for name in vars(taken.states)))
             numbers = self._numbers(states)
-            statistics = _statistics(numbers, looked)
+            statistics = _statistics(numbers, of_pictures)
             columns: dict[str, pa.Array | pa.ChunkedArray] = {
                 **{name: _arrow(values) for name, values in numbers.items()},
                 form.LOG_FINGERPRINT: pa.array([log.fingerprint] * len(kept)),
@@ -177,8 +177,8 @@ class _Export:
     ) -> tuple[list[int], dict[Camera, PictureStatistics]]:
         """Bring the pictures of rows to the spool, or to the videos; returns those rows that can be used."""
         is_video = self._files.is_video
-        looked = {camera: PictureStatistics() for camera in self._plan.cameras}
-        looked_at = set((sampled(len(rows)) + rows.start).tolist())
+        statistics = {camera: PictureStatistics() for camera in self._plan.cameras}
+        sampled_rows = set((sampled(len(rows)) + rows.start).tolist())
         kept: list[int] = []
         for number in rows:
             self._advance()
@@ -186,8 +186,8 @@ class _Export:
             if found is None:
                 continue
             # also of an episode whose first pictures cannot be used, something must be looked at
-            is_looked_at = number in looked_at or not kept
-            decoded = [_decoded(picture) for picture in found] if is_video or is_looked_at else []
+            is_sampled = number in sampled_rows or not kept
+            decoded = [_decoded(picture) for picture in found] if is_video or is_sampled else []
             sound = [picture for picture in decoded if picture is not None]
             if len(sound) != len(decoded):
                 pictures.skip("rows with a picture that does not decode", number)
@@ -195,15 +195,15 @@ class _Export:
             if not kept:
                 self._files.begin_episode(self._sizes)
                 self._example = self._example or found[0]
-            if is_looked_at:
-                for statistics, picture in zip(looked.values(), sound, strict=True):
-                    statistics.add(picture)
+            if is_sampled:
+                for of_camera, picture in zip(statistics.values(), sound, strict=True):
+                    of_camera.add(picture)
             if is_video:
                 self._files.add_to_videos(sound)
             else:
                 spool.add(found)
             kept.append(number)
-        return kept, looked
+        return kept, statistics
 
     def _numbers(self, states: States) -> Columns:
         """The columns of an episode that are numbers."""
@@ -268,9 +268,9 @@ class _Export:
         (root / CARD_PATH).write_text(text, encoding="utf-8")
 
 
-def _statistics(numbers: Columns, looked: dict[Camera, PictureStatistics]) -> dict[str, Statistics]:
+def _statistics(numbers: Columns, pictures: dict[Camera, PictureStatistics]) -> dict[str, Statistics]:
     """Without those of our own columns: nothing learns from them, and a speed may be unknown."""
-    of_pictures = {form.image_key(camera): found.statistics() for camera, found in looked.items()}
+    of_pictures = {form.image_key(camera): found.statistics() for camera, found in pictures.items()}
     own = {form.LOG_TIME, form.LOG_ROW, form.LOG_VEHICLE}
     return of_pictures | {name: number_statistics(values) for name, values in numbers.items() if name not in own}
 
@@ -299,7 +299,7 @@ def _car(log: Log) -> str:
 def _not_recorded(log: Log) -> dict[int, str]:
     """The events of a log that tell of time that was let pass on purpose, by log time."""
     events = log.decoded(EVENTS) if EVENTS in log.counts else ()
-    return {at.log_time_ns: event.message for at, event in events if tells_not_recorded(event.message)}
+    return {at.log_time_ns: event.message for at, event in events if is_not_recorded(event.message)}
 
 
 def _name(log: Log) -> str:

@@ -64,14 +64,16 @@ def plan_export(
             known.append(bool(np.isfinite(taken.states.speed_mph).all()))
     rate_hz = _rate_hz(np.concatenate(steps)) if rates else 1.0
     if rates and max(rates.values()) > RATES_DIFFER * min(rates.values()):
-        told = ", ".join(f"{rate:.1f} in {name}" for name, rate in rates.items())
-        notices.append(f"rows a second differ ({told}); the dataset says {rate_hz:.0f}, its {LOG_TIME} are right")
+        listed = ", ".join(f"{rate:.1f} in {name}" for name, rate in rates.items())
+        notices.append(
+            f"rows a second differ ({listed}); the dataset says {rate_hz:.0f}, its {LOG_TIME} are right"
+        )
     if any(known) and not all(known):
         notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is left out")
     if len(degrees) > 1:
-        told = " and ".join(f"{each:g}" for each in sorted(degrees))
+        listed = " and ".join(f"{each:g}" for each in sorted(degrees))
         raise LogError(
-            f"{', '.join(map(str, paths))}: at steering 1, wheels turn by {told} degrees, and a dataset has one"
+            f"{', '.join(map(str, paths))}: at steering 1, wheels turn by {listed} degrees, and a dataset has one"
             " scale; export them one by one"
         )
     return ExportPlan(cameras, bool(known) and all(known), rate_hz, degrees.pop(), row_count, tuple(notices))

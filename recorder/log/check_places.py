@@ -48,20 +48,20 @@ class PlacesCheck:
             # at once: for each chunk alone, NumPy would copy the whole column
             self._edges = np.searchsorted(places["chunk"], np.arange(len(self._crcs) + 1)).tolist()
 
-    def add(self, told: Chunk, record: bytes, channels: set[int]) -> None:
+    def add(self, indexed: Chunk, record: bytes, channels: set[int]) -> None:
         """A sound chunk: as the summary tells it, as it is, and the channels of its messages."""
-        where = f"at byte {told.start:,}"
-        if told.channels is not None and told.channels != channels:
+        where = f"at byte {indexed.start:,}"
+        if indexed.channels is not None and indexed.channels != channels:
             self._findings.append(Finding("chunks of other topics than the summary tells", where))
-        if told.head and told.head != record[: len(told.head)]:
+        if indexed.head and indexed.head != record[: len(indexed.head)]:
             self._findings.append(Finding("chunks of other times or sizes than the summary tells", where))
-        number = self._numbers.get(told.start)
+        number = self._numbers.get(indexed.start)
         if number is None or self._crcs is None:
             return
         *_, crc = CHUNK_HEADER.unpack_from(record)
         if self._crcs[number] != crc:
             self._findings.append(Finding("chunks of other CRCs than are listed", where))
-        if self._places is None or told.compression:
+        if self._places is None or indexed.compression:
             return
         first, end = self._edges[number : number + 2]
         if self._places[first:end].tobytes() != places_in(record, number, self._images):

@@ -83,8 +83,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
         crc = zlib.crc32(record, crc)
         if opcode == Opcode.CHUNK:
             chunk = Chunk(position, position + len(record))
-            told = indexed.pop(position, chunk)
-            if told.end != chunk.end:
+            listed = indexed.pop(position, chunk)
+            if listed.end != chunk.end:
                 findings.append(Finding("chunks that are not where the summary says", f"at byte {position:,}"))
             try:
                 records = file.unpacked(record, position)
@@ -99,7 +99,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 times = [message.log_time_ns for message in messages] or [0]
                 if (min(times), max(times)) != (first_ns, last_ns):
                     findings.append(Finding("chunks of other times than they tell", f"at byte {position:,}"))
-                places.add(told, record, {message.channel for message in messages})
+                places.add(listed, record, {message.channel for message in messages})
                 yield records, messages
         elif opcode == Opcode.MESSAGE and indexed.pop(position, None) is not None:  # of a file without chunks
             messages = list(file.messages(record))

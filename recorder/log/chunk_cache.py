@@ -26,7 +26,7 @@ from common.users_cache import users_cache
 
 _DEFAULT_GB: Final = 100.0
 _STAYS_FREE: Final = 10**9  # bytes of the disk
-_LOOK_EVERY: Final = 50  # looked through after a fiftieth of what it may hold was added
+_MAKE_ROOM_EVERY: Final = 50  # looked through after a fiftieth of what it may hold was added
 _MOST_BETWEEN: Final = 1 << 30
 _BLOCK_BYTES: Final = 512  # that a file's status counts in
 
@@ -43,7 +43,7 @@ class ChunkCache:
         self._lock = threading.Lock()
         self._added = most_bytes  # looked through before the first chunk is kept
         self._is_full = False
-        self._is_told = False
+        self._has_warned = False
 
     def open(self, fingerprint: str) -> CachedLog | None:
         """What is kept of a log; None, and that is said, where nothing can be."""
@@ -55,7 +55,7 @@ class ChunkCache:
             descriptor = os.open(path, flags, 0o600)
             os.utime(path)
         except OSError as error:
-            self.tell(f"cannot be written ({error.strerror})")
+            self.warn(f"cannot be written ({error.strerror})")
             return None
         return CachedLog(self, descriptor)
 
@@ -63,15 +63,15 @@ class ChunkCache:
         """True if so many bytes more may be kept."""
         with self._lock:
             self._added += size
-            if self._added >= min(self.most_bytes // _LOOK_EVERY, _MOST_BETWEEN):
+            if self._added >= min(self.most_bytes // _MAKE_ROOM_EVERY, _MOST_BETWEEN):
                 self._added = 0
                 self._make_room(size)
             return not self._is_full
 
-    def tell(self, why: str) -> None:
+    def warn(self, why: str) -> None:
         """Say, once, why something is not kept."""
-        if not self._is_told:
-            self._is_told = True
+        if not self._has_warned:
+            self._has_warned = True
             _LOG.warning(
                 "%s: the cache of what was read from the store %s: some of it is read again each time"
                 " (BC_CACHE names another folder, BC_CACHE_GB how much it may hold)",
@@ -102,7 +102,7 @@ class ChunkCache:
                     held -= freed
         self._is_full = held > most
         if self._is_full:
-            self.tell("is full")
+            self.warn("is full")
 
 
 class CachedLog(Closeable):
@@ -134,10 +134,10 @@ class CachedLog(Closeable):
         try:
             written = self._write(offset, data)
         except OSError as error:
-            self._cache.tell(f"cannot be written ({error.strerror})")
+            self._cache.warn(f"cannot be written ({error.strerror})")
             return False
         if written < len(data):
-            self._cache.tell("cannot be written (not all of a chunk fits)")
+            self._cache.warn("cannot be written (not all of a chunk fits)")
         return written == len(data)
 
     def _write(self, offset: int, data: bytes) -> int:

@@ -64,7 +64,7 @@ class FarField:
         rows = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         self._places = [by_moment.get(moment) for moment in rows]
         self._last: tuple[int, Picture | None] = (-1, None)
-        self.seen = set[int]()
+        self.decoded_rows = set[int]()
 
     def yaw_px(self, first: int, second: int) -> float:
         """How far the car turned to the right between two rows, in columns of the picture; NaN if none tells."""
@@ -94,7 +94,7 @@ class FarField:
             return None
         if picture is None:
             return None
-        self.seen.add(row)
+        self.decoded_rows.add(row)
         height, width = picture.shape
         top, bottom = (round(share * height) for share in _FAR)
         size = (WIDTH_PX, max(1, round((bottom - top) * WIDTH_PX / width)))

@@ -56,13 +56,13 @@ def plan_labels(habits: SteeringHabits, lag: SteeringLag | None, driven_by: str 
     late_s = 0.0
     if lag is not None and not IN_TIME_S[0] <= lag.lag_s <= IN_TIME_S[1]:
         late_s = round(lag.lag_s + RESPONSE_S, 2)
-    told = f"steering is {abs(late_s):g} s {'late' if late_s > 0 else 'early'}"
+    why = f"steering is {abs(late_s):g} s {'late' if late_s > 0 else 'early'}"
     if habits.kind == "smooth":
         in_time = "smooth" if lag is None else "smooth and in time"
-        return LabelPlan(0.0, late_s, True, told if late_s else in_time)
+        return LabelPlan(0.0, late_s, True, why if late_s else in_time)
     if (habits.rate_hz or 0.0) < LEAST_HZ:
-        return LabelPlan(0.0, late_s, True, told if late_s else "too few rows a second to smooth")
-    return LabelPlan(SMOOTH_S, round(REACTION_S + late_s, 2), True, told if late_s else "")
+        return LabelPlan(0.0, late_s, True, why if late_s else "too few rows a second to smooth")
+    return LabelPlan(SMOOTH_S, round(REACTION_S + late_s, 2), True, why if late_s else "")
 
 
 def goes_by_lag(habits: SteeringHabits, driven_by: str) -> bool:

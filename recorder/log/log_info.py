@@ -160,9 +160,9 @@ def driven_by(log: Log) -> str:
 def set_speeds_mph(log: Log) -> tuple[float, ...]:
     """The speeds that a session's driver was set to keep where bends allow, as its log says; none where nobody was
     told one, as of people."""
-    told = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
+    stored = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
     try:
-        speeds = [float(each) for each in told]
+        speeds = [float(each) for each in stored]
     except ValueError:
         return ()
     return tuple(sorted({each for each in speeds if 0 < each < math.inf}))

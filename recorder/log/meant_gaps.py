@@ -24,7 +24,7 @@ def not_recorded(seconds: float, why: str) -> str:
     return f"not recorded: {seconds:.3f} s, {why}"
 
 
-def tells_not_recorded(event: str) -> bool:
+def is_not_recorded(event: str) -> bool:
     """True for such a text."""
     return bool(_EVENT.match(event))
 
@@ -45,8 +45,8 @@ class NotRecorded:
         One that is longer than its event tells, by more than a gap takes, has lost rows as well.
         """
         step_s = np.diff(states.time_ns, prepend=states.time_ns[:1]) / 1e9
-        told = np.array([self._seconds.get(time_ns, 0.0) for time_ns in states.time_ns.tolist()], np.float64)
-        meant: NDArray[np.bool_] = (step_s > 0) & (told > 0) & (step_s - told <= GAP_S)
+        declared_s = np.array([self._seconds.get(time_ns, 0.0) for time_ns in states.time_ns.tolist()], np.float64)
+        meant: NDArray[np.bool_] = (step_s > 0) & (declared_s > 0) & (step_s - declared_s <= GAP_S)
         return row_flags(states)["gap"] & meant if meant.any() else meant
 
     def summary(self, states: States) -> dict[str, str]:

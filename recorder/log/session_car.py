@@ -178,7 +178,7 @@ def named_car(name: str) -> Car:
         raise RecordingError(f"--car {printable(name)}: {printable(' '.join(str(error).split()))}") from None
 
 
-def told_car(log: Log) -> Car | None:
+def stored_car(log: Log) -> Car | None:
     """The car that a log itself tells; None where it tells none, as those of earlier versions, or several.
 
     Raises LogError for settings that no car has.

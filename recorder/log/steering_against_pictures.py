@@ -34,11 +34,11 @@ _USUAL: Final = 0.35
 the whole, as `recorder.log.steering_lag` takes it: a sixth of wrong labels would spoil it."""
 
 
-def against_pictures(log: Log, on_looked: Callable[[int], object] = lambda count: None) -> NDArray[np.bool_]:
+def against_pictures(log: Log, on_pairs: Callable[[int], object] = lambda count: None) -> NDArray[np.bool_]:
     """The rows (N,) of the log whose steering contradicts its pictures; none where the pictures as a whole do not
     tell how the car turned.
 
-    Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_looked` is told how many
+    Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_pairs` is told how many
     more are done. Raises LogError for a log whose rows cannot be read.
     """
     states = States.of(log.vehicle())
@@ -51,7 +51,7 @@ def against_pictures(log: Log, on_looked: Callable[[int], object] = lambda count
     yaw_px: Values = np.full(len(pairs), np.nan)
     for number, (first, second) in enumerate(pairs.tolist()):
         yaw_px[number] = shown.yaw_px(first, second)
-        on_looked(1)
+        on_pairs(1)
     is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; beyond, it has found nothing in common
     pairs, yaw_px = pairs[is_known], yaw_px[is_known]
     if np.diff(time_s[pairs])[:, 0].sum() < _LEAST_S:
@@ -60,12 +60,12 @@ def against_pictures(log: Log, on_looked: Callable[[int], object] = lambda count
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
     middle_s = time_s[pairs].mean(axis=1)
     turning = (states.steering * speed)[is_sound]
-    asked = np.stack([np.interp(middle_s + lag_s, time_s[is_sound], turning) for lag_s in _LAGS_S])
+    steered = np.stack([np.interp(middle_s + lag_s, time_s[is_sound], turning) for lag_s in _LAGS_S])
     windows = _windows(middle_s, yaw)
-    usual = [float(np.median(windows.correlations(each))) if len(windows.first) else 0.0 for each in asked]
+    usual = [float(np.median(windows.correlations(each))) if len(windows.first) else 0.0 for each in steered]
     best = int(np.argmax(usual))
     if usual[best] >= _USUAL:
-        for first, last in windows.opposed(asked[best]):
+        for first, last in windows.opposed(steered[best]):
             found[pairs[first, 0] : pairs[last, 1] + 1] = True
     return found
 
@@ -84,21 +84,21 @@ class _Windows:
         found: Values = until[self.last] - until[self.first]
         return found
 
-    def correlations(self, asked: Values) -> Values:
+    def correlations(self, steered: Values) -> Values:
         """Of each window (W,), about 0 and not about the mean: a long bend is one, too."""
-        size = np.sqrt(self.sums(asked**2) * self.sums(self.yaw**2))
-        found: Values = np.divide(self.sums(asked * self.yaw), size, out=np.zeros(len(size)), where=size > 1e-9)
+        size = np.sqrt(self.sums(steered**2) * self.sums(self.yaw**2))
+        found: Values = np.divide(self.sums(steered * self.yaw), size, out=np.zeros(len(size)), where=size > 1e-9)
         return found
 
-    def opposed(self, asked: Values) -> list[tuple[int, int]]:
+    def opposed(self, steered: Values) -> list[tuple[int, int]]:
         """First and last of each stretch of pairs in which steering and turning have opposite signs."""
-        is_opposed = self.correlations(asked) < _OPPOSED
-        is_opposed &= self.sums(asked**2) > _LEAST_STEERING * np.mean(asked**2) * (self.last - self.first)
+        is_opposed = self.correlations(steered) < _OPPOSED
+        is_opposed &= self.sums(steered**2) > _LEAST_STEERING * np.mean(steered**2) * (self.last - self.first)
         # covered by a window: so many have begun, less those that have ended
-        change = np.zeros(len(asked) + 1)
+        change = np.zeros(len(steered) + 1)
         np.add.at(change, self.first[is_opposed], 1)
         np.add.at(change, self.last[is_opposed], -1)
-        return [_sharpest(asked * self.yaw, *found) for found in stretches(np.cumsum(change)[:-1] > 0)]
+        return [_sharpest(steered * self.yaw, *found) for found in stretches(np.cumsum(change)[:-1] > 0)]
 
 
 def _windows(time_s: Values, yaw: Values) -> _Windows:

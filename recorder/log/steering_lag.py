@@ -41,7 +41,7 @@ def measure_lag(log: Log) -> SteeringLag | None:
         return None
     shown = FarField(log, states)
     yaw_px: list[float] = [shown.yaw_px(first, second) for first, second in pairs.tolist()]
-    return _best_lag(states, time_s, pairs, np.array(yaw_px), len(shown.seen))
+    return _best_lag(states, time_s, pairs, np.array(yaw_px), len(shown.decoded_rows))
 
 
 def _best_lag(
@@ -51,14 +51,14 @@ def _best_lag(
     between_s = np.diff(time_s[pairs])[:, 0]
     middle_s = time_s[pairs].mean(axis=1)
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
-    asked = np.stack([np.interp(middle_s + lag_s, time_s, states.steering * speed) for lag_s in _LAGS_S])
+    steered = np.stack([np.interp(middle_s + lag_s, time_s, states.steering * speed) for lag_s in _LAGS_S])
     known = np.isfinite(yaw_px) & (np.abs(yaw_px) < WIDTH_PX / 4)  # else it has found nothing in common
     if known.sum() < _LEAST_PAIRS:
         return None
     yaw = yaw_px[known] / between_s[known]
-    asked = asked[:, known]
+    steered = steered[:, known]
     half = np.arange(len(yaw)) >= len(yaw) // 2
-    curves = [_correlations(asked[:, part], yaw[part]) for part in (half | ~half, half, ~half)]
+    curves = [_correlations(steered[:, part], yaw[part]) for part in (half | ~half, half, ~half)]
     best, *halves = (int(np.abs(curve).argmax()) for curve in curves)
     correlation = float(curves[0][best])
     is_at_edge = best in (0, len(_LAGS_S) - 1)
@@ -68,11 +68,11 @@ def _best_lag(
     return SteeringLag(round(float(_LAGS_S[best]), 2), round(correlation, 3), pictures)
 
 
-def _correlations(asked: Values, yaw: Values) -> Values:
-    """Of each row of `asked` (lags, N) with `yaw` (N,); 0 where one of them does not vary."""
-    asked, yaw = asked - asked.mean(axis=1, keepdims=True), yaw - yaw.mean()
-    size = np.sqrt((asked**2).sum(axis=1) * (yaw**2).sum())
-    found: Values = np.divide(asked @ yaw, size, out=np.zeros(len(asked)), where=size > 1e-9)
+def _correlations(steered: Values, yaw: Values) -> Values:
+    """Of each row of `steered` (lags, N) with `yaw` (N,); 0 where one of them does not vary."""
+    steered, yaw = steered - steered.mean(axis=1, keepdims=True), yaw - yaw.mean()
+    size = np.sqrt((steered**2).sum(axis=1) * (yaw**2).sum())
+    found: Values = np.divide(steered @ yaw, size, out=np.zeros(len(steered)), where=size > 1e-9)
     return found
 
 

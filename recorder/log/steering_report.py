@@ -23,11 +23,11 @@ def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]
     """Under `STEERING_HEADINGS`; "-" for what cannot be told."""
     return [
         _how(habits),
-        _told(habits.zeros, "{:.0%}"),
+        _formatted(habits.zeros, "{:.0%}"),
         f"{habits.presses:,}" + (f" x {habits.press_s:.1f} s" if habits.press_s else ""),
-        _told(habits.rate_hz, "{:.1f}"),
-        _told(habits.ceiling[1], "{:.2f}"),
-        _told(lag.lag_s if lag else None, "{:+.2f}"),
+        _formatted(habits.rate_hz, "{:.1f}"),
+        _formatted(habits.ceiling[1], "{:.2f}"),
+        _formatted(lag.lag_s if lag else None, "{:+.2f}"),
     ]
 
 
@@ -35,13 +35,13 @@ def steering_line(habits: SteeringHabits, lag: SteeringLag | None) -> str:
     """All of it in a line."""
     parts = [
         f"steered: {_how(habits)}",
-        f"{_told(habits.zeros, '{:.0%}')} zeros, {_told(habits.left, '{:.0%}')} left,"
-        f" {_told(habits.right, '{:.0%}')} right",
+        f"{_formatted(habits.zeros, '{:.0%}')} zeros, {_formatted(habits.left, '{:.0%}')} left,"
+        f" {_formatted(habits.right, '{:.0%}')} right",
         counted(habits.presses, "press", "presses") + (f" of {habits.press_s:.2f} s" if habits.press_s else ""),
         f"{counted(habits.values, 'value')}",
-        f"{_told(habits.rate_hz, '{:.1f}')} rows/s",
-        f"spread {_told(habits.spread_deg, '{:.2f}')} deg, up to {_told(habits.largest_deg, '{:.1f}')}",
-        f"ceiling {' / '.join(_told(ceiling, '{:.2f}') for ceiling in habits.ceiling)}",
+        f"{_formatted(habits.rate_hz, '{:.1f}')} rows/s",
+        f"spread {_formatted(habits.spread_deg, '{:.2f}')} deg, up to {_formatted(habits.largest_deg, '{:.1f}')}",
+        f"ceiling {' / '.join(_formatted(ceiling, '{:.2f}') for ceiling in habits.ceiling)}",
     ]
     if lag is not None:
         parts.append(f"lag {lag.lag_s:+.2f} s (correlation {lag.correlation:.2f})")
@@ -52,12 +52,12 @@ def _how(habits: SteeringHabits) -> str:
     return "keys" if habits.keys and habits.kind == "steps" else _IN_WORDS[habits.kind]
 
 
-def _told(value: float | None, form: str) -> str:
+def _formatted(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)
 
 
 def in_words(habits: SteeringHabits, lag: SteeringLag | None, plan: LabelPlan) -> str:
     """Short enough for the title of a figure."""
-    ceiling = f"ceiling {_told(habits.ceiling[1], '{:.2f}')}"
+    ceiling = f"ceiling {_formatted(habits.ceiling[1], '{:.2f}')}"
     late = "" if lag is None else f"lag {lag.lag_s:+.2f} s; ".replace("-", "\N{MINUS SIGN}")
-    return f"{_how(habits)}; {_told(habits.zeros, '{:.0%}')} zeros; {ceiling}; {late}{plan}"
+    return f"{_how(habits)}; {_formatted(habits.zeros, '{:.0%}')} zeros; {ceiling}; {late}{plan}"

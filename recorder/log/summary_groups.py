@@ -25,10 +25,12 @@ def read_without_chunks(file: McapFile, start: int, offsets_start: int, end: int
     Raises what `file.read` does."""
     if not start <= offsets_start <= end or (end - offsets_start) % _OFFSET.size or end - start < _LEAST_BYTES:
         return None
-    told = list(_OFFSET.iter_unpack(file.read(offsets_start, end - offsets_start)))
-    if any((opcode, length) != (Opcode.SUMMARY_OFFSET, _OFFSET.size - RECORD.size) for opcode, length, *_ in told):
+    offsets = list(_OFFSET.iter_unpack(file.read(offsets_start, end - offsets_start)))
+    if any(
+        (opcode, length) != (Opcode.SUMMARY_OFFSET, _OFFSET.size - RECORD.size) for opcode, length, *_ in offsets
+    ):
         return None
-    groups = [(begin, size) for _, _, kind, begin, size in told if kind == Opcode.CHUNK_INDEX]
+    groups = [(begin, size) for _, _, kind, begin, size in offsets if kind == Opcode.CHUNK_INDEX]
     if len(groups) != 1:
         return None
     begin, size = groups[0]

@@ -194,19 +194,19 @@ def _append(log: Location, action: str, fingerprint: str, tags: Sequence[Tag]) -
 
 def _append_there(url: Url, lines: bytes) -> None:
     """Write a journal in a store anew, with more lines, unless somebody else has meanwhile."""
-    from common.object_file import ObjectFile, Seen  # an extra
+    from common.object_file import ObjectFile, ObjectVersion  # an extra
     from common.object_store import put_file
 
     before = b""
-    seen: Seen | None = None
+    replaces: ObjectVersion | None = None
     with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as there:
-        seen = there.seen
+        replaces = there.object_version
         before = there.read(0, there.size)
     with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
         file = Path(folder) / url.name
         file.write_bytes(before[: before.rfind(b"\n") + 1] + lines)
         try:
-            put_file(url, file, seen)
+            put_file(url, file, replaces)
         except ObjectChangedError:
             raise ObjectChangedError(
                 f"{url}: somebody else has tagged this log at the same moment; give the command again"

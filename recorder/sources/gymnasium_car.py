@@ -98,7 +98,7 @@ class GymnasiumCar:
         return self._expert is not None
 
     @property
-    def tells_speed(self) -> bool:
+    def has_speed(self) -> bool:
         return self._speed_key is not None
 
     @property
@@ -173,15 +173,15 @@ class GymnasiumCar:
         return space
 
     def _check_rate(self) -> None:
-        told = self.env.metadata.get("render_fps")
+        render_fps = self.env.metadata.get("render_fps")
         if self._flags.gym_rate is not None:
             if not LEAST_HZ <= self._flags.gym_rate <= MOST_HZ:
                 raise UsageError(
                     f"--gym-rate {self._flags.gym_rate:g}: {LEAST_HZ:g} to {MOST_HZ:,.0f} was expected"
                 )
-        elif not isinstance(told, int | float) or not LEAST_HZ <= told <= MOST_HZ:
+        elif not isinstance(render_fps, int | float) or not LEAST_HZ <= render_fps <= MOST_HZ:
             raise RecordingError(
-                f"--gym {self.name}: its render_fps is {told}: give its steps a second by --gym-rate"
+                f"--gym {self.name}: its render_fps is {render_fps}: give its steps a second by --gym-rate"
             )
 
     def _moment(
@@ -210,10 +210,10 @@ class GymnasiumCar:
                     return self._speed_factor * float(value.item())
         if not self._steps:
             return math.nan  # info may tell it from the first step on
-        told = sorted({*(observation if isinstance(observation, dict) else ()), *info})
+        keys = sorted({*(observation if isinstance(observation, dict) else ()), *info})
         raise RecordingError(
             f"--gym-speed {self._flags.gym_speed}: no such number in {self.name}'s observation or info (there is:"
-            f" {printable(', '.join(map(str, told))) or 'nothing'})"
+            f" {printable(', '.join(map(str, keys))) or 'nothing'})"
         )
 
 

@@ -22,7 +22,7 @@ from common.stretches import consecutive
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import LogError, RecordingError
 from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_TIME
-from recorder.log.meant_gaps import not_recorded, tells_not_recorded
+from recorder.log.meant_gaps import is_not_recorded, not_recorded
 from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_mcap import check_scale
@@ -72,8 +72,8 @@ def import_lerobot(
         first = next(frames, None)
         if first is None:
             raise RecordingError(f"{folder}: no frame of it can be used{events.skipped.error_suffix()}")
-        told = _told_car(dataset) if car is None and chosen.is_own else car
-        metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(told)
+        log_car = _stored_car(dataset) if car is None and chosen.is_own else car
+        metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(log_car)
         with LogWriter(log, metadata, overwrite=overwrite) as writer:
             rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
     notices = []
@@ -99,13 +99,13 @@ def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: f
     }
 
 
-def _told_car(dataset: LeRobotFolder) -> Car | None:
+def _stored_car(dataset: LeRobotFolder) -> Car | None:
     """The car that an export of ours tells, if all of its episodes tell the same."""
     try:
-        told = set(dataset.episode_table([LOG_CAR])[LOG_CAR].to_pylist())
+        cars = set(dataset.episode_table([LOG_CAR])[LOG_CAR].to_pylist())
     except RecordingError:  # of an earlier version
         return None
-    session = {CAR_KEY: str(told.pop())} if len(told) == 1 and told != {""} else {}
+    session = {CAR_KEY: str(cars.pop())} if len(cars) == 1 and cars != {""} else {}
     try:
         return car_in(session, dataset.root)
     except LogError as error:
@@ -115,11 +115,11 @@ def _told_car(dataset: LeRobotFolder) -> Car | None:
 def _own_events(dataset: LeRobotFolder) -> dict[int, str]:
     """What an export of ours tells of time that was not recorded, by the episode before which it was."""
     try:
-        told = dataset.episode_table(["episode_index", LOG_NOT_RECORDED])
+        episodes = dataset.episode_table(["episode_index", LOG_NOT_RECORDED])
     except RecordingError:  # of an earlier version
         return {}
-    events = zip(*(told[name].to_pylist() for name in ("episode_index", LOG_NOT_RECORDED)), strict=True)
-    return {episode: event for episode, event in events if isinstance(event, str) and tells_not_recorded(event)}
+    events = zip(*(episodes[name].to_pylist() for name in ("episode_index", LOG_NOT_RECORDED)), strict=True)
+    return {episode: event for episode, event in events if isinstance(event, str) and is_not_recorded(event)}
 
 
 def _frames(

@@ -147,10 +147,10 @@ def _feature(of: Mapping[str, Any]) -> Feature:
     return Feature(str(of["dtype"]), shape, _names(of.get("names")))
 
 
-def _names(told: object) -> tuple[str, ...] | None:
+def _names(stored: object) -> tuple[str, ...] | None:
     """The names of a feature's numbers: a list, or one under some key of a dict, as in {"axes": ["x", "y"]}."""
-    if isinstance(told, dict) and len(told) == 1:
-        (told,) = told.values()
-    if isinstance(told, list) and all(isinstance(name, str) for name in told):
-        return tuple(told)
+    if isinstance(stored, dict) and len(stored) == 1:
+        (stored,) = stored.values()
+    if isinstance(stored, list) and all(isinstance(name, str) for name in stored):
+        return tuple(stored)
     return None

@@ -121,8 +121,10 @@ def _steering_by_name(dataset: LeRobotFolder) -> FeatureNumber:
             return found[0]
         if found:
             break
-    told = [number.label for number in (found or _all_numbers(dataset))]
-    raise RecordingError(f"{dataset.root}: which number is the steering? Give --steering, one of {_listed(told)}")
+    labels = [number.label for number in (found or _all_numbers(dataset))]
+    raise RecordingError(
+        f"{dataset.root}: which number is the steering? Give --steering, one of {_listed(labels)}"
+    )
 
 
 def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:

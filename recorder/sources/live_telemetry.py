@@ -56,7 +56,7 @@ def listen_for_telemetry(
         with StatusLine() as status:
             session = _Session(writer, status, car or UDACITY)
             server = TelemetryServer(session, host=host, port=port, notify=session.warn, first_command="manual")
-            session.say(f"waiting for a simulator on {host}:{server.port}")
+            session.show(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
                 on_started(writer.part)
             server.run(until=lambda: stopped.is_set() or (idle_s is not None and session.is_idle_for(idle_s)))
@@ -95,7 +95,7 @@ class _Session:
         self._connections += 1
         if self._connections == 1:
             self._first_connected_s = time.monotonic()
-            self.say("connected, waiting for telemetry")
+            self.show("connected, waiting for telemetry")
 
     def disconnected(self, sid: str, reason: str) -> None:
         self._separators.pop(sid, None)
@@ -125,15 +125,15 @@ class _Session:
             )
         elif self._first_connected_s is not None and now_s - self._first_connected_s >= NO_TELEMETRY_S:
             self._first_connected_s = None
-            self.say("connected, but no telemetry comes: choose Autonomous Mode in the simulator")
+            self.show("connected, but no telemetry comes: choose Autonomous Mode in the simulator")
         self._status.show(self._text)
 
     def warn(self, text: str) -> None:
         """Report a client that is no simulator, or telemetry that cannot be used."""
         self._event(time.time_ns(), text, "WARNING")
-        self.say(text)
+        self.show(text)
 
-    def say(self, text: str) -> None:
+    def show(self, text: str) -> None:
         """Show it in the status line; where there is none, print it."""
         self._text = text
         self._status.show_or_print(text)

@@ -68,7 +68,7 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
                 wandering = Wandering(recording.wander, seed)
                 moment, step, reward = car.reset(seed), 0, 0.0
                 while not (moment.end or stopped.is_set()):
-                    seen, action = moment, car.expert_action(moment)
+                    before, action = moment, car.expert_action(moment)
                     moment = car.step(car.actions.turned(action, wandering.at(step / steps_hz)))
                     if step % every == 0:  # written only now: what fails at once leaves no log
                         row_ns = time_ns + round(step * 1e9 / steps_hz)
@@ -77,9 +77,9 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
                             steering=command.steering,
                             throttle=command.throttle,
                             brake=command.brake,
-                            speed_mph=seen.speed_mph,
+                            speed_mph=before.speed_mph,
                         )
-                        writer.picture("center", row_ns, rows, seen.jpeg(), seen.size)
+                        writer.picture("center", row_ns, rows, before.jpeg(), before.size)
                         writer.vehicle(row_ns, rows, state)
                         if number and not step:
                             writer.event(row_ns, not_recorded(BREAK_NS / 1e9, "another episode begins"))

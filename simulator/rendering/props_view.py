@@ -40,13 +40,13 @@ class PropsView:
         size_px = self._props[:, 3] * focal_px / depth
         height, width = inverse.shape
         column, row = width / 2 - focal_px * foot[1] / depth, height / 2 - focal_px * foot[2] / depth
-        seen = (
+        is_visible = (
             (ahead > NEAR_M)
             & (ahead < FAR_M)
             & (size_px > SMALLEST_PX)
             & (np.abs(column - width / 2) < width / 2 + size_px)
         )
-        for k in np.flatnonzero(seen)[np.argsort(-ahead[seen], kind="stable")]:
+        for k in np.flatnonzero(is_visible)[np.argsort(-ahead[is_visible], kind="stable")]:
             variants = self._sprites[int(self._props[k, 4])]
             strength = min(1.0, (FAR_M - float(ahead[k])) / FADE_M)
             _stamp(

@@ -26,7 +26,7 @@ from recorder.log.check import check
 from recorder.log.log_info import describe
 from recorder.log.meant_gaps import not_recorded
 from recorder.log.row_quality import drive_numbers
-from recorder.log.session_car import Car, metadata_of, told_car
+from recorder.log.session_car import Car, metadata_of, stored_car
 from recorder.sources.import_lerobot import import_lerobot
 from udacity import call
 
@@ -90,7 +90,7 @@ def test_the_car_of_a_session_comes_back(tmp_path: Path) -> None:
     log = write_drives(tmp_path / "two.mcap", metadata=metadata_of(car))
     export_lerobot([log], tmp_path / "out")
     with Log(imported(tmp_path / "out").path) as opened:
-        assert told_car(opened) == car
+        assert stored_car(opened) == car
     other = write_drives(tmp_path / "other.mcap")
     with pytest.raises(LogError, match="at steering 1, wheels turn by 25 and 30 degrees"):
         export_lerobot([log, other], tmp_path / "both")

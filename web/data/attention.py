@@ -82,7 +82,7 @@ def _drawn(seen_map: NDArray[np.float32], height: int, width: int, seen: Picture
     size = max(1, round(height * scale)), max(1, round(width * scale))
     alpha = np.full(size, _UNSEEN, np.float32)
     color = np.zeros((*size, 3), np.uint8)
-    rows = seen.seen_rows(size[0])
+    rows = seen.crop_slice(size[0])
     part = alpha[rows]
     part[:] = _MOST * cv2.resize(seen_map, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR)
     color[rows] = _COLOR
