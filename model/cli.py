@@ -58,7 +58,7 @@ class Train:
     tensorboard: bool = False
     """Write the curves for TensorBoard, too."""
     listener: str | None = None
-    """Code of your own that is told of the progress, for MLflow and the like: FILE.py:CLASS or
+    """Code of your own that receives the progress, for MLflow and the like: FILE.py:CLASS or
     package.module:CLASS."""
     viewer: bool = False
     """Show the curves in the Rerun viewer while they grow."""
@@ -233,7 +233,7 @@ def _resume(run: Path, index: Location) -> str:
 
 
 def _network_flag(run: Path) -> str:
-    """What has to be given for a run of somebody's own network, whose code no run names for itself."""
+    """The flag that a run of somebody's own network needs, because its code is never run unasked."""
     from model.runs.network_of_run import network_flag, stored_network
     from model.runs.run_folder import load_config
 
@@ -333,8 +333,8 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         return config.index, _build_index(config)
-    is_asked = is_first and config.resume is None and isinstance(config.index, Path)
-    if is_asked and (absent := sessions_not_indexed(local_path(config.index), config.sessions)):
+    is_current_index = is_first and config.resume is None and isinstance(config.index, Path)
+    if is_current_index and (absent := sessions_not_indexed(local_path(config.index), config.sessions)):
         print_message(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
         )
@@ -387,7 +387,7 @@ def _defaults() -> Train:
                 run = find_any_run(name, runs)
             stored = load_config(run)
             if is_own_network(stored) and flags.network is None:
-                choice_of(stored, run)  # says what to give: code is never run because a run names it
+                choice_of(stored, run)  # raises: code is never run because a run names it
             settings = training_of(stored, str(run / CONFIG))
             if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
                 raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
@@ -411,5 +411,5 @@ def main() -> None:
     except SystemExit as ended:
         if "WORLD_SIZE" not in os.environ:
             raise
-        # A thread of torchrun's process group that came back while Python ended was seen to abort the process.
+        # A thread of torchrun's process group that returns while Python ends has aborted the process.
         end_process(ended.code if isinstance(ended.code, int) else int(ended.code is not None))

@@ -30,7 +30,7 @@ _RANGES: Final = {
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How the network is trained. What is not of the recipe is as in the original project."""
+    """The settings of a training. Those that are not of the recipe are the original project's."""
 
     EARLIER: ClassVar[Mapping[str, Any]] = {
         "recipe": "original",
@@ -38,7 +38,7 @@ class TrainConfig:
         "answers": "as-learnt",
         "keep": "balanced-rmse",
     }
-    """How the original project did, and earlier versions of this one, which had none of these settings."""
+    """Settings of the original project, and of earlier versions of this one, which lacked these fields."""
 
     recipe: Recipe = "people"
     """Defaults: people: what learns best from people (--average-steps, --answers, --keep); original: as the
@@ -46,18 +46,18 @@ class TrainConfig:
     network: str = "original"
     """original, pilotnet, small, resnet18, or one of your own: FILE.py:CLASS or package.module:CLASS."""
     network_args: tuple[str, ...] = ()
-    """What a network of your own is made with: NAME=VALUE."""
+    """Arguments of a network of your own: NAME=VALUE."""
     targets: tuple[TargetName, ...] = STEERING_ONLY
     """What the network learns to answer: steering; and speed, which is then driven, never above bc-drive's
     --speed, or throttle, which is sent as it is."""
     target_weights: tuple[float, ...] = ()
     """How much the squared error of each target counts; by default, each 1. 1 of speed is 30 mph."""
     picture_px: tuple[int, int] | None = None
-    """Width and height of what the network sees; by default, what it says itself: 128 128 for the original."""
+    """Width and height of what the network sees; by default, its own: 128 128 for the original."""
     crop_rows: tuple[int, int] | None = None
     """Rows cut off the top and the bottom of a picture of 160 rows, of others the same share; by default 50 20."""
     channels: Literal["BGR", "RGB", "YUV"] | None = None
-    """Order of the colours that the network sees; by default, what it says itself: BGR for the original."""
+    """Order of the colours that the network sees; by default, its own: BGR for the original."""
     epochs: int = 10
     """Passes over the balanced training samples."""
     batch: int = 256
@@ -70,7 +70,7 @@ class TrainConfig:
     """natural: undo in the network's answers that hard steering was balanced up; as-learnt: leave them so."""
     keep: Keep = "driving-error"
     """The epoch that is kept, and drives: that of the smallest error on the frames held out, where every steering
-    bin counts alike (driving-error: with the correlation, which tells best how a network drives) or every frame
+    bin counts alike (driving-error: with the correlation, which predicts best how a network drives) or every frame
     does; or the last one."""
     dropout: float = 0.5
     """Share of the activations that dropout sets to zero, before each of the two widest layers."""

@@ -16,7 +16,7 @@ from model.errors import RunError
 
 @dataclass(frozen=True)
 class ProcessorWay:
-    """How to train on the processors that have an instruction."""
+    """Settings of a training on the processors that have an instruction."""
 
     instruction: str  # as `torch.cpu.get_capabilities` names it; empty: every processor
     arithmetic: Literal["float32", "bfloat16"]
@@ -96,7 +96,7 @@ def choose_machine(config: TrainConfig, local_rank: int = 0, begun: object = Non
 
 
 def processor_way(capabilities: Mapping[str, object], precision: Precision = "auto") -> ProcessorWay:
-    """How to train on a processor of these capabilities, in the arithmetic that is asked for."""
+    """The settings for a processor of these capabilities, in the requested arithmetic."""
     return next(
         way
         for way in PROCESSOR_WAYS
@@ -115,7 +115,7 @@ def training_dtype(precision: Precision, device: torch.device) -> torch.dtype:
 
 
 def _begun_on(device: torch.device, begun: object) -> _Begun | None:
-    """None if it was begun on another kind of device, or does not say."""
+    """None if it was begun on another kind of device, or on an unknown one."""
     try:
         before = msgspec.convert(begun, _Begun)
     except msgspec.ValidationError:

@@ -26,12 +26,12 @@ class Export:
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run, by name or folder."""
     onnx: Annotated[tuple[()] | tuple[Path] | None, tyro.conf.arg(metavar="[FILE]")] = None
-    """Where to write the ONNX file; without a name, NAME.onnx in the run's folder, or here if the run is in a
+    """The ONNX file to write; without a name, NAME.onnx in the run's folder, or here if the run is in a
     store."""
     hub: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """The new folder to write for the hub; nothing is uploaded."""
     license: str | None = None
-    """The licence that the hub's card names, such as mit or cc-by-4.0; without, it says that none is stated."""
+    """The licence that the hub's card names, such as mit or cc-by-4.0; without, the card has none."""
     network: str | None = None
     """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
     runs: LocationFlag = RUNS
@@ -81,11 +81,11 @@ def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
     code = warn(f"{folder}: without an ONNX file: {written.onnx_problem}") if written.onnx_problem else DONE
     if not written.has_driven:
         print_message(
-            f"{folder}: its card cannot say where it drives: give `bc-eval {run_argument(run)} --simulator lake"
+            f"{folder}: its card cannot list where it drives: give `bc-eval {run_argument(run)} --simulator lake"
             " mountain`, and export it again"
         )
     if licence is None:
-        print_message(f"{folder}: its card states no licence; --license says one")
+        print_message(f"{folder}: its card states no licence; give one with --license")
     print_result(f"{folder}: {', '.join(written.files)}")
     print_result(f"nothing is uploaded; `hf upload {run_name(run)} {shlex.quote(str(folder))}` does that")
     return code

@@ -1,4 +1,4 @@
-"""A run as a folder for the Hugging Face hub: weights, settings, ONNX, and a card that says what it can do.
+"""A run as a folder for the Hugging Face hub: weights, settings, ONNX, and a card that describes it.
 
 The folder is a run, too: `bc-drive FOLDER` and `load_pilot` take it as it is. Where the run's index, logs and code
 lay on this machine is not in it.
@@ -46,7 +46,7 @@ class HubFolder:
     folder: Path
     files: tuple[str, ...]
     has_driven: bool
-    """Whether the card can say where it drives."""
+    """Whether the card lists drives."""
     onnx_problem: str
     """Why there is no ONNX file; empty if there is one."""
 
@@ -54,9 +54,9 @@ class HubFolder:
 def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = None) -> HubFolder:
     """Write a run as the new folder `folder`: it appears whole or not at all. Nothing is uploaded.
 
-    A network that ONNX cannot hold goes without; the card and `onnx_problem` say so. Raises RunError if the run is
-    incomplete, damaged, of another version, or of somebody's own network that was not named (`load_code`), if ONNX
-    is not installed, or if the disk is full; UserError if `folder` exists.
+    A network that ONNX cannot hold goes without; the card and `onnx_problem` give the reason. Raises RunError if
+    the run is incomplete, damaged, of another version, or of somebody's own network that was not named
+    (`load_code`), if ONNX is not installed, or if the disk is full; UserError if `folder` exists.
     """
     run, folder = Path(run), Path(folder)
     if config_folder(run) != run:
@@ -122,7 +122,7 @@ def _own_file(config: dict[str, Any], run: Path) -> bytes:
 
 
 def _code_of(config: dict[str, Any], run: Path, *, has_file: bool) -> str:
-    """What has to be named to load the run from its new folder; empty for a network of the toolkit."""
+    """The name to load the run's code by from its new folder; empty for a network of the toolkit."""
     name = stored_network(config, run).name
     if not is_own(name):
         return ""

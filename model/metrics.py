@@ -1,6 +1,6 @@
 """Errors of predicted steering, beside those of predictors that know nothing.
 
-Half to four fifths of recorded labels are near zero, so that a small mean error alone says nothing: every
+Half to four fifths of recorded labels are near zero, so that a small mean error alone means little: every
 measure stands beside those of always predicting zero, and the mean.
 """
 
@@ -67,8 +67,8 @@ class Measures:
 
     @property
     def driving_error(self) -> float:
-        """What tells best how often a network leaves the road (docs/which-number.md): the balanced RMSE as a share
-        of that of always predicting the mean, plus 1 - correlation. 0 is best; the mean itself has 2."""
+        """The balanced RMSE as a share of that of always predicting the mean, plus 1 - correlation: 0 is best, the
+        mean itself has 2. The best predictor of how often a network leaves the road (docs/which-number.md)."""
         correlation = 0.0 if math.isnan(self.network.correlation) else self.network.correlation
         of_the_mean = self.mean_balanced_rmse_deg or 1.0  # it is 0 where the steering is constant
         return self.balanced_rmse_deg / of_the_mean + 1 - correlation

@@ -24,17 +24,17 @@ _TAGS: Final = ("behavioural-cloning", "imitation-learning", "self-driving")
 
 @dataclass(frozen=True)
 class ModelCard:
-    """What a card is made of."""
+    """The contents of a card."""
 
     name: str
-    config: Mapping[str, Any]  # of the run; nobody has checked what this toolkit does not need to drive
+    config: Mapping[str, Any]  # of the run; checked as far as driving needs it
     parameters: int
     targets: Sequence[TargetName]
     max_steering_deg: float
-    epoch: Epoch | None  # whose weights these are; None: nobody knows how well it learnt
+    epoch: Epoch | None  # of these weights; None: how well it learnt is unknown
     results: Sequence[KeptResult]  # the last of each kind that these weights have given
     licence: str | None
-    code: str  # what has to be named to load it; empty for a network of the toolkit
+    code: str  # the name to load it by; empty for a network of the toolkit
     onnx_example: str  # Python; empty if there is no ONNX file
     pictures: Sequence[str]  # of how it was learnt, by file name
 
@@ -53,7 +53,7 @@ class _Labels(msgspec.Struct):
 
 
 class _Data(msgspec.Struct):
-    """What a run's config.json has of its data, as far as a card tells it."""
+    """The data of a run's config.json, as far as a card lists them."""
 
     logs: dict[str, Any] = {}
     counts: dict[str, _Counts] = {}
@@ -216,10 +216,10 @@ def _drives(of: ModelCard) -> Iterator[str]:
         yield "**Nobody has let it drive**: small errors on recorded pictures do not say that it keeps to a road."
         yield ""
         return
-    for what, wanted in (("Without an intervention", True), ("Not without being put back", False)):
-        names = [_place(of, kept) for kept in drives if (kept.result.get("interventions") == 0) is wanted]
+    for heading, is_clean in (("Without an intervention", True), ("Not without being put back", False)):
+        names = [_place(of, kept) for kept in drives if (kept.result.get("interventions") == 0) is is_clean]
         if names:
-            yield f"- {what}: {'; '.join(names)}."
+            yield f"- {heading}: {'; '.join(names)}."
     yield ""
     yield "| where | km | interventions | autonomy | beside the line, on average | at most | measured |"
     yield "|---|---|---|---|---|---|---|"
@@ -288,6 +288,6 @@ def _km(distance_m: object) -> float:
 
 
 def _number(value: object, digits: int = 2) -> str:
-    """A number that may come from a file of somebody else; "-" where it is none."""
+    """A number of a file that is not trusted; "-" where it is none."""
     is_number = isinstance(value, int | float) and math.isfinite(value) and abs(value) < 1e9
     return f"{value:.{digits}f}" if is_number else "-"

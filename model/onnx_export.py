@@ -54,8 +54,8 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     PyTorch on a few pictures.
 
     In: "pictures", uint8 (N, height, width, 3), in the network's order of colours. Out: "steering", float32 (N,),
-    not clamped, -1 (left) .. 1 (right); of other targets "speed_mph" and "throttle". The file's metadata tell how
-    to use it. Same run: the same bytes.
+    not clamped, -1 (left) .. 1 (right); of other targets "speed_mph" and "throttle". The file's metadata describe
+    its use. Same run: the same bytes.
 
     Raises RunError if the run is incomplete, damaged or of another version, if its network cannot be written or
     its steering differs, if ONNX or ONNX Runtime is not installed, or if the disk is full; UserError if `path`
@@ -89,18 +89,18 @@ def require_onnx() -> None:
         ) from None
 
 
-def example(seen: PictureSpec, network: str, picture: str) -> str:
+def example(spec: PictureSpec, network: str, picture: str) -> str:
     """Python that prints the steering for a picture, where there is neither this toolkit nor PyTorch. `network`
     and `picture` are expressions: where the ONNX file and the picture lie."""
-    top, bottom = seen.description["crop_top"], seen.description["crop_bottom"]
-    convert = "" if seen.channels == "BGR" else f"crop = cv2.cvtColor(crop, cv2.COLOR_BGR2{seen.channels})\n"
+    top, bottom = spec.description["crop_top"], spec.description["crop_bottom"]
+    convert = "" if spec.channels == "BGR" else f"crop = cv2.cvtColor(crop, cv2.COLOR_BGR2{spec.channels})\n"
     return (
         "import cv2, onnxruntime\n"
         f'network = onnxruntime.InferenceSession({network}, providers=["CPUExecutionProvider"])\n'
         f"picture = cv2.imread({picture})\n"
         "height = len(picture)\n"
         f"cropped = picture[round(height * {top}) : height - round(height * {bottom})]\n"
-        f"crop = cv2.resize(cropped, ({seen.width_px}, {seen.height_px}),"
+        f"crop = cv2.resize(cropped, ({spec.width_px}, {spec.height_px}),"
         f" interpolation=cv2.INTER_LINEAR)\n{convert}"
         '(steering,) = network.run(["steering"], {"pictures": crop[None]})[0]\n'
         "print(steering)\n"

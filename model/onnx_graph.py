@@ -140,19 +140,19 @@ class _Graph:
             if any(name in each.output for each in self.nodes):  # called before
                 name = node.name
             return self._layer(name, layer, *arguments)
-        name, what, settings = node.name, node.target, (*node.args[1:], *node.kwargs.values())
+        name, operation, settings = node.name, node.target, (*node.args[1:], *node.kwargs.values())
         if not arguments or node.op == "get_attr":
-            raise _UnknownPartError(str(getattr(what, "__name__", what)))
-        if what in _ELEMENTWISE and settings in ((), (False,), (True,)):  # in place or not
-            return self.add(_ELEMENTWISE[what], name, arguments[0])
-        if what in _OF_TWO and len(arguments) == 2 and len(settings) == 1:
-            return self.add(_OF_TWO[what], name, *arguments)
-        is_reshaped = what in _RESHAPE and len(settings) == 2 and repr(settings[1]) == "-1"
-        if is_reshaped or (what in _FLATTEN and settings == (1,)):
+            raise _UnknownPartError(str(getattr(operation, "__name__", operation)))
+        if operation in _ELEMENTWISE and settings in ((), (False,), (True,)):  # in place or not
+            return self.add(_ELEMENTWISE[operation], name, arguments[0])
+        if operation in _OF_TWO and len(arguments) == 2 and len(settings) == 1:
+            return self.add(_OF_TWO[operation], name, *arguments)
+        is_reshaped = operation in _RESHAPE and len(settings) == 2 and repr(settings[1]) == "-1"
+        if is_reshaped or (operation in _FLATTEN and settings == (1,)):
             return self.add("Flatten", name, arguments[0], axis=1)
-        if what == operator.getitem:  # of a shape
+        if operation == operator.getitem:  # of a shape
             return ""
-        raise _UnknownPartError(str(getattr(what, "__name__", what)))
+        raise _UnknownPartError(str(getattr(operation, "__name__", operation)))
 
     def _layer(self, name: str, layer: nn.Module, value: str) -> str:
         if type(layer) in _ELEMENTWISE:
@@ -216,8 +216,8 @@ def _is_of_shape(node: fx.Node, values: dict[fx.Node, str]) -> bool:
 
 
 class _UnknownPartError(RunError):
-    def __init__(self, what: str) -> None:
-        super().__init__(f"a part of its network cannot be written as ONNX: {what}")
+    def __init__(self, part: str) -> None:
+        super().__init__(f"a part of its network cannot be written as ONNX: {part}")
 
 
 def _traced(network: PictureNetwork) -> fx.Graph:

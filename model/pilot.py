@@ -39,11 +39,11 @@ _ROUNDING: Final = 0.02  # of bfloat16, added up in another order
 
 
 class NetworkAnswer(NamedTuple):
-    """What a network answers to a picture; NaN or infinite if its weights are such."""
+    """A network's answer to a picture; NaN or infinite if its weights are such."""
 
     steering: float  # -1 (left) .. 1 (right), not clamped
-    speed_mph: float | None = None  # that it wants; None: it says nothing of the speed
-    throttle: float | None = None  # -1 .. 1, not clamped; None: it says nothing of it
+    speed_mph: float | None = None  # the target; None: the network has no such output
+    throttle: float | None = None  # -1 .. 1, not clamped; None: the same
 
     @property
     def is_finite(self) -> bool:
@@ -52,7 +52,7 @@ class NetworkAnswer(NamedTuple):
 
 
 class Pilot:
-    """Predicts steering from what the car sees, on the processor. The same picture gives the same number."""
+    """Predicts steering from the car's pictures, on the processor. The same picture gives the same number."""
 
     def __init__(
         self,
@@ -66,9 +66,8 @@ class Pilot:
     ) -> None:
         """Takes the network over: its weights are rounded to `dtype`, float32 or bfloat16, once and for all.
 
-        `picture` is what it sees, if that is not what it says itself, `targets` what it answers; `speed_ahead_s`
-        is how much later the speed is to be driven that it answers. Raises ValueError for other targets than the
-        network has answers.
+        `picture` is what it sees, if not the network's default; `targets` are its answers. An answered speed is to
+        be driven `speed_ahead_s` later. Raises ValueError if the network has not as many answers as `targets`.
         """
         if len(targets) != network.outputs:
             raise ValueError(f"{len(targets)} targets of a network with {network.outputs} answers")
@@ -100,8 +99,8 @@ class Pilot:
     @torch.inference_mode()
     def _answers(self, crop: Image) -> NDArray[np.float32]:
         """(K,) in the units that were learnt."""
-        seen = np.ascontiguousarray(in_channels(crop, self.picture))
-        answers: NDArray[np.float32] = self._network(as_input(seen[None])).flatten().float().numpy()
+        pixels = np.ascontiguousarray(in_channels(crop, self.picture))
+        answers: NDArray[np.float32] = self._network(as_input(pixels[None])).flatten().float().numpy()
         return answers
 
     def predict(self, crop: Image) -> float:
@@ -122,8 +121,8 @@ class Pilot:
             self.predict(np.zeros(self.picture.shape, np.uint8))
 
     def _swap_where_the_same(self, swap: Callable[[], Callable[[], None] | None]) -> None:
-        """Put faster layers in the place of the network's, unless it answers otherwise with them: somebody's own
-        may do with its layers what cannot be seen from outside."""
+        """Put faster layers in the place of the network's, unless it answers otherwise with them: one's own code
+        may use its layers in other ways."""
         noise = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
         before = self._answers(noise)
         if (undo := swap()) is None:

@@ -57,8 +57,8 @@ def list_runs(config: Runs) -> int:
     from model.runs.run_summary import summarize_runs
 
     if isinstance(config.runs, Path) and not config.runs.is_dir():
-        what = "a file, no folder of runs" if config.runs.exists() else "no such folder"
-        raise UserError(f"{config.runs}: {what}; train a run with `bc-train`, or give --runs FOLDER")
+        problem = "a file, no folder of runs" if config.runs.exists() else "no such folder"
+        raise UserError(f"{config.runs}: {problem}; train a run with `bc-train`, or give --runs FOLDER")
     found = list(summarize_runs(config.runs))
     if not found:
         flag = f" --runs {config.runs}" if isinstance(config.runs, Url) else ""

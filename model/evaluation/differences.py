@@ -1,4 +1,4 @@
-"""How much worse or better one network is than another, measure by measure, and whether that can be chance.
+"""The differences between two networks, measure by measure, with confidence intervals.
 
 The rule: B is worse than A if, for any measure, the whole confidence interval of the difference lies on the worse
 side, by more than the tolerance. The intervals of all measures hold together (Bonferroni: each is as much wider):
@@ -89,7 +89,7 @@ def compare_sums(
 
 
 def overall(differences: Sequence[Difference]) -> Verdict:
-    """B is worse if any measure is; better if one is and none is worse; unknown where nothing can be said."""
+    """B is worse if any measure is; better if one is and none is worse; unknown where there are too few blocks."""
     verdicts = {difference.verdict for difference in differences}
     ranked: tuple[Verdict, ...] = ("worse", "better", "not told apart")
     return next((verdict for verdict in ranked if verdict in verdicts), "unknown")

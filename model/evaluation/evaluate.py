@@ -64,12 +64,14 @@ class Evaluation:
     predicted_NAME: other targets, in their unit."""
     logs: Mapping[str, Location]  # of the sessions
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
-    trained_on: int | None  # number of the frames that the run was trained on; None where its config does not say
+    trained_on: (
+        int | None
+    )  # number of the frames that the run was trained on; None where its config does not record it
     skipped: Skipped  # pictures that do not decode
     notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured; of all runs
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
-    targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames tell
+    targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have
     max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1, in the frames and the answers
 
     @cached_property
@@ -86,7 +88,7 @@ class Evaluation:
 
     @cached_property
     def crashes(self) -> int:
-        """The number of frames in crashes: what is steered there says nothing about the road."""
+        """The number of frames in crashes: the steering there is no answer to the road."""
         return int(pc.sum(self.frames["crash"]).as_py() or 0)
 
     @cached_property
@@ -163,13 +165,13 @@ def evaluate_runs(
 ) -> list[Evaluation]:
     """As `evaluate`, for several runs at once: each picture is decoded once, and all have the same frames."""
     with Samples(index) as samples:
-        seen = samples.driving_view(split)
-        if not len(seen):
+        view = samples.driving_view(split)
+        if not len(view):
             raise DatasetError(
                 f"{samples.path}: no frame of the split {split} in it; give another --split, or whole sessions:"
                 " --session NAME"
             )
-        return _evaluate([Path(run) for run in runs], samples, seen)
+        return _evaluate([Path(run) for run in runs], samples, view)
 
 
 def evaluate_sessions(run: Path | str, logs: Sequence[Location | str]) -> Evaluation:
@@ -204,31 +206,31 @@ def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Locatio
     return [replace(each, logs=paths, notices=tuple(notices), remarks=remarks) for each in found]
 
 
-def _evaluate(runs: Sequence[Path], samples: Samples, seen: pa.Table) -> list[Evaluation]:
+def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Evaluation]:
     configs = [load_config(run) for run in runs]
     for run in runs:
         refuse_other_steering(run, samples.max_steering_deg, str(samples.path))
     loaders: list[Loader] = []
 
     def batches(picture: PictureSpec) -> Iterable[tuple[NDArray[np.int64], Image]]:
-        # each picture is looked at once
-        loaders.append(Loader(samples, seen, batch=BATCH, budget_bytes=0, seen=picture))
-        return loaders[-1].crops(np.arange(len(seen)))
+        # each picture is decoded once
+        loaders.append(Loader(samples, view, batch=BATCH, budget_bytes=0, seen=picture))
+        return loaders[-1].crops(np.arange(len(view)))
 
-    answers, is_decoded = predict_crops(runs, batches, len(seen))
+    answers, is_decoded = predict_crops(runs, batches, len(view))
     skipped = loaders[0].skipped  # for each network the same
     if not is_decoded.any():
         _, name = next(iter(skipped))
         raise DatasetError(
-            f"none of {counted(len(seen), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
+            f"none of {counted(len(view), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
         )
-    frames = _from_index(seen, samples)
+    frames = _from_index(view, samples)
     frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
     sessions = by_session(frames.filter(pa.array(is_decoded)))
     unmeasured = [_unmeasured(run, samples) for run in runs]
     notices = tuple(dict.fromkeys(notice for of_run in unmeasured for notice in of_run.values()))
     labels = [
-        {name: samples.target_labels(seen, name) for name in targets_of_run(run)[1:] if name not in left_out}
+        {name: samples.target_labels(view, name) for name in targets_of_run(run)[1:] if name not in left_out}
         for run, left_out in zip(runs, unmeasured, strict=True)
     ]
     return [
@@ -281,10 +283,10 @@ def _with_answers(
     return frames
 
 
-def _from_index(seen: pa.Table, samples: Samples) -> pa.Table:
+def _from_index(view: pa.Table, samples: Samples) -> pa.Table:
     """The columns of `_FROM_INDEX`. Raises DatasetError for what no index holds."""
     try:
-        frames = seen.select(_FROM_INDEX.names).cast(_FROM_INDEX)
+        frames = view.select(_FROM_INDEX.names).cast(_FROM_INDEX)
         is_damaged = any(column.null_count for column in frames.columns)
     except (KeyError, ValueError, pa.ArrowException):
         is_damaged = True

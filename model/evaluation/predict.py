@@ -23,7 +23,7 @@ from model.runs.run_folder import load_network, picture_of_run
 BATCH: Final = 64  # what stays in a processor's cache
 
 AttentionCallback = Callable[[int, NDArray[np.int64], Image, NDArray[np.float32]], object]
-"""Called with where a network looks: which run (0, 1 ...), numbers of pictures (N,), their crops
+"""Called with attention maps: the number of the run (0, 1 ...), numbers of pictures (N,), their crops
 (N, height, width, 3) BGR, and the maps (N, height, width), 0..1."""
 
 BatchesOf = Callable[[PictureSpec], Iterable[tuple[NDArray[np.int64], Image]]]
@@ -69,7 +69,7 @@ def predict_crops(
     different = list(dict.fromkeys(pictures))
     with open_bar(is_shown=True) as bar, progress_task(bar, "frames", count * len(different)) as advance:
         for picture in different:
-            seeing = [at for at, seen in enumerate(pictures) if seen == picture]
+            seeing = [at for at, spec in enumerate(pictures) if spec == picture]
             for numbers, crops in batches(picture):
                 is_decoded[numbers] = True
                 for at in seeing:

@@ -23,12 +23,12 @@ from model.evaluation.predict import BATCH, predict_crops
 from model.runs.run_folder import picture_of_run, run_name, weights_checksum
 
 LogAttentionCallback = Callable[[str, NDArray[np.int64], Image, NDArray[np.float32]], object]
-"""Called with where a network looks, some pictures at a time: its run's name, their log times (N,) in ns, their
+"""Called with attention maps, some pictures at a time: the run's name, their log times (N,) in ns, their
 crops (N, height, width, 3) BGR, and the maps (N, height, width), 0..1 (see visual_backprop.py)."""
 
 
 def run_names(runs: Sequence[Path]) -> list[str]:
-    """Names that tell runs apart: those of their folders, and where two are alike, as much of the path as differs.
+    """Distinct names of runs: those of their folders, and where two are alike, as much of the path as differs.
 
     Raises RunError if one is given twice.
     """
@@ -69,7 +69,7 @@ def predict_log(
                 on_attention(names[run], crops.log_time_ns[numbers], pictures, maps)
 
         predicted, is_decoded = predict_crops(
-            folders, lambda seen: crops.batches(BATCH, seen), len(crops), on_attention and pass_on, on_batch
+            folders, lambda picture: crops.batches(BATCH, picture), len(crops), on_attention and pass_on, on_batch
         )
         if not is_decoded.any():
             raise DatasetError(
@@ -98,7 +98,7 @@ def predict_log(
 
 
 def _preprocessing(names: Sequence[str], runs: Sequence[Path]) -> dict[str, str]:
-    """What the networks see: told once where all see the same, else of each run by name."""
+    """The metadata of the networks' pictures: once where all see the same, else of each run by name."""
     pictures = [picture_of_run(run) for run in runs]
     if len(set(pictures)) == 1:
         return metadata_of(pictures[0])

@@ -93,7 +93,7 @@ def drive_recording(
     """Let a network drive a log, finished or not, with a progress bar. The same network and log, the same drive.
     `picture` is what it sees.
 
-    Raises LogError for a damaged log or damaged tags, RecordingError where nothing tells of which car it is,
+    Raises LogError for a damaged log or damaged tags, RecordingError where its car is unknown,
     DatasetError for one of which nothing can be driven, RunError for a network that predicts what is no number.
     """
     with LogViews(log, car, picture) as views:
@@ -116,7 +116,7 @@ def drive_views(predict: Predict, views: LogViews, departure_m: float = DEPARTUR
         raise DatasetError(
             f"{views.path}: nothing in it can be driven: {SHORTEST_S:g} seconds at {SLOW_MPH:g} mph or more were"
             " expected, with whole pictures of the centre camera, steering in -1..1 and no tag exclude;"
-            " `bc-log info` tells what it holds"
+            " `bc-log info` shows what it holds"
         )
     offsets_m = np.abs([moment.left_m for moment in drive.moments])
     return RecordedDrive(
@@ -159,12 +159,12 @@ class _Drive:
         car.put_on_line(steering[0])
         for here in range(len(steering)):
             advance()
-            seen = self._views.crop_from(stretch.first + here, car.left_m, car.turn_rad)
-            if seen is None:  # as a gap: nobody can steer
+            view = self._views.crop_from(stretch.first + here, car.left_m, car.turn_rad)
+            if view is None:  # as a gap: there is nothing to steer by
                 if here + 1 < len(steering):
                     car.put_on_line(steering[here + 1])
                 continue
-            crop, known = seen
+            crop, known = view
             answer = self._predict(crop)
             if not math.isfinite(answer):
                 raise RunError("the network predicts what is no number; train it again")

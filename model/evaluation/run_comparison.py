@@ -33,7 +33,7 @@ MEASURES: Final = (
     Measure("balanced_rmse_deg", "balanced RMSE"),
     Measure("correlation", "correlation", is_error=False, scale=1.0),
 )
-"""Those of `model.metrics` that a network is judged by."""
+"""The measures of `model.metrics` that a network is judged by."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Comparison:
 
     @property
     def units(self) -> str:
-        """What is drawn, and counted: blocks or sessions."""
+        """The unit that is drawn, and counted: blocks or sessions."""
         return "sessions" if len(self.a.sessions) >= MANY_SESSIONS else "blocks"
 
     @property

@@ -24,7 +24,7 @@ from model.network.names import BUILT_IN, is_own
 from model.network.own_code import OwnCode, load_code
 from model.network.picture_network import PictureNetwork
 
-_TRIED: Final = 2  # pictures: a network that mixes them up is seen
+_TRIED: Final = 2  # pictures: shows a network that mixes them up
 
 
 class OwnNetwork(PictureNetwork):
@@ -51,21 +51,21 @@ class NetworkChoice:
 
     @property
     def description(self) -> dict[str, Any]:
-        """As a run's config.json has it."""
+        """The `network` of a run's config.json."""
         of_file = {} if self.code is None or not self.code.source else {"file_sha256": self.code.file_sha256}
         return {"name": self.name, "arguments": dict(self.arguments), **of_file}
 
     @property
     def picture(self) -> PictureSpec:
-        """What it sees unless it is told otherwise."""
+        """The network's default picture."""
         found = getattr(self.make, "PICTURE", ORIGINAL)
         return found if isinstance(found, PictureSpec) else ORIGINAL
 
     def build(self) -> PictureNetwork:
         """A new network, with random weights. Raises RunError where that fails."""
-        # of one target its default may tell, which need not mean the same in a network of before there were others
-        is_told = _takes(self.make, "outputs") and (self.outputs > 1 or _needs(self.make, "outputs"))
-        outputs = {"outputs": self.outputs} if is_told else {}
+        # with one target, its default is left: in an older network `outputs` need not mean the targets
+        takes_outputs = _takes(self.make, "outputs") and (self.outputs > 1 or _needs(self.make, "outputs"))
+        outputs = {"outputs": self.outputs} if takes_outputs else {}
         try:
             made = self.make(**{**outputs, **self.arguments})
         except RunError:
@@ -142,8 +142,8 @@ class NetworkChoice:
 
 
 def choose_network(config: TrainConfig) -> NetworkChoice:
-    """The network that a training asks for; code that is somebody's own is run. Raises RunError where that is not
-    there, or takes other arguments."""
+    """The network of a training; if it is one's own, its code is run. Raises RunError where that is not there, or
+    takes other arguments."""
     given = _parsed(config.network_args)
     if is_own(config.network):
         code = load_code(config.network)
@@ -167,8 +167,8 @@ def built_in(name: str, arguments: Mapping[str, Any]) -> NetworkChoice:
 
 
 def chosen_picture(config: TrainConfig, network: NetworkChoice) -> PictureSpec:
-    """What the network of a training sees: what it says of itself, but for what the settings say. Raises
-    UsageError for what is no picture."""
+    """The picture that the network of a training sees: its default, changed by the settings. Raises UsageError for
+    settings that give no picture."""
     wanted: dict[str, Any] = {}
     if config.picture_px is not None:
         wanted["width_px"], wanted["height_px"] = config.picture_px
@@ -201,7 +201,7 @@ def _takes(make: Callable[..., Any], argument: str) -> bool:
 
 
 def _needs(make: Callable[..., Any], argument: str) -> bool:
-    """Of an argument that it takes."""
+    """Whether an argument, which it takes, has no default."""
     return inspect.signature(make).parameters[argument].default is inspect.Parameter.empty
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from torch import nn
 
 Swap = Callable[[nn.Module], nn.Module | None]
-"""What to put in the place of a layer; None to leave it."""
+"""Returns the layer to put in the place of another; None to leave it."""
 
 
 def swap_layers(network: nn.Module, swap: Swap) -> Callable[[], None]:

@@ -30,7 +30,7 @@ def check_network_name(name: str) -> None:
 
 
 def is_own(name: str) -> bool:
-    """Whether a network is somebody's own: code that is not the toolkit's."""
+    """Whether a network is code of one's own, and not the toolkit's."""
     return name not in BUILT_IN
 
 

@@ -38,12 +38,12 @@ def _is_faster(inputs: Tensor) -> bool:
         and torch.get_autocast_dtype("cpu") == torch.bfloat16
         and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
         and bool(torch.cpu.get_capabilities().get("amx_bf16"))
-        and "ONEDNN_MAX_CPU_ISA" not in os.environ  # with it somebody may have switched AMX off
+        and "ONEDNN_MAX_CPU_ISA" not in os.environ  # may switch AMX off
     )
 
 
 def _convolved(layer: nn.Conv2d, planes: Tensor) -> Tensor:
-    """As autocast has it done, which does not know this operator."""
-    how: Any = layer.padding, layer.stride, layer.dilation, layer.groups
+    """The convolution in bfloat16, as autocast would run it if it knew this operator."""
+    options: Any = layer.padding, layer.stride, layer.dilation, layer.groups
     bias = None if layer.bias is None else layer.bias.to(torch.bfloat16)
-    return torch.mkldnn_convolution(planes, layer.weight.to(torch.bfloat16), bias, *how)
+    return torch.mkldnn_convolution(planes, layer.weight.to(torch.bfloat16), bias, *options)

@@ -20,14 +20,14 @@ class PackedConvolution(nn.Module):
 
     def __init__(self, layer: nn.Conv2d) -> None:
         super().__init__()
-        self._how = (list(layer.padding), list(layer.stride), list(layer.dilation), layer.groups)
-        self._weight = _ONEDNN._reorder_convolution_weight(layer.weight.detach(), *self._how)
+        self._options = (list(layer.padding), list(layer.stride), list(layer.dilation), layer.groups)
+        self._weight = _ONEDNN._reorder_convolution_weight(layer.weight.detach(), *self._options)
         self._bias = layer.bias
 
     def forward(self, inputs: Tensor) -> Tensor:
         """(N, channels, height, width) to the same."""
         outputs: Tensor = _ONEDNN._convolution_pointwise(
-            inputs, self._weight, self._bias, *self._how, "none", [], ""
+            inputs, self._weight, self._bias, *self._options, "none", [], ""
         )
         return outputs
 

@@ -1,4 +1,4 @@
-"""What every network here is: pictures in, steering and perhaps other targets out.
+"""The base of every network here: pictures in, steering and perhaps other targets out.
 
 Scaling and the answers' shape are in this one place.
 """
@@ -23,17 +23,17 @@ class PictureNetwork(nn.Module):
     """
 
     PICTURE: ClassVar[PictureSpec] = ORIGINAL
-    """What it sees, unless the run says otherwise."""
+    """The default picture; a run may have another."""
 
     outputs: int = 1
-    """How many targets it answers."""
+    """Number of targets that it answers."""
 
     natural: Callable[[Tensor], Tensor] | None = None
     """From the steering that was learnt to the network's answer; None while it learns, and where both are the
     same."""
 
     input_dtype = torch.float32
-    """What its layers are given. Scaling is always done in float32."""
+    """The dtype of its layers' inputs. Scaling is always done in float32."""
 
     def answers(self, inputs: Tensor) -> Tensor:
         """(N, outputs), or (N,) of one, for pictures (N, 3, height, width) that are scaled to -1..1."""

@@ -30,8 +30,8 @@ Side = int | tuple[int, ...]
 
 @torch.inference_mode()
 def predict_with_attention(network: PictureNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """The network's answers for pictures (N, 3, height, width), the same as of calling it, and where it looks:
-    (N, height, width) float32, 0 nowhere .. 1 most of that picture. One pass gives both.
+    """The network's answers for pictures (N, 3, height, width), the same as of calling it, and its attention maps
+    (N, height, width), float32, 0 .. 1, where 1 is the most of that picture. One pass gives both.
 
     Raises RunError for a network without an `nn.ReLU` after a convolution.
     """
@@ -45,7 +45,7 @@ def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]
     with _Watched(network) as watched:
         outputs = network(inputs)
     if not any(step.average is not None for step in watched.steps):
-        raise RunError("where it looks cannot be told: its network has no nn.ReLU after a convolution")
+        raise RunError("where it looks is unknown: its network has no nn.ReLU after a convolution")
     size = inputs.shape[2:]
     maps = _through_chain(watched.steps) if watched.is_chain else _through_sizes(watched.steps)
     if maps.shape[1:] != size:

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Steering = TypeVar("Steering", Floats, "Tensor")
 
 LEAST_SCALE, MOST_SCALE = 0.1, 2.0
-"""What a fit may give. Less, and a network would be deaf to what is a little to the side; more, and it knows
+"""The bounds of a fit. Below, a network would ignore whatever is a little to the side; above, it has learnt
 nothing of the road."""
 
 MOST_CURVE: Final = 4.0
@@ -66,7 +66,7 @@ class AnswerScale:
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> AnswerScale:
-        """That of a file of weights; as learnt where none is told. Raises ValueError for what no fit gives."""
+        """The scale in the metadata of weights; as learnt without one. Raises ValueError beyond the bounds."""
         return cls(**{name: float(metadata.get(_PREFIX + name, of)) for name, of in asdict(cls()).items()})
 
     @property
@@ -75,7 +75,7 @@ class AnswerScale:
         return {_PREFIX + name: repr(value) for name, value in asdict(self).items()}
 
     def in_degrees(self, max_deg: float) -> str:
-        """In words, where steering 1 is `max_deg`: "0.10 x + 0.04 x|x| of the x degrees learnt, -0.20"."""
+        """The formula, where steering 1 is `max_deg`: "0.10 x + 0.04 x|x| of the x degrees learnt, -0.20"."""
         curve = f" + {self.curve / max_deg:.3f} x|x|" if self.curve else ""
         return f"{self.scale:.2f} x{curve} of the x degrees learnt, {max_deg * self.offset:+.2f}"
 
@@ -83,7 +83,7 @@ class AnswerScale:
         return learnt * (self.scale + self.curve * abs(learnt)) + self.offset
 
     def learnt(self, natural: Floats) -> Floats:
-        """What `natural` was made of."""
+        """The steering learnt that `natural` was computed from: its inverse."""
         steering = natural - self.offset
         # the root of curve * x**2 + scale * x = |steering| that is not negative, so written that curve may be 0
         size = 2 * np.abs(steering) / (self.scale + np.sqrt(self.scale**2 + 4 * self.curve * np.abs(steering)))

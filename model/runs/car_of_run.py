@@ -1,4 +1,4 @@
-"""The car that a run's answers are for: that of the sessions which it was trained on, as its config.json tells."""
+"""The car that a run's answers are for: that of its sessions, by its config.json."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from model.runs.run_folder import load_config
 
 
 def max_steering_deg_of_run(run: Path) -> float:
-    """How far the front wheels turn where the run answers 1. Raises RunError as `load_config` does."""
+    """The angle of the front wheels where the run answers 1. Raises RunError as `load_config` does."""
     degrees = {_number(log.get("max_steering_deg", MAX_STEERING_DEG)) for log in _logs(run).values()}
     found = degrees.pop() if len(degrees) == 1 else MAX_STEERING_DEG
     return found if 0 < found < 90 else MAX_STEERING_DEG
 
 
 def car_settings_of_run(run: Path) -> object:
-    """The settings of the car of all sessions of the run, where their logs tell one and the same, else None:
-    JSON that nobody has checked. Raises RunError as `load_config` does."""
+    """The settings of the run's car, where the logs of all its sessions have the same, else None: unchecked JSON.
+    Raises RunError as `load_config` does."""
     cars = [log.get("car") for log in _logs(run).values()]
     return cars[0] if cars and all(each == cars[0] for each in cars) else None
 
 
-def refuse_other_steering(run: Path, max_steering_deg: float, whose: str) -> None:
-    """Raise RunError if the run's steering 1 is another angle than that of what `whose` names."""
+def refuse_other_steering(run: Path, max_steering_deg: float, source: str) -> None:
+    """Raise RunError if the run's steering 1 is another angle than in `source`, a log or an index."""
     own = max_steering_deg_of_run(run)
     if own != max_steering_deg:
         raise RunError(
-            f"{run}: it answers 1 where the wheels are to turn by {own:g} degrees; that of {whose} is"
+            f"{run}: it answers 1 where the wheels are to turn by {own:g} degrees; that of {source} is"
             f" {max_steering_deg:g} degrees, so they do not go together"
         )
 

@@ -31,7 +31,7 @@ LAST: Final = "last"
 CHECKPOINT: Final = "checkpoint.safetensors"
 
 _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
-_ANOTHER: Final = "the checkpoint of another network than its config.json tells"
+_ANOTHER: Final = "the checkpoint of another network than that of its config.json"
 _MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 
 Count = Annotated[int, Meta(ge=0, lt=2**53)]

@@ -4,7 +4,7 @@ metrics.jsonl   one line of JSON an epoch
 steps.jsonl     one line of JSON every few batches
 worst.jsonl     one line of JSON an epoch
 
-A run may come from somebody else: a line that no training writes is left out and named.
+A run is not trusted: a line that no training writes is left out and named.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lines of a run's metrics.jsonl, steps.jsonl and worst.jsonl, checked: a run may come from somebody else.
+"""Lines of a run's metrics.jsonl, steps.jsonl and worst.jsonl, checked: a run is not trusted.
 
 Each function raises ValueError, KeyError, TypeError or RecursionError for a line that no training writes. Fields
 that it does not read, such as those of later versions, may hold anything.
@@ -129,7 +129,7 @@ def _count(value: Any, least: int = 0) -> int:
 
 
 def _number(value: Any) -> float:
-    """NaN for null: JSON has no other way to say that a number does not exist."""
+    """NaN for null, by which JSON stands for a number that does not exist."""
     if value is None:
         return math.nan
     if type(value) not in (int, float) or not abs(value) <= _LARGEST_NUMBER:

@@ -1,7 +1,7 @@
 """The results of evaluations, kept in the run that they are of: results.jsonl, a line for each.
 
-A line says when it was measured, and by the SHA-256 of which weights: those of a run that was trained on since are
-others. Results may come with a run from somebody else: a line that cannot be one is left out and counted.
+A line has the time of the measurement, and the SHA-256 of the weights: a run that was trained on since has others.
+Results are not trusted: a line that cannot be one is left out and counted.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The network of a run, and what it sees, as its config.json tells. No code that it names is run unasked."""
+"""The network of a run, and its picture, by its config.json. No code that it names is run unasked."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NETWORK_FILE: Final = "network.py"
 """A run's copy of the file that its network is of."""
 
 _EARLIER: Final = "bojarski2016-modified"
-"""What earlier versions, which had no other, called the original network."""
+"""The name of the original network in earlier versions, which had no other."""
 
 
 class StoredNetwork(msgspec.Struct, frozen=True):
@@ -41,7 +41,7 @@ class _StoredSettings(msgspec.Struct, frozen=True):
 
 
 def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
-    """The network that the config.json of the run in `folder` tells of. Raises RunError for what is none."""
+    """The network in the config.json of the run in `folder`. Raises RunError if that is none."""
     stored = config.get("network", _EARLIER)
     if stored == _EARLIER:
         return StoredNetwork()
@@ -49,7 +49,7 @@ def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
         found = msgspec.convert(stored, StoredNetwork)
         check_network_name(found.name)
     except ValueError as error:
-        raise RunError(f"{folder}: its network cannot be told ({printable(str(error))}); train it again") from None
+        raise RunError(f"{folder}: its network is unknown ({printable(str(error))}); train it again") from None
     return found
 
 
@@ -59,12 +59,12 @@ def stored_targets(config: dict[str, Any], folder: Path) -> tuple[TargetName, ..
         names = msgspec.convert(config.get("targets", STEERING_ONLY), tuple[TargetName, ...])
         check_targets(names)
     except ValueError as error:
-        raise RunError(f"{folder}: its targets cannot be told ({printable(str(error))}); train it again") from None
+        raise RunError(f"{folder}: its targets are unknown ({printable(str(error))}); train it again") from None
     return names
 
 
 def picture_of(config: dict[str, Any], folder: Path) -> PictureSpec:
-    """What the network of the run in `folder` sees. Raises RunError for what this toolkit does not do."""
+    """The picture that the run in `folder` sees. Raises RunError for a preprocessing other than this toolkit's."""
     try:
         return PictureSpec.from_description(config.get("preprocessing"))
     except ValueError as error:
@@ -123,7 +123,7 @@ def load_named(names: Sequence[str], configs: Sequence[dict[str, Any]]) -> None:
 
 
 def is_own_network(config: dict[str, Any]) -> bool:
-    """Whether a run's network is somebody's own, as far as its config.json tells."""
+    """Whether a run's network is one's own code, by its config.json."""
     stored = config.get("network")
     name = stored.get("name") if isinstance(stored, dict) else None
     return isinstance(name, str) and is_own(name)

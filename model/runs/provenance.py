@@ -102,7 +102,7 @@ def training_of(stored: dict[str, Any], where: str) -> TrainConfig:
 
 def is_trained_on(stored: dict[str, Any], where: str, samples: Samples) -> bool:
     """True if a run with this config was trained on these samples, whether or not their logs were rewritten since.
-    Raises RunError if it does not say; `where` names the file."""
+    Raises RunError if the config does not record its samples; `where` names the file."""
     try:
         data = stored["data"]
         labels = samples.targets_fingerprint(stored_targets(stored, Path(where)))

@@ -57,7 +57,7 @@ def index_of_run(
 def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
     """The settings of the index that `run` was trained on, and the fingerprints of its logs by session.
 
-    Raises RunError if its config does not say.
+    Raises RunError if its config does not record it.
     """
     return _data_of(load_config(run), str(run / CONFIG))
 

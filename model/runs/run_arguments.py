@@ -12,7 +12,7 @@ from common.location import Location, Url
 from common.store_record import cached_from
 
 RUNS: Final = Path("runs")
-"""Where runs are kept, unless --runs says otherwise."""
+"""The default folder of runs."""
 
 _MOST_NAMES: Final = 8
 
@@ -24,7 +24,7 @@ def run_argument(run: Path) -> str:
 
 
 def suggest_runs(name: str, names: Sequence[str], runs: Location) -> str:
-    """The runs in `runs` that somebody who mistyped `name` may have meant."""
+    """A line that suggests runs in `runs` for a mistyped `name`."""
     if not names:
         flag = f" --runs {runs}" if isinstance(runs, Url) else ""
         return f"none is in {runs}: `bc-train{flag}` makes one"

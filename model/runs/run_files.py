@@ -14,9 +14,9 @@ from model.errors import RunWriteError
 
 WEIGHTS: Final = "model.safetensors"
 CONFIG: Final = "config.json"
-"""What makes a folder a run."""
+"""A folder with this file is a run."""
 RESULTS_FILE: Final = "results.jsonl"
-"""What was measured of it, a line each: see kept_results.py."""
+"""The results of its evaluations, a line each: see kept_results.py."""
 
 
 @contextlib.contextmanager

@@ -69,7 +69,7 @@ def create_run(
 
 
 def refuse_existing_run(folder: Path) -> None:
-    """Raise RunError if the name of a run that is to be made is taken; its message says how to go on."""
+    """Raise RunError if the name of a new run is taken."""
     if (folder / CONFIG).is_file():
         raise RunError(
             f"{folder}: exists already; give another --name, or go on with it:"
@@ -171,7 +171,7 @@ def _brought(name: str | None, runs: Location) -> Path | None:
 
 
 def _here(runs: Location) -> Path:
-    """Where the path of a run begins that is not in the store where runs are kept."""
+    """The folder that local paths of runs begin in."""
     return RUNS if isinstance(runs, Url) else runs
 
 
@@ -210,18 +210,18 @@ def _is_last(folder: Path) -> bool:
 
 
 def picture_of_run(folder: Path) -> PictureSpec:
-    """What the run's network sees. Raises RunError as `load_config` does."""
+    """The picture that the run's network sees. Raises RunError as `load_config` does."""
     return picture_of(load_config(folder), folder)
 
 
 def targets_of_run(folder: Path) -> tuple[TargetName, ...]:
-    """What the run's network answers, steering first. Raises RunError as `load_config` does."""
+    """The targets that the run's network answers, steering first. Raises RunError as `load_config` does."""
     return stored_targets(load_config(folder), folder)
 
 
 def speed_ahead_s_of_run(folder: Path) -> float:
-    """How much later the speed is driven that the run's network answers; 0 where its config does not say. Raises
-    RunError as `load_config` does."""
+    """The time after which the speed is to be driven that the run's network answers; 0 where its config lacks it.
+    Raises RunError as `load_config` does."""
     data = load_config(folder).get("data")
     return speed_ahead_s_in(data.get("settings")) if isinstance(data, dict) else 0.0
 
@@ -254,7 +254,9 @@ def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
     try:
         network.load_state_dict(weights)
     except RuntimeError:
-        raise RunError(f"{path}: weights of another network than its config.json tells; train it again") from None
+        raise RunError(
+            f"{path}: weights of another network than that of its config.json; train it again"
+        ) from None
     return _answer_scale(stored, path)
 
 
@@ -269,7 +271,7 @@ def load_answer_scale(folder: Path) -> AnswerScale:
 
 
 def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
-    """That of weights or of a checkpoint, by their metadata."""
+    """The answer scale of weights or of a checkpoint, by their metadata."""
     if "position" in stored:
         position = position_of(stored, path)
         return AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)

@@ -33,13 +33,13 @@ def relative_place(run: Path, place: Location) -> str:
 
 
 def index_of(run: Path) -> Location | None:
-    """The index that a run was trained on, there or not; None where its config does not say, as in runs of
+    """The index that a run was trained on, there or not; None where its config lacks it, as in runs of
     earlier versions."""
     return _place_of(run, load_config(run).get("index"))
 
 
 def logs_of(run: Path) -> dict[str, Location]:
-    """The logs of a run's index by session, where they were; empty where its config does not say."""
+    """The logs of a run's index by session, where they were; empty where its config lacks them."""
     stored, index = load_config(run), index_of(run)
     try:
         logs = {str(name): str(log["log"]) for name, log in stored["data"]["logs"].items()}
@@ -47,7 +47,7 @@ def logs_of(run: Path) -> dict[str, Location]:
         return {}
     if index is None:
         return {}
-    with contextlib.suppress(DatasetError):  # somebody else's
+    with contextlib.suppress(DatasetError):  # not trusted
         return {name: short_path(log_place(log, index)) for name, log in logs.items()}
     return {}
 
@@ -76,7 +76,7 @@ def init_of(run: Path, runs: Location) -> Path | None:
         if Path(name).name != name:
             raise ValueError("a run's name is a path")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunError(f"{run / CONFIG}: does not say which run it was started from ({error})") from None
+        raise RunError(f"{run / CONFIG}: does not name the run that it was started from ({error})") from None
     is_there = isinstance(place, Url) or (place is not None and place.exists())
     init = find_run(str(place) if is_there else name, runs)
     if weights_checksum(init) != weights_sha256:
@@ -88,7 +88,7 @@ def _place_of(run: Path, stored: object) -> Location | None:
     if not isinstance(stored, str) or not stored or "\0" in stored:
         return None
     if "://" in stored:
-        with contextlib.suppress(UsageError):  # somebody else's
+        with contextlib.suppress(UsageError):  # not trusted
             return location(stored)
         return None
     folder = config_folder(run)

@@ -18,7 +18,7 @@ def locked_for_training(run: Path) -> Iterator[None]:
     folder = run / LAST
     folder.mkdir(exist_ok=True)
     with (folder / ".lock").open("ab") as stream:
-        for _ in range(50):  # whoever only looks whether it is locked holds it for a moment
+        for _ in range(50):  # a process that only tests the lock holds it for a moment
             if try_lock(stream):
                 break
             time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""What a run is, how well it learnt and how it drove, in a few numbers, to stand beside other runs."""
+"""The summary of a run: its settings, errors and drives, in a few numbers that can be compared with other runs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class RunSummary:
 
     @property
     def rmse_share(self) -> float:
-        """Of the error of always predicting the mean: runs hold out other frames."""
+        """The RMSE as a share of that of always predicting the mean: runs hold out other frames."""
         return _share(self.rmse_deg, self.mean_rmse_deg)
 
     @property
@@ -89,7 +89,7 @@ def _share(value: float, whole: float) -> float:
 
 
 def summarize_runs(runs: Location) -> Iterator[RunSummary]:
-    """Those of all runs in a folder, by name. A run that cannot be read says why. Raises StoreError."""
+    """Summaries of all runs in a folder, by name; of a run that cannot be read, its problem. Raises StoreError."""
     if isinstance(runs, Path):
         for config in sorted(runs.glob(f"*/{CONFIG}")):
             yield summarize_run(config.parent)
@@ -101,7 +101,7 @@ def summarize_runs(runs: Location) -> Iterator[RunSummary]:
 
 
 def summarize_run(run: Path) -> RunSummary:
-    """That of a run, or of a copy of one whose weights are in a store only."""
+    """The summary of a run, or of a copy of one in a store, which may lack the weights."""
     weights, left = run / WEIGHTS, read_record(run).left.get(WEIGHTS)
     has_weights = left is not None or weights.exists()
     written_s = (weights if has_weights else run / CONFIG).stat().st_mtime if left is None else left.mtime_ns / 1e9

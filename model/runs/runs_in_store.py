@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from common.stored_folder import StoredFolder
 
 SUMMARY_FILES: Final = (CONFIG, METRICS_FILE, RESULTS_FILE)
-"""What a summary of a run is made of: a few kilobytes."""
+"""The files that a summary of a run is made of: a few kilobytes."""
 
 ADDED_TO: Final = (RESULTS_FILE,)
 """Files of a run to which any machine adds lines."""
@@ -37,7 +37,7 @@ _AT_ONCE: Final = 8  # runs
 
 @dataclass(frozen=True)
 class RunInStore:
-    """A run as a listing tells of it."""
+    """A run in a listing of a store."""
 
     url: Url
     files: Mapping[str, StoredObject]
@@ -54,7 +54,7 @@ class RunInStore:
 
     @property
     def written_ns(self) -> int:
-        """When its weights, or its config where it has none yet, came there; since 1970."""
+        """The time at which its weights, or its config where it has none yet, were written there; since 1970."""
         return self.files[WEIGHTS if self.has_weights else CONFIG].written_ns
 
 
@@ -83,7 +83,7 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     """A run by its URL, or by name where `runs` is in a store; without a name, the one whose weights were written
     last. None for a run of this machine.
 
-    Raises RunError where there is none, and says which there are; StoreError.
+    Raises RunError, which names those there are, where there is none; StoreError.
     """
     if name is None:
         return _newest(runs) if isinstance(runs, Url) else None
@@ -99,7 +99,7 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
 
 
 def bring_run(run: RunInStore, wanted: Collection[str] | None = None, progress: Progress | None = None) -> Path:
-    """A copy of a run in the user's cache, as the listing tells of it; with `wanted`, of these files only.
+    """A copy of a listed run in the user's cache; with `wanted`, of these files only.
     `progress` gets a line while something is fetched. Raises StoreError."""
     with stored_run_folder(run.url) as folder:
         folder.bring(objects=run.files.values(), wanted=wanted, progress=progress)
@@ -107,10 +107,10 @@ def bring_run(run: RunInStore, wanted: Collection[str] | None = None, progress: 
 
 
 def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:
-    """All runs in a folder, by name, and copies of those of their files that tell how each one is: what has not
-    changed since the last time is not fetched. A bar counts the runs.
+    """All runs in a folder, by name, and copies of their `SUMMARY_FILES`: only files that have changed since the
+    last time are fetched. A bar counts the runs.
 
-    The weights are fetched of a run whose results cannot be told to be theirs otherwise, because no toolkit has
+    The weights are fetched too where only they show whether a run's results are theirs, because no toolkit has
     written its record there. Raises StoreError.
     """
     found = runs_in_store(runs)
@@ -153,7 +153,7 @@ def stored_run_folder(url: Url, here: Path | None = None, *, waits: bool = True)
 
 
 def url_of(name: str | None, runs: Url) -> str | None:
-    """What names a run in `runs` (NAME, or NAME/last) as its URL; another run, and none, as they are."""
+    """The URL of a run in `runs` that is given as NAME or NAME/last; any other argument as it is."""
     first, _, rest = (name or "").partition("/")
     return f"{runs}/{name}" if is_name(first) and rest in ("", "last") else name
 

@@ -18,7 +18,7 @@ from model.runs.runs_in_store import RunInStore, find_in_store, run_at, stored_r
 from model.runs.training_progress import Epoch, Step
 
 _EVERY_S: Final = 60.0
-"""As often as there is a new checkpoint."""
+"""As often as checkpoints are written."""
 
 
 def bring_run_to(runs: Path, name: str) -> Path:
@@ -33,7 +33,7 @@ def bring_run_to(runs: Path, name: str) -> Path:
 
 
 def copy_of_run(url: Url, here: Path) -> RunCopy:
-    """What copies the run `here` to a store, to be made or gone on with: if there is one already, it is brought.
+    """The copier of the run `here` to a store, for a new run or one to go on with: one that is there is brought.
     Raises as `bring_run_to` does."""
     if (found := run_at(url)) is not None:
         _bring_to(here, found)
@@ -50,7 +50,7 @@ def _bring_to(here: Path, found: RunInStore) -> None:
 
 
 def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
-    """Where a run is copied to. Raises UsageError for a place that is in no store, RunError where a new one's name
+    """The URL that a run is copied to. Raises UsageError for a place in no store, RunError where a new one's name
     is taken there; StoreError."""
     if not isinstance(to, Url):
         raise UsageError(f"--copy-to {to}: a folder in a store was expected, such as s3://BUCKET/runs")

@@ -1,4 +1,4 @@
-"""The number of frames that a run was trained on, as far as its config says.
+"""The number of frames that a run was trained on, as far as its config records it.
 
 A fine-tuned run was also trained on the data of the run that it started from.
 """
@@ -25,7 +25,7 @@ class _TrainingData:
 
 
 def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: dict[str, Any]) -> int | None:
-    """The number of frames that the run with this config was trained on; None where that does not say.
+    """The number of frames that the run with this config was trained on; None where the config does not record it.
 
     `frames` are those of each session of `samples`, with the columns row and log_time_ns. Raises LogError for a
     damaged log.

@@ -15,7 +15,7 @@ from model.target_metrics import TargetErrors
 METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
 STEPS_FILE: Final = "steps.jsonl"
-"""One line every few batches: `a `Step``."""
+"""One line every few batches: a `Step`."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Epoch:
 
 
 class Listener(Protocol):
-    """Is told of the progress of a training, while it waits. What one raises does not end it: see
+    """Called with the progress of a training, which waits for it. An exception does not end the training: see
     `model.training.listeners`."""
 
     def step(self, step: Step) -> object:
@@ -103,5 +103,5 @@ class Listener(Protocol):
 
 
 def finite(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Those of the numbers that exist."""
+    """The finite ones of the numbers."""
     return {name: float(value) for name, value in numbers.items() if math.isfinite(value)}

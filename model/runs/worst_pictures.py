@@ -50,7 +50,7 @@ class WorstPictures:
 
 def find_worst(
     epoch: int,
-    seen: pa.Table,
+    measured: pa.Table,
     loader: Loader,
     predicted: NDArray[np.float64],
     recorded: NDArray[np.float64],
@@ -58,11 +58,11 @@ def find_worst(
 ) -> WorstPictures:
     """The worst of the frames that a network was measured on.
 
-    `seen` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode;
+    `measured` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode;
     `max_deg` is the wheels' angle at steering 1.
     """
     decoded = np.flatnonzero(loader.decoded)
-    frames = seen.take(decoded).append_column("predicted", pa.array(predicted))
+    frames = measured.take(decoded).append_column("predicted", pa.array(predicted))
     frames = frames.append_column("recorded", pa.array(recorded))
     worst = worst_frames(frames, min(WORST_COUNT, loader.batch), max_deg)
     time_ns, row = (frames[name].to_numpy() for name in ("log_time_ns", "row"))

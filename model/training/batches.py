@@ -55,8 +55,8 @@ def make_batches(
 ) -> Batches:
     """The batches of a loader on a device.
 
-    `budget_bytes` of a GPU's memory may be taken for crops; without it, half of what is free. `advance` is told
-    how many of `loader.pictures` have been read since the last call; those that do not decode are never told.
+    `budget_bytes` of a GPU's memory may be taken for crops; without it, half of what is free. `advance` is called
+    with the number of `loader.pictures` read since the last call; those that do not decode are not counted.
     Raises DatasetError or LogError where the index or a log is damaged.
     """
     if device.type == "cpu":
@@ -163,5 +163,5 @@ class DeviceBatches(Batches):
 
 
 def _free_bytes(device: torch.device) -> int:
-    """Free memory of a device; 0 where nobody tells."""
+    """Free memory of a device; 0 where it is unknown."""
     return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else 0

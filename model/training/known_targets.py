@@ -1,4 +1,4 @@
-"""Whether the training samples have labels of all targets: not every session tells them."""
+"""The check that the training samples have labels of all targets: not every session has them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from model.errors import RunError
 
 
 def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]:
-    """A notice for each target that some sessions tell nothing of: what is learnt of these are the others.
+    """A notice for each target that is unknown in some sessions: these are learnt for the others alone.
 
     Raises RunError where no session does.
     """
@@ -24,13 +24,10 @@ def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]
     notices = []
     for name in targets[1:]:
         is_known = np.isfinite(samples.target_labels(training, name))
-        told = set(session[is_known].tolist())
-        if not told:
-            raise RunError(f"{samples.path}: no session in it tells of the {name}; leave it out of --targets")
-        if silent := sorted(set(session.tolist()) - told):
+        known = set(session[is_known].tolist())
+        if not known:
+            raise RunError(f"{samples.path}: no session in it has the {name}; leave it out of --targets")
+        if missing := sorted(set(session.tolist()) - known):
             others = ", ".join(other for other in targets if other != name)
-            notices.append(
-                f"{samples.path}: nothing tells of the {name} in {', '.join(silent)}:"
-                f" {others} alone is learnt there"
-            )
+            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} alone is learnt there")
     return notices

@@ -1,5 +1,5 @@
-"""Who is told of a training's progress. None of them can end it: one that fails is told nothing more, and that is
-said, at once and when the training is over."""
+"""The listeners to a training's progress. None of them can end it: one that fails is dropped, with a notice at
+once and when the training is over."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ class Listeners:
         self._notices = notices
 
     def step(self, step: Step) -> None:
-        self._tell(lambda listener: listener.step(step))
+        self._call_each(lambda listener: listener.step(step))
 
     def epoch(self, epoch: Epoch) -> None:
-        self._tell(lambda listener: listener.epoch(epoch))
+        self._call_each(lambda listener: listener.epoch(epoch))
 
     def close(self) -> None:
         """Close all that still listen; those that failed were closed then."""
-        self._tell(_close)
+        self._call_each(_close)
 
-    def _tell(self, what: Callable[[Listener], object]) -> None:
+    def _call_each(self, method: Callable[[Listener], object]) -> None:
         for listener in list(self._listening):
-            if error := _error_of(what, listener):
+            if error := _error_of(method, listener):
                 self._listening.remove(listener)
                 _error_of(_close, listener)  # whatever it can still write; why it failed is known
                 why = str(error) if isinstance(error, UserError) else in_one_line(error)
-                line = f"{type(listener).__name__} is told nothing more of this training: {why}"
+                line = f"{type(listener).__name__} receives nothing more of this training: {why}"
                 self._notices.append(line)
                 _LOGGER.warning("%s", line)
 
@@ -47,9 +47,9 @@ def _close(listener: Listener) -> object:
     return listener.close()
 
 
-def _error_of(what: Callable[[Listener], object], listener: Listener) -> Exception | None:
+def _error_of(method: Callable[[Listener], object], listener: Listener) -> Exception | None:
     try:
-        what(listener)
+        method(listener)
     except Exception as error:  # somebody else's code
         return error
     return None

@@ -42,7 +42,7 @@ from model.training.validation import Validation
 STEP_BATCHES: Final = 10
 """Batches between two lines of steps.jsonl."""
 CHECKPOINT_S: Final = 60.0
-"""What a kill costs at most; each checkpoint is 60 MB and takes a fraction of a second."""
+"""The most that a kill costs; each checkpoint is 60 MB and takes a fraction of a second."""
 
 
 class TrainingLoop:

@@ -28,7 +28,7 @@ TOWARDS_BALANCE: Final = 0.25
 """How far from the frequency of the road (0), which has few hard bends, to that where all bins count alike (1).
 At 0 answers have the least error, but hairpins are driven wide, or not: see docs/learning-from-people.md."""
 
-_ASKED: Final = ("split", "camera", "alteration", "seed", "bin", "copy")
+_COLUMNS: Final = ("split", "camera", "alteration", "seed", "bin", "copy")
 
 
 class NaturalFrames:
@@ -37,10 +37,12 @@ class NaturalFrames:
     The mirror images make both sides alike: what the offset mends is the network, not the direction of the track.
     """
 
-    def __init__(self, samples: Samples, batch: int, threads: int, seen: PictureSpec) -> None:
+    def __init__(self, samples: Samples, batch: int, threads: int, picture: PictureSpec) -> None:
         frames = _at_natural_frequency(samples)
-        budget_bytes = 0  # each is looked at once an epoch
-        self.loader = Loader(samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads, seen=seen)
+        budget_bytes = 0  # each is read once an epoch
+        self.loader = Loader(
+            samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads, seen=picture
+        )
 
     def fit(self, network: PictureNetwork) -> AnswerScale:
         """The scale of a network's answers to these frames. NaN in its answers are as if there were no frames."""
@@ -59,7 +61,7 @@ def _at_natural_frequency(samples: Samples) -> pa.Table:
     before = Balance.from_dict(samples.metadata["balance"]).before
     after = np.zeros(len(before), np.int64)
     of_parts: list[tuple[NDArray[np.int16], NDArray[np.bool_]]] = []  # of originals, bin and whether it is central
-    for part in samples.parts_of_split("train", _ASKED):  # of many samples, all at once would not fit
+    for part in samples.parts_of_split("train", _COLUMNS):  # of many samples, all at once would not fit
         is_original = ~np.asarray(part["copy"])
         is_view = np.asarray(pc.starts_with(part["alteration"].cast(pa.string()), VIEWPOINT))
         is_first = is_original | (is_view & (part["seed"].to_numpy() <= LAST_VIEW))  # it repeats no other sample

@@ -31,9 +31,9 @@ def refuse_other_network(
             f"{init}: its network answers {' '.join(answered)}, and this one {' '.join(targets)}; give --targets"
             f" {' '.join(answered)}"
         )
-    seen = picture_of(config, folder)
-    if seen != picture:
+    own = picture_of(config, folder)
+    if own != picture:
         raise RunError(
-            f"{init}: its network sees {seen}, and this one {picture}; give --picture-px {seen.width_px}"
-            f" {seen.height_px} --crop-rows {seen.crop_top} {seen.crop_bottom} --channels {seen.channels}"
+            f"{init}: its network sees {own}, and this one {picture}; give --picture-px {own.width_px}"
+            f" {own.height_px} --crop-rows {own.crop_top} {own.crop_bottom} --channels {own.channels}"
         )

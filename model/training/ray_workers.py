@@ -37,8 +37,8 @@ from model.training.trainer import Trained, train
 MAX_RESTARTS: Final = 5
 """A training whose workers die for the sixth time is given up; it can be resumed."""
 
-_LOOK_EVERY_S: Final = 0.5
-_SAY_WAITING_S: Final = 10.0
+_POLL_S: Final = 0.5
+_NOTICE_AFTER_S: Final = 10.0
 _STOP_S: Final = 60.0
 
 
@@ -59,34 +59,34 @@ class _Call:
 
 
 class _Recorder:
-    """A listener that keeps what it is told for the driver to ask for."""
+    """A listener that keeps the progress until the driver fetches it."""
 
     def __init__(self) -> None:
-        self._told: list[Step | Epoch] = []
+        self._progress: list[Step | Epoch] = []
         self._lock = threading.Lock()
 
     def step(self, step: Step) -> None:
-        self._tell(step)
+        self._add(step)
 
     def epoch(self, epoch: Epoch) -> None:
-        self._tell(epoch)
+        self._add(epoch)
 
     def close(self) -> None:
         """The driver closes its own."""
 
-    def _tell(self, told: Step | Epoch) -> None:
+    def _add(self, progress: Step | Epoch) -> None:
         with self._lock:
-            self._told.append(told)
+            self._progress.append(progress)
 
     def taken(self) -> list[Step | Epoch]:
-        """What was told since the last call."""
+        """The progress since the last call."""
         with self._lock:
-            told, self._told = self._told, []
-            return told
+            taken, self._progress = self._progress, []
+            return taken
 
 
 class _Worker:
-    """A rank, on a node. Ray calls `told` and `stop` in other threads than `train`."""
+    """A rank, on a node. Ray calls `progress` and `stop` in other threads than `train`."""
 
     def __init__(self, versions: Mapping[str, str], folder: Path) -> None:
         self._refused: UserError | None = None
@@ -132,7 +132,7 @@ class _Worker:
         except KeyboardInterrupt:
             return None
 
-    def told(self) -> list[Step | Epoch]:
+    def progress(self) -> list[Step | Epoch]:
         return self._recorder.taken()
 
     def stop(self) -> None:
@@ -159,7 +159,7 @@ def train_on_cluster(
     """
     call = _Call(index, run, config, init, like, resume)
     notices: list[str] = []
-    told = Listeners(listeners, notices)
+    guarded = Listeners(listeners, notices)
     with connection(address) as ray, open_bar(is_shown=True) as bar:
         is_on_gpu = config.device == "cuda" or (
             config.device == "auto" and ray.cluster_resources().get("GPU", 0) >= workers
@@ -170,7 +170,7 @@ def train_on_cluster(
         try:
             for attempt in itertools.count():
                 try:
-                    trained = _attempt(ray, actor, workers, call, told, bar)
+                    trained = _attempt(ray, actor, workers, call, guarded, bar)
                     return replace(trained, notices=[*trained.notices, *notices])
                 except _WorkerLostError as error:
                     why = printable(" ".join(str(error).split())[:300])
@@ -179,7 +179,7 @@ def train_on_cluster(
                     print_message(f"bc-train: a worker was lost; going on from the checkpoint ({why})")
                     call = replace(call, resume=(run / CONFIG).exists())
         finally:
-            told.close()
+            guarded.close()
     raise AssertionError("it ends in the loop")
 
 
@@ -192,8 +192,8 @@ def _attempt(ray: Any, actor: Any, workers: int, call: _Call, listeners: Listene
         results = [rank.train.remote(number, workers, place, call) for number, rank in enumerate(ranks)]
         pending = results
         while pending:
-            ready, pending = ray.wait(pending, timeout=_LOOK_EVERY_S)
-            _pass_on(ray.get(ranks[0].told.remote()), call.config.epochs, listeners, bar)
+            ready, pending = ray.wait(pending, timeout=_POLL_S)
+            _pass_on(ray.get(ranks[0].progress.remote()), call.config.epochs, listeners, bar)
             for result in map(ray.get, ready):
                 if isinstance(result, Exception) and not isinstance(result, FirstRankError):
                     raise result
@@ -209,7 +209,7 @@ def _attempt(ray: Any, actor: Any, workers: int, call: _Call, listeners: Listene
     finally:
         for rank in ranks:
             ray.kill(rank)
-    if trained is None:  # a node was told to stop
+    if trained is None:  # its node stopped it
         raise _WorkerLostError("it was stopped on its node")
     assert isinstance(trained, Trained)  # noqa: S101
     return trained
@@ -217,21 +217,19 @@ def _attempt(ray: Any, actor: Any, workers: int, call: _Call, listeners: Listene
 
 def _place(ray: Any, ranks: Sequence[Any]) -> tuple[str, int]:
     """Where the others meet the first rank, once the cluster has room for all of them."""
-    asked = [rank.place.remote() for rank in ranks]
-    began_s, is_said = time.monotonic(), False
-    while len(ray.wait(asked, num_returns=len(asked), timeout=_LOOK_EVERY_S)[0]) < len(asked):
-        if not is_said and time.monotonic() - began_s > _SAY_WAITING_S:
-            print_message(
-                f"bc-train: waiting for {counted(len(ranks), 'worker')}, who start, or for room for them"
-            )
-            is_said = True
-    place: tuple[str, int] = ray.get(asked)[0]
+    places = [rank.place.remote() for rank in ranks]
+    began_s, has_notified = time.monotonic(), False
+    while len(ray.wait(places, num_returns=len(places), timeout=_POLL_S)[0]) < len(places):
+        if not has_notified and time.monotonic() - began_s > _NOTICE_AFTER_S:
+            print_message(f"bc-train: waiting for {counted(len(ranks), 'worker')} to start, or for room for them")
+            has_notified = True
+    place: tuple[str, int] = ray.get(places)[0]
     return place
 
 
-def _pass_on(told: Sequence[Step | Epoch], epochs: int, listeners: Listeners, bar: Progress) -> None:
-    """Tell the driver's listeners and its bar what the first rank's were told."""
-    for each in told:
+def _pass_on(progress: Sequence[Step | Epoch], epochs: int, listeners: Listeners, bar: Progress) -> None:
+    """Pass the progress of the first rank on to the driver's listeners and bar."""
+    for each in progress:
         if isinstance(each, Epoch):
             listeners.epoch(each)
             continue

@@ -40,7 +40,7 @@ class RunWriter:
         append_json_line(self.run / STEPS_FILE, asdict(step))
 
     def add_epoch(self, epoch: Epoch, worst: WorstPictures | None) -> None:
-        if worst is not None:  # before the epoch's own line: who reads that finds them
+        if worst is not None:  # before the epoch's own line, which readers take as a sign of them
             self._trim_worst(worst.epoch)
             append_json_line(self.run / WORST_FILE, worst.as_dict())
         append_json_line(self.run / METRICS_FILE, epoch.as_dict())

@@ -86,7 +86,7 @@ def train(
     where `config` leaves that open. `resume` goes on with the run where it was stopped, or killed;
     the weights are then those of a run that never was, on the same processor with as many threads. One that was
     killed before anything of it was saved begins again from its seed.
-    `listeners` are told of its progress; none of them can end it.
+    `listeners` receive its progress; none of them can end it.
     `figures` draws its curves, for which matplotlib is needed.
     Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
     Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt; so
@@ -118,8 +118,8 @@ def train(
     ):
         samples.refuse_missing(config.targets)
         notices = target_notices(samples, config.targets)
-        told = Listeners(listeners, notices)
-        stack.callback(told.close)
+        guarded = Listeners(listeners, notices)
+        stack.callback(guarded.close)
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
         stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
         writer = RunWriter(run)
@@ -139,7 +139,7 @@ def train(
             if init is not None:
                 origin["init"] = init_provenance(init, run)
             group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin, network, picture)))
-        loop = TrainingLoop(samples, writer, config, network, picture, machine, group, told, bar)
+        loop = TrainingLoop(samples, writer, config, network, picture, machine, group, guarded, bar)
         notices += validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
         if begins:
@@ -184,7 +184,7 @@ def _recipe_remarks(samples: Samples, config: TrainConfig) -> list[str]:
 
 
 def _draw_figures(loop: TrainingLoop, notices: list[str], remarks: list[str]) -> None:
-    """Draw the run's figures, or say why not."""
+    """Draw the run's figures; the notice of why not, if that fails."""
     run = loop.run
     if not (run / WEIGHTS).exists():
         return

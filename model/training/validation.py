@@ -32,7 +32,7 @@ class Validation:
     """The frames held out: centre camera, unmirrored, unaltered. There may be none."""
 
     def __init__(
-        self, samples: Samples, batch: int, budget_bytes: int, config: TrainConfig, seen: PictureSpec
+        self, samples: Samples, batch: int, budget_bytes: int, config: TrainConfig, picture: PictureSpec
     ) -> None:
         self._config = config
         self._max_deg = samples.max_steering_deg
@@ -43,7 +43,7 @@ class Validation:
             batch=batch,
             budget_bytes=budget_bytes,
             threads=config.threads,
-            seen=seen,
+            seen=picture,
             targets=config.targets,
         )
         self.frames = frames.select(WORST_COLUMNS)
@@ -76,7 +76,7 @@ class Validation:
         )
 
     def error(self, measures: Measures) -> float:
-        """The error that tells which epoch is the best one; infinite where nothing is held out."""
+        """The error that the best epoch is chosen by; infinite where nothing is held out."""
         return error_to_keep_by(self._config.keep, measures) if measures.frames else math.inf
 
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
@@ -96,13 +96,13 @@ def _loss(predicted: Floats, recorded: Floats, weights: Sequence[float]) -> floa
 
 
 def validation_notices(samples: Samples, validation: Validation, init: Path | None) -> list[str]:
-    """A notice if the frames held out say little of a run that starts from `init`."""
+    """A notice if the frames held out measure little of a run that starts from `init`."""
     held_out = len(validation)
     settings = samples.metadata["settings"]
     if not held_out:
         if settings.get("validation_share") or settings.get("validation"):
             return [
-                f"{samples.path}: no frame is held out, so nothing tells how good the network is; give bc-index a"
+                f"{samples.path}: no frame is held out, so the network's error is unknown; give bc-index a"
                 " smaller --block-s, or whole sessions with --validation SESSION"
             ]
         return []
@@ -113,9 +113,9 @@ def validation_notices(samples: Samples, validation: Validation, init: Path | No
 
         count = count_trained_on(by_session(validation.frames), samples, load_config(init))
     except ImportError as error:
-        return [f"{init}: whether it has learnt from the frames held out cannot be told here ({error})"]
+        return [f"{init}: whether it has learnt from the frames held out is unknown here ({error})"]
     if count == 0:
         return []
-    known = "does not say what it has learnt from" if count is None else f"has learnt from {count:,} of them"
+    known = "does not record what it has learnt from" if count is None else f"has learnt from {count:,} of them"
     held = counted(held_out, "frame")
     return [f"{samples.path}: {held} held out, but {init} {known}: their errors say too little"]

@@ -180,7 +180,7 @@ def test_only_training_frames_tell_it_in_the_frequency_of_the_road(tmp_path: Pat
     with Samples(index) as samples:
         balanced = np.abs(samples.of_split("train")["label"].to_numpy())
         assert np.bincount((balanced > 0.3).astype(int)).tolist() == [10, 10]
-        frames = NaturalFrames(samples, batch=4, threads=1, seen=ORIGINAL)
+        frames = NaturalFrames(samples, batch=4, threads=1, picture=ORIGINAL)
         labels = np.concatenate([batch.steering for batch in frames.loader.in_order()])
     assert (np.abs(labels) > 0.3).mean() == pytest.approx(NEARLY_A_QUARTER, abs=0.03)
 
@@ -196,7 +196,7 @@ def test_views_from_beside_the_line_do_not_count_as_road(tmp_path: Path) -> None
     )
     config = IndexConfig(validation_share=0, viewpoints=3, per_bin=80)
     with Samples(build_index([log], tmp_path / "index", config).path) as samples:
-        frames = NaturalFrames(samples, batch=64, threads=1, seen=ORIGINAL)
+        frames = NaturalFrames(samples, batch=64, threads=1, picture=ORIGINAL)
         labels = np.concatenate([batch.steering for batch in frames.loader.in_order()])
     assert (np.abs(labels) > 0.3).mean() == pytest.approx(NEARLY_A_QUARTER, abs=0.03)
 

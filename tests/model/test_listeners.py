@@ -83,7 +83,7 @@ def test_one_that_fails_is_said_and_the_training_goes_on(
     flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(main, *flags, f"{tmp_path / 'mine.py'}:Broken") == 3
-    said = "Broken is told nothing more of this training: ConnectionError: no such server"
+    said = "Broken receives nothing more of this training: ConnectionError: no such server"
     assert said in capsys.readouterr().err
     assert len(lines(tmp_path / "runs" / "first" / "metrics.jsonl")) == 2
     assert (tmp_path / "runs" / "first" / "model.safetensors").exists()
@@ -113,7 +113,7 @@ def test_wherever_it_fails_others_hear_all(
 
     with caplog.at_level(logging.WARNING):
         trained = train(index, tmp_path / "first", TWO, [Fails(), Heard()], figures=False, show_progress=False)
-    assert trained.notices == ["Fails is told nothing more of this training: OSError: full"]
+    assert trained.notices == ["Fails receives nothing more of this training: OSError: full"]
     assert [record.getMessage() for record in caplog.records] == trained.notices
     assert [each for each in heard if each != "step"] == ["epoch 1", "epoch 2", "close"]
 

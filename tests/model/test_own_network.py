@@ -149,7 +149,7 @@ def test_a_module_that_a_run_names_is_not_imported(tmp_path: Path) -> None:
             load_pilot(run)
     assert "this" not in sys.modules
     (run / "config.json").write_text(json.dumps({**config, "network": {"name": "../x:y"}}))
-    with pytest.raises(RunError, match="its network cannot be told"):
+    with pytest.raises(RunError, match="its network is unknown"):
         load_pilot(run)
 
 

@@ -167,7 +167,7 @@ def test_bc_train_builds_the_index_and_prints_each_epoch(
     assert "epoch  1: loss 0." in told.out
     assert "nothing held out" in told.out  # four seconds are one block
     assert "no index yet" in told.err
-    assert "no frame is held out, so nothing tells how good the network is" in told.err
+    assert "no frame is held out, so the network's error is unknown" in told.err
     assert find_run(None, tmp_path / "runs") == tmp_path / "runs" / "first"
     assert {"curves.png", "steering.png"} <= {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert call(main, *line, *flags) == 1
