@@ -21,8 +21,8 @@ class Adam:
         self.rate = rate
         self.is_fused = self.parameters[0].is_cuda
         self.state: dict[Tensor, dict[str, Tensor]] = {}
-        """Of each parameter that was stepped its `exp_avg` and `exp_avg_sq`, in its own shape and memory format,
-        and `step`, a float32 beside it on the GPU, else on the CPU."""
+        """`exp_avg` and `exp_avg_sq` of each parameter that was stepped, in its own shape and memory format, and
+        `step`, a float32 beside it on the GPU, else on the CPU."""
 
     def zero_grad(self) -> None:
         """Forget all gradients."""

@@ -72,7 +72,7 @@ def list_runs(config: Runs) -> int:
 
 
 def order_of(by: str, run: RunSummary) -> tuple[bool, Any, str]:
-    """What runs are sorted by: those without the number come last."""
+    """The sort key of a run: runs without the number come last."""
     value = SORTED_BY[by](run)
     is_unknown = isinstance(value, float) and math.isnan(value)
     return is_unknown, 0.0 if is_unknown else value, run.name

@@ -142,9 +142,9 @@ def _play_predicted(config: Play) -> int:
     from viz.targets import FinishedContent
 
     if config.log.is_dir():
-        raise UserError(f"{config.log} is a folder: --run shows what a network says of a log; give one")
+        raise UserError(f"{config.log} is a folder: --run shows a network's predictions for a log; give one")
     if config.follow:
-        raise UsageError("--run: networks look at a log that does not grow: give it without --follow")
+        raise UsageError("--run: predictions are made for a log that does not grow: give it without --follow")
     is_only_written = config.write is not None and config.save is None
     if is_only_written and (flags := flags_given(config, "attention", "web", "connect", "at")):
         raise UsageError(f"--write opens nothing: give it without {flags}")

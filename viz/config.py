@@ -51,7 +51,7 @@ class Play:
     video: Path | None = None
     """Write the centre camera's pictures as a video, an .mp4, and open nothing."""
     speed: float = 1.0
-    """How many times as fast as it was driven the video plays."""
+    """Speed of the video, as a multiple of that of the drive."""
     overlay: bool = False
     """Put a steering wheel, speed, pedals, clock and who drives below the video's pictures."""
     run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
@@ -61,7 +61,7 @@ class Play:
     attention: bool = False
     """Show where these networks look, over what they see (VisualBackProp)."""
     write: Path | None = None
-    """Keep what these networks say as a new log, and open nothing."""
+    """Keep the predictions of these networks as a new log, and open nothing."""
     runs: LocationFlag = Path("runs")
     """Where runs are kept, for --run."""
     force: bool = False
@@ -148,7 +148,7 @@ def _refuse_overwriting_logs(config: Play) -> None:
 
 
 def _refuse_other_suffixes(config: Play) -> None:
-    """Raise UsageError for a file whose name has not the suffix of its format."""
+    """Raise UsageError for a file name without the suffix of its format."""
     for flag, path, suffix in (
         ("--save", config.save, ".rrd"),
         ("--video", config.video, ".mp4"),

@@ -15,7 +15,7 @@ from viz.cli import play
 from viz.config import Play
 from viz.console import set_program_name
 
-_NAME = "viewer"  # nobody has called bc-play
+_NAME = "viewer"  # in place of bc-play, which the user has not called
 
 
 def end_with_parent() -> None:

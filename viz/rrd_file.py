@@ -87,7 +87,7 @@ class _Pipe(threading.Thread):
                 self._write(data)
 
     def close_own_end(self) -> None:
-        """To be called once Rerun has opened it: when Rerun closes its own, that is the end."""
+        """Close this end, once Rerun has opened its own: the file then ends when Rerun closes that."""
         if self._is_own_end_open:
             self._is_own_end_open = False
             os.close(self._own_end)

@@ -25,7 +25,7 @@ from viz.viewer_process import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
 WINDOW_MEMORY: Final = "1MB"
-"""Memory of the server of a window: nobody connects late, and the window has its own copy."""
+"""Memory of the server of a window: no viewer connects late, and the window has its own copy."""
 _ROOM: Final = 300_000_000  # bytes that a server needs for more than the logs, so that it drops nothing
 
 

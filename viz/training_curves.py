@@ -38,7 +38,7 @@ _DARK_GREY: Final = (100, 100, 100)
 
 @dataclass(frozen=True)
 class _Line:
-    """One line of a plot: a value of every epoch."""
+    """A line of a plot: a value of every epoch."""
 
     entity: str
     name: str
@@ -191,7 +191,7 @@ class TrainingSender:
         """Send the new part of a training; the steps of its epochs come with them, or came before."""
         has_errors = not history.epochs or any(epoch.measures.bins for epoch in history.epochs)
         targets = tuple(of.target for epoch in history.epochs[:1] for of in epoch.targets)
-        # The first epoch decides; a later one must not change a layout that somebody has arranged meanwhile.
+        # The first epoch decides; a later one must not undo the user's changes of the layout.
         if self._laid_out is None or (not self._has_epochs and (has_errors, targets) != self._laid_out):
             self._lines = _lines_of(targets)
             self._prepare(has_errors, targets)

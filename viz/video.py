@@ -167,7 +167,7 @@ class _Pictures:
         picture = self._decoded(number)
         if picture is None:
             row = int(self._found.sequence[number])
-            self.skipped.add("broken pictures, in whose place the one before is shown", f"row {row}")
+            self.skipped.add("broken pictures, shown as the one before", f"row {row}")
             return
         is_larger = picture.shape[1] > self.width
         cv2.resize(
@@ -203,7 +203,7 @@ class _Mp4:
         self._ends: dict[int, int] = {}
 
     def add(self, picture: Image, begin: int, end: int) -> None:
-        """A picture (height, width, 3) BGR that is seen from one tick to another."""
+        """Add a picture (height, width, 3) BGR, shown from tick `begin` to `end`."""
         # the conversion of the encoder's own library rounds down: grey would become a dark green
         frame = self._new_frame(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
         frame.pts, frame.time_base = begin, _TICK

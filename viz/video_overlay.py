@@ -1,4 +1,4 @@
-"""The instruments below the pictures of a video: steering wheel, speed, pedals, clock, and who drives."""
+"""The instruments below the pictures of a video: steering wheel, speed, pedals, clock, and driver."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _DRIVER_COLORS: Final[dict[Driver, Color]] = {"network": PREDICTED, "expert": _G
 
 @dataclass(frozen=True)
 class Reading:
-    """The values of the instruments at one moment; an instrument whose value is NaN stays empty."""
+    """The values of the instruments at one moment; for NaN an instrument stays empty."""
 
     time_s: float  # since the log began
     steering: float = math.nan  # as driven, -1 (left) .. 1 (right)

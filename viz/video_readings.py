@@ -37,7 +37,7 @@ class Readings:
         for message, command in log.commands():
             values = command.predicted_steering, command.set_speed_mph, command.driver
             self._commands.add(message.log_time_ns, *values)
-        # a session of the built-in simulator; in a drive, each command says who drives
+        # a session of the built-in simulator; in a drive, each command names the driver
         self.max_steering_deg = max_steering_deg_of(log)
         """The wheels' angle at steering 1."""
         self._driver: Driver | None = "expert" if log.metadata.get("driver") == "expert" else None

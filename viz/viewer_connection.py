@@ -62,7 +62,7 @@ def check_viewer(url: str) -> str:
         if "Unimplemented" not in str(error):
             raise UserError(f"{where}: the viewer does not answer; open another one with `rerun`") from None
         # servers of `rerun --serve-web`, and viewers of long ago
-        return f"{where}: it does not tell its version; {needed}"
+        return f"{where}: its version is unknown; {needed}"
     if version is not None and version.split(".")[:2] != rr.__version__.split(".")[:2]:
         raise UserError(f"{where}: a viewer of version {version}, but {needed}")
     return ""
@@ -71,7 +71,7 @@ def check_viewer(url: str) -> str:
 def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threading.Event) -> None:
     """Put the time cursor of the viewer at `url` to `at_s` seconds after the start of what was sent and hold it
     there, as soon as the viewer has got that; not if `stop` is set before. A server for browsers has
-    no cursor to set: it plays what the layout says."""
+    no cursor to set: it plays as the layout is set."""
     from rerun.experimental import ViewerClient
 
     client = ViewerClient.connect(url)

@@ -30,7 +30,7 @@ SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
 _PATIENCE_S: Final = 120.0  # for a window to open on a slow and busy machine
 _GRACE_S: Final = 1.0  # a frozen process does not hear that it shall end
 _LAST_WORDS_S: Final = 5.0  # for what has ended to be read; children of it may still hold its stderr
-# What the viewer says before it ends because there is nothing to draw with, or nowhere.
+# The viewer's messages when it ends because there is no graphics adapter, or no display.
 _NO_GRAPHICS: Final = re.compile(rb"wgpu error|graphics adapter|surface for any enabled backend", re.IGNORECASE)
 _NO_WINDOW: Final = re.compile(rb"EventLoopError")
 
@@ -149,10 +149,10 @@ def wait_until_closed(viewer: Viewer) -> None:
     """Raises UserError if the viewer ends otherwise than by being closed."""
     code = viewer.wait()
     if code:
-        how = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
+        end = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
         if failure_reason := viewer.failure_reason():
-            how = failure_reason
-        raise UserError(f"the Rerun viewer {how}{browser_hint()}")
+            end = failure_reason
+        raise UserError(f"the Rerun viewer {end}{browser_hint()}")
 
 
 def _refuse_taken(port: int) -> None:

@@ -28,7 +28,7 @@ DRIVES: Final = Path("drives")
 
 @dataclass(frozen=True)
 class LogFolder:
-    """Where drives are logged, and the folder in a store, if any, to which each log is copied in the end."""
+    """The folder of the drives' logs, and the folder in a store, if any, that each log is copied to at the end."""
 
     here: Path
     store: Url | None = None

@@ -200,8 +200,8 @@ def _measure(config: Eval) -> int:
 
 
 def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
-    """What is measured on (the index and its split, or None), and the runs' predictions for it. Where no index is
-    given, it is that of the first run."""
+    """The index and split that are measured on, or None, and the runs' predictions for them. Without --index, it
+    is the index of the first run."""
     from dataset import find_logs
     from model.evaluation.evaluate import evaluate_runs, evaluate_runs_on_sessions
 

@@ -163,7 +163,7 @@ def evaluate(run: Path | str, index: Location | str, split: Split = "validation"
 def evaluate_runs(
     runs: Sequence[Path | str], index: Location | str, split: Split = "validation"
 ) -> list[Evaluation]:
-    """As `evaluate`, for several runs at once: each picture is decoded once, and all have the same frames."""
+    """`evaluate` for several runs at once: each picture is decoded once, and all have the same frames."""
     with Samples(index) as samples:
         view = samples.driving_view(split)
         if not len(view):
@@ -184,7 +184,7 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Location | str]) -> Evalua
 
 
 def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Location | str]) -> list[Evaluation]:
-    """As `evaluate_sessions`, for several runs at once: each picture is decoded once, all have the same frames."""
+    """`evaluate_sessions` for several runs at once: each picture is decoded once, all have the same frames."""
     paths = {session_name(log): log for log in map(location, logs)}
     ahead_s = [speed_ahead_s_of_run(Path(run)) for run in runs if "speed" in targets_of_run(Path(run))]
     config = IndexConfig(

@@ -101,7 +101,7 @@ def drive_recording(
 
 
 def drive_views(predict: Predict, views: LogViews, departure_m: float = DEPARTURE_M) -> RecordedDrive:
-    """As `drive_recording`, of a log that is open."""
+    """`drive_recording` of a log that is open."""
     if not (departure_m > 0 and math.isfinite(departure_m)):
         raise ValueError(f"departure_m must be above 0, not {departure_m}")
     stretches = views.stretches

@@ -18,7 +18,7 @@ from model.runs.runs_in_store import RunInStore, find_in_store, run_at, stored_r
 from model.runs.training_progress import Epoch, Step
 
 _EVERY_S: Final = 60.0
-"""As often as checkpoints are written."""
+"""Time between two copies: that between two checkpoints."""
 
 
 def bring_run_to(runs: Path, name: str) -> Path:

@@ -25,7 +25,7 @@ MOST_FRAMES: Final = 1000
 """Enough for three numbers; they take a hundredth of the time of an epoch of 30,000 samples."""
 
 TOWARDS_BALANCE: Final = 0.25
-"""How far from the frequency of the road (0), which has few hard bends, to that where all bins count alike (1).
+"""The point between the frequency of the road (0), which has few hard bends, and that of equal bins (1).
 At 0 answers have the least error, but hairpins are driven wide, or not: see docs/learning-from-people.md."""
 
 _COLUMNS: Final = ("split", "camera", "alteration", "seed", "bin", "copy")

@@ -48,7 +48,7 @@ class _WorkerLostError(Exception):
 
 @dataclass(frozen=True)
 class _Call:
-    """What each rank calls `train` with."""
+    """The arguments with which each rank calls `train`."""
 
     index: Location
     run: Path
@@ -216,7 +216,7 @@ def _attempt(ray: Any, actor: Any, workers: int, call: _Call, listeners: Listene
 
 
 def _place(ray: Any, ranks: Sequence[Any]) -> tuple[str, int]:
-    """Where the others meet the first rank, once the cluster has room for all of them."""
+    """The address and port at which the ranks meet, once the cluster has room for all of them."""
     places = [rank.place.remote() for rank in ranks]
     began_s, has_notified = time.monotonic(), False
     while len(ray.wait(places, num_returns=len(places), timeout=_POLL_S)[0]) < len(places):

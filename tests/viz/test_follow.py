@@ -172,7 +172,7 @@ def test_a_log_that_is_given_up_is_an_error_and_not_waited_for(tmp_path: Path) -
     with GrowingLog(writer.part) as log:
         shown_of(log.read())
         writer.discard()
-        with pytest.raises(LogError, match=r"a\.mcap: nothing more to show: whoever recorded it"):
+        with pytest.raises(LogError, match=r"a\.mcap: nothing more to show: it was deleted"):
             shown_of(log.read())
 
 

@@ -94,7 +94,7 @@ def test_a_viewer_that_runs_gets_all_of_the_log(
         client.enter_context(received(ports, tmp_path / "got.rrd"))
     assert holds_all(tmp_path / "got.rrd")
     said = capsys.readouterr()
-    assert "does not tell its version" in said.err  # what serves browsers does not
+    assert "its version is unknown" in said.err  # what serves browsers does not
     assert len(said.err.splitlines()) == 1
     assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
 
@@ -316,7 +316,7 @@ def test_a_viewer_that_is_stopped_by_who_started_it_says_nothing_of_it(
         writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
         with preview(writer.part, f"127.0.0.1:{ports.data}", notify=lambda text: None):
             said = line_from(capfd)
-            assert said.startswith(f"viewer: 127.0.0.1:{ports.data}: it does not tell its version")
+            assert said.startswith(f"viewer: 127.0.0.1:{ports.data}: its version is unknown")
         assert capfd.readouterr().err == ""
 
 

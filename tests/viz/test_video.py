@@ -310,7 +310,7 @@ def test_a_broken_picture_is_named_and_the_one_before_is_shown(tmp_path: Path, p
     log = write_log(tmp_path / "x.mcap", pictures)
     done = play(log, "--video", tmp_path / "x.mp4")
     assert done.code == 3
-    assert done.stderr == "skipped broken pictures, in whose place the one before is shown: 2 (row 2, row 3)\n"
+    assert done.stderr == "skipped broken pictures, shown as the one before: 2 (row 2, row 3)\n"
     assert levels(decoded(tmp_path / "x.mp4").frames) == pytest.approx([50, 100, 100, 100, 200], abs=2)
 
 
@@ -324,7 +324,7 @@ def test_pictures_in_a_damaged_chunk_are_named_too(
     log.write_bytes(data)
     done = play(log, "--video", tmp_path / "x.mp4")
     assert done.code == 3
-    assert done.stderr == "skipped broken pictures, in whose place the one before is shown: 1 (row 1)\n"
+    assert done.stderr == "skipped broken pictures, shown as the one before: 1 (row 1)\n"
     assert levels(decoded(tmp_path / "x.mp4").frames) == pytest.approx([50, 50, 150, 200], abs=2)
 
 

@@ -23,7 +23,7 @@ from viz.live.live_messages import SHOWN, LiveMessage
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
 QUIET_S: Final = 2.0
-"""A log without a writer (some file systems cannot tell) that has not grown for so long was killed."""
+"""A log that has no writer, as far as the file system shows, and has not grown for so long was killed."""
 
 
 def find_log(path: Path) -> Path:
@@ -50,7 +50,7 @@ def is_finished(path: Path) -> bool:
 class GrowingLog(Closeable):
     """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
 
-    When nothing more will come, either `is_finished` is true, or `notice` says that the recording was killed.
+    When nothing more will come, either `is_finished` is true, or `notice` is that the recording was killed.
     Raises LogError if it cannot be opened, is no log, is deleted before it is finished, or nothing was written.
     """
 
@@ -105,7 +105,7 @@ class GrowingLog(Closeable):
         except LogError:
             if find_log(self.path).exists():
                 raise
-            why = "nothing more to show: whoever recorded it kept nothing, or it was deleted"
+            why = "nothing more to show: it was deleted, or its recording ended and kept nothing"
             raise LogError(f"{final_path(self.path)}: {why}") from None
 
     def _end_without_end(self, path: Path) -> None:

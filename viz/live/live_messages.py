@@ -71,7 +71,7 @@ class LiveMessageSender:
     def _lay_out(self) -> None:
         new = self._topics - self._laid_out
         if new - {EVENTS} or (new and not self._laid_out):
-            # The first event may come late, and must not change a layout that somebody has arranged meanwhile.
+            # The first event may come late, and must not undo the user's changes of the layout.
             self._recording.send_blueprint(log_layout({*self._topics, EVENTS}, grows=True))
             self._laid_out |= new
 

@@ -53,7 +53,7 @@ COLORS: Final[Mapping[ColorName, Color]] = {
     "grey": (160, 160, 160),
     "red": (230, 90, 90),
 }
-"""By the names that the registry of topics has for them."""
+"""Colours by their names in the registry of topics."""
 BLUE, ORANGE, GREEN, VIOLET, GREY, RED = COLORS.values()
 
 DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
@@ -68,15 +68,15 @@ DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
 LOG_COLORS: Final = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY)
 """Colours of logs beside each other."""
 
-WHO: Final = "who drives"
+DRIVER_VIEW: Final = "who drives"
 ERROR: Final = "error in degrees: predicted - recorded"
-_WHO_SHARE: Final = 0.9  # of the height
+_DRIVER_SHARE: Final = 0.9  # of the height
 _FRAME_SHARE: Final = 3.0  # of the height, where logs are beside each other
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot."""
+    """A line of a plot."""
 
     entity: str
     name: str
@@ -97,8 +97,8 @@ def log_layout(
 ) -> rrb.Blueprint:
     """The layout for a log with these topics; it has no view for what the log does not have.
 
-    `runs` are the names of those whose predictions are shown beside it, `attention` of those that show where they
-    look. A log that grows is followed; another one opens at its start, or `at_s` seconds after it.
+    `runs` are the names of the runs with predictions beside it, `attention` of those with attention maps. A log
+    that grows is followed; another one opens at its start, or `at_s` seconds after it.
     """
     attention_views = [
         rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention
@@ -172,10 +172,10 @@ def _plots(topics: Collection[str], *, has_errors: bool) -> list[Shared]:
 
 
 def _driving(topics: Collection[str], at: str, of: str, *, has_steering: bool) -> list[Shared]:
-    """Who drives, and the steering; entities begin with `at`, names of views with `of`."""
+    """The views of the driver and the steering; entities begin with `at`, names of views with `of`."""
     plots: list[Shared] = []
     if PILOT_COMMAND in topics:
-        plots.append((rrb.StateTimelineView(origin=at + DRIVER, name=of + WHO), _WHO_SHARE))
+        plots.append((rrb.StateTimelineView(origin=at + DRIVER, name=of + DRIVER_VIEW), _DRIVER_SHARE))
     if has_steering:
         plots.append(_plot(STEERING, at, of))
     return plots
@@ -214,7 +214,7 @@ def _has_predictions(topics: Collection[str]) -> bool:
 
 
 def _upright(parts: Sequence[Shared]) -> Part | None:
-    """One above the other."""
+    """The parts, one above the other."""
     if not parts:
         return None
     return rrb.Vertical(*(part for part, _ in parts), row_shares=[share for _, share in parts])
@@ -226,7 +226,7 @@ def _side_by_side(parts: Sequence[Part | None], shares: Sequence[float]) -> Part
 
 
 def _time_panel(timeline: str, *, grows: bool = False, at_s: float | None = None) -> rrb.TimePanel:
-    """A layout cannot tell where the time cursor stands, only what is played over and over."""
+    """The time panel. A layout cannot place the time cursor: with `at_s`, the time around it plays in a loop."""
     if at_s is None:
         return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following" if grows else "paused")
     around = AbsoluteTimeRange(min=round(1e9 * max(0.0, at_s - AROUND_S)), max=round(1e9 * (at_s + AROUND_S)))

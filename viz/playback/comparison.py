@@ -44,7 +44,7 @@ _LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture wo
 
 @dataclass(frozen=True)
 class _ComparedLog:
-    """One of several logs."""
+    """A log that is compared with others."""
 
     name: str
     log: Log
@@ -149,7 +149,7 @@ def _send(
 
 
 def _moved(one: _ComparedLog, skipped: Skipped) -> Generator[Chunk]:
-    """What is not drawn of one log, under its own entity and on the common time line."""
+    """The chunks of a log that are not drawn, under its own entity and on the common time line."""
     with contextlib.closing(read_chunks(one.log, drawn_topics(one.log), one.clock, skipped, _LEFT_OUT)) as chunks:
         for chunk in chunks:
             if not chunk.is_static:

@@ -1,4 +1,4 @@
-"""Drawings of a log beside its pictures: curves, arcs over the frame, histogram, path, who drives, events."""
+"""Drawings of a log beside its pictures: curves, arcs over the frame, histogram, path, driver, events."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class Drawing:
             self._drivers(time_ns, numbers["driver"].astype(np.int64))
 
     def curve(self, curve: Curve, time_ns: Times, values: Values) -> None:
-        """One line of a plot, also one that is not of the log: log times (N,) in ns, values (N,)."""
+        """Draw a line of a plot, also one that is not of the log: log times (N,) in ns, values (N,)."""
         entity = self._prefix + curve.entity
         if self._is_new(entity):
             name, color = curve.name, curve.color

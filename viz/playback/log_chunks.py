@@ -1,4 +1,4 @@
-"""What is not drawn of a log, as chunks of a Rerun recording: its pictures, and topics that only Rerun knows.
+"""The part of a log that is not drawn, as chunks of a Rerun recording: pictures, and topics that only Rerun knows.
 
 Rerun's reader compares no CRC, and may not end where a log is damaged. Of a log of ours it is therefore given the
 summary, and a copy of the topics that nothing here sends; pictures are sent chunk by chunk of the file, each read
@@ -53,7 +53,7 @@ def read_chunks(
 
 
 def protobuf_topics(log: Log) -> dict[str, str]:
-    """The name of the schema of each topic whose messages are written in Protobuf."""
+    """The name of the schema of each topic with messages in Protobuf."""
     schemas = log.schemas
     channels = log.channels.values()
     return {
@@ -74,8 +74,8 @@ def _chunks(log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, le
 
 
 def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
-    """What is told by metadata, and by the summary of a finished log, whose CRC was compared when it was opened.
-    No chunk is read: no message has this time."""
+    """The chunks that Rerun's reader makes of metadata, and of the summary of a finished log, whose CRC was
+    compared when it was opened. No chunk of the log is read: no message has this time."""
     reader = McapReader(
         path,
         decoders=_OF_SUMMARY,
@@ -87,7 +87,7 @@ def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
 
 
 def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
-    """What Rerun's reader makes of attachments and of the topics that are not left out."""
+    """The chunks that Rerun's reader makes of attachments and of the topics that are not left out."""
     topics = {channel.topic for channel in log.channels.values()}.difference(left_out)
     if not topics and not log.attachments:
         return
@@ -140,7 +140,7 @@ def _columns(found: Mapping[str, Sequence[tuple[int, CompressedImage]]], clock: 
 
 
 def _add_damaged(log: Log, topics: Collection[str], chunk: LogChunk, skipped: Skipped) -> None:
-    """Name the pictures that lie in a damaged chunk, by what the end of the log tells of them."""
+    """Name the pictures that lie in a damaged chunk, by the log's own index of messages."""
     reason = damaged_pictures(log.path)
     for topic in topics:
         found = log.pictures(topic)
@@ -150,7 +150,7 @@ def _add_damaged(log: Log, topics: Collection[str], chunk: LogChunk, skipped: Sk
 
 
 def _chunks_with(log: Log, topics: Collection[str]) -> list[LogChunk]:
-    """The chunks that have a message on one of these topics, as far as the summary tells."""
+    """The chunks that have a message on one of these topics, as far as the summary lists them."""
     numbers = {number for number, channel in log.channels.items() if channel.topic in topics}
     return [chunk for chunk in log.chunks if chunk.channels is None or chunk.channels & numbers]
 

@@ -13,8 +13,8 @@ _BLOB: Final = pa.list_(pa.field("item", pa.uint8(), nullable=False))
 
 
 def picture_columns(encoded: Sequence[bytes], formats: Sequence[str]) -> rr.ComponentColumnList:
-    """One picture a row, byte for byte; `formats` are "jpeg", "png" and such. Its coordinate frame is the one that
-    Rerun gives every entity."""
+    """Columns with one picture a row, byte for byte; `formats` are "jpeg", "png" and such. Their coordinate frame
+    is the one that Rerun gives every entity."""
     media_types = [f"image/{name or 'jpeg'}" for name in formats]
     return rr.EncodedImage.columns(blob=_blobs(encoded), media_type=media_types)
 

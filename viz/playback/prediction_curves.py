@@ -18,8 +18,8 @@ COLORS: Final = ((240, 90, 190), (240, 220, 90), (90, 220, 220), (170, 120, 240)
 def prediction_curves(
     found: LogPredictions, first: int = 0
 ) -> Iterator[tuple[Curve, NDArray[np.int64], NDArray[np.float64]]]:
-    """The lines of each run: which, log times (N,) in ns, values (N,). `first` is the first run's number, by which
-    runs are told apart. There is no error where nothing was recorded."""
+    """The lines of each run: the curve, log times (N,) in ns, values (N,). `first` is the first run's number,
+    which gives its colour. There is no error where nothing was recorded."""
     known = np.isfinite(found.recorded)
     for number, (run, steering) in enumerate(found.predicted.items(), first):
         color, part = COLORS[number % len(COLORS)], entity_part(run)

@@ -42,7 +42,7 @@ class PredictionLayer:
     runs: Sequence[str]  # their names
     attention: bool  # shown as well
     send: Callable[[rr.RecordingStream, Drawing, Callable[[], object]], object]
-    """To a recording, or as what is drawn there. The third argument is the second of `PreparedRecording.send`."""
+    """Sends to a recording, or draws there. The third argument is the second of `PreparedRecording.send`."""
 
 
 class DrawnMessages:
@@ -84,7 +84,7 @@ class PreparedRecording:
     name: str
     layout: rrb.Blueprint | None  # None: `send` sends one
     send: Callable[[rr.RecordingStream, Callable[[], object]], object]
-    """To a recording. The second argument waits until what was sent is taken, and may raise what ends it."""
+    """Sends to a recording. The second argument waits until what was sent is taken, and may raise to end it."""
     notices: Sequence[str]  # of logs that were never finished
     recording_id: str | None = None  # in a file: the same log, the same recording
     at_s: float | None = None  # where it opens, in seconds since the start; None: at the start
@@ -190,14 +190,14 @@ def topics_with_messages(log: Log) -> list[str]:
 
 
 def drawn_topics(log: Log) -> list[str]:
-    """The topics of a log whose messages are drawn: Rerun's reader need not see them."""
+    """The topics of a log that are drawn: Rerun's reader need not read them."""
     return [*_of_registry(log), *prediction_topics(log)]
 
 
 def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
     """Send chunks no faster than they are taken, so that they do not pile up in this process."""
     rows = 0
-    with contextlib.closing(chunks):  # and their progress bar, before anybody says why it ends
+    with contextlib.closing(chunks):  # and their progress bar, before an error is printed
         for chunk in chunks:
             recording.send_chunks(chunk)
             rows += len(chunk)
@@ -243,7 +243,7 @@ def _is_ours(log: Log, topic: str) -> bool:
 
 def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
     for message in log.messages(POSE):
-        with contextlib.suppress(DecodeError):  # a path with a gap; `bc-log check` tells
+        with contextlib.suppress(DecodeError):  # a path with a gap, which `bc-log check` reports
             yield message, PoseInFrame.FromString(log.read(message.offset, message.length, message.chunk))
 
 
@@ -252,6 +252,6 @@ def _picture_size(log: Log) -> tuple[int, int] | None:
         return None
     found = log.pictures(CENTER)
     for place in zip(found.offset, found.length, found.chunk, strict=True):
-        with contextlib.suppress(LogError):  # that chunk is damaged, which is told when pictures are sent
+        with contextlib.suppress(LogError):  # that chunk is damaged, which is reported when pictures are sent
             return frame_size(log.read(*map(int, place)))
     return None
