@@ -16,7 +16,7 @@ from common.errors import ObjectChangedError, StoreError
 from common.location import Url
 from common.object_file import CUT_OFF, LARGEST_READ, ObjectFile, ObjectVersion, read_part
 from common.store_connection import store_of
-from common.store_errors import as_store_error, is_cut_off, is_no_bucket, obstore
+from common.store_errors import as_store_error, is_cut_off, is_no_bucket, is_refused, obstore
 from common.store_errors import exceptions as failures
 
 if TYPE_CHECKING:
@@ -65,6 +65,10 @@ def find_object(url: Url) -> StoredObject | None:
             if is_no_bucket(str(error)):
                 raise
             return None
+        except failures.BaseError as error:
+            if is_refused(str(error)):
+                read_part(url, (0, 1))  # raises the same, and why: HEAD is answered without a word of it
+            raise
     return _stored_object(url, found)
 
 

@@ -161,11 +161,21 @@ class ResumableUpload:
                 _answer_of(complete, MultipartUpload={"Parts": parts})
                 return
             except ClientError as error:
+                if _code_of(error) == "InvalidRequest" and self._add_checksums():
+                    continue
                 if _code_of(error) != "InvalidPart" or not tries_left:
                     raise
                 # perhaps a part has come once more, from another process, and has another ETag now
                 if not self._is_ours(self._id, lambda more: None) or len(self._sent) < self._count:
                     raise
+
+    def _add_checksums(self) -> bool:
+        """Note the checksums that the store does not list, but wants to hear in the end, as SeaweedFS does. False if
+        none is missing."""
+        missing = [number for number, part in self._sent.items() if "ChecksumSHA256" not in part]
+        for number in missing:
+            self._sent[number]["ChecksumSHA256"] = _sha256(self._read(number))
+        return bool(missing)
 
     def _note(self, number: int, answer: dict[str, Any]) -> None:
         checksums: dict[str, Any] = {name: answer[name] for name in _CHECKSUMS if name in answer}
@@ -288,7 +298,8 @@ def _text(error: ClientError) -> str:
     status = _status_of(error)
     phrase = next((each.phrase for each in http.HTTPStatus if each == status), "Error")
     message = error.response["Error"].get("Message", "")
-    return f"server returned non-2xx status code: {status} {phrase}: <Code>{_code_of(error)}</Code> {message}"
+    told = f"<Code>{_code_of(error)}</Code><Message>{message}</Message>"
+    return f"server returned non-2xx status code: {status} {phrase}: {told}"
 
 
 def _code_of(error: ClientError) -> str:

@@ -35,6 +35,7 @@ _CREDENTIALS: Final = {
     "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY (AZURE_SKIP_SIGNATURE=true for a public one)",
 }
 _NO_RIGHT: Final = ("", " (AccessDenied)", " (AuthorizationPermissionMismatch)")
+_NOT_VALID: Final = ("InvalidAccessKeyId", "SignatureDoesNotMatch", "ExpiredToken", "InvalidToken")
 _RIGHTS: Final = {
     "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
     " s3:PutObject and s3:DeleteObject, too",
@@ -64,6 +65,10 @@ def is_no_bucket(text: str) -> bool:
     return "NoSuchBucket" in text or "ContainerNotFound" in text or "specified bucket does not exist" in text
 
 
+def is_refused(text: str) -> bool:
+    return re.search(r"status code: (40[013]|501) ", text) is not None
+
+
 def store_error(url: Url, error: Exception, text: str) -> StoreError:
     """The error to raise, in one line, for what a store's client has raised, and says in `text`."""
     bucket = f"{url.scheme}://{url.bucket}"
@@ -81,8 +86,10 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
         return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
     if "RequestTimeTooSkewed" in text:
         return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
-    is_refused = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
-    if is_refused or "403 Forbidden" in text:  # a listing that is refused is a GenericError
+    if (code := _code(text).strip(" ()")) in _NOT_VALID:
+        return StoreError(f"{bucket}: credentials that are not valid ({code}): set {_CREDENTIALS[url.scheme]}")
+    is_forbidden = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
+    if is_forbidden or "403 Forbidden" in text:  # a listing that is refused is a GenericError
         rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
         return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, exceptions.NotSupportedError) or "NotImplemented" in text:
@@ -103,7 +110,8 @@ def _endpoint() -> str:
 def _reason(text: str) -> str:
     status = re.search(r"[Ss]erver returned non-2xx status code: (\d+ [A-Z][\w ]*?):", text)
     if status:
-        return f"the store answers {status[1]}{_code(text)}"
+        message = re.search(r"<Message>(.+?)</Message>", text)
+        return f"the store answers {status[1]}{_code(text)}" + (f": {message[1][:200]}" if message else "")
     unreachable = ("refused", "error trying to connect", "dns", "could not connect", "connect timeout")
     if "onnect" in text and any(each in text.lower() for each in unreachable):
         return "the store cannot be reached"

@@ -7,6 +7,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -28,6 +29,7 @@ class Handler(localbucket.S3Handler):  # type: ignore[misc]
 
     disable_nagle_algorithm = True
     tells_checksums = True  # S3 does, if asked when the upload begins; not all that speak its protocol do
+    wants_checksums = False  # of all parts, in the end, whether or not they were told
 
     def log_message(self, *arguments: object) -> None: ...
 
@@ -46,6 +48,11 @@ class Handler(localbucket.S3Handler):  # type: ignore[misc]
             self._list_parts(bucket, key)
         else:
             super()._get_request(bucket, key)
+
+    def _complete_multipart_upload(self, bucket: str, key: str, body: bytes) -> None:
+        if self.wants_checksums and body.count(b"<ChecksumSHA256>") < body.count(b"<PartNumber>"):
+            raise localbucket.S3Error(HTTPStatus.BAD_REQUEST, "InvalidRequest", "the checksum is missing")
+        super()._complete_multipart_upload(bucket, key, body)
 
     def _list_uploads(self, bucket: str) -> None:
         root = Element("ListMultipartUploadsResult", xmlns=localbucket.S3_NAMESPACE)

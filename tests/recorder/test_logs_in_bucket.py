@@ -260,15 +260,24 @@ def refused(status: int, code: str) -> Answer:
         (refused(301, "PermanentRedirect"), "another region: set AWS_REGION"),
         (refused(400, "AuthorizationHeaderMalformed"), "another region: set AWS_REGION"),
         (refused(501, "NotImplemented"), "does not know what was asked"),
+        (refused(400, "ExpiredToken"), r"not valid \(ExpiredToken\): set AWS_ACCESS_KEY_ID"),
+        (refused(403, "SignatureDoesNotMatch"), r"not valid \(SignatureDoesNotMatch\): set AWS_ACCESS_KEY_ID"),
+        (refused(400, "InvalidRequest"), r"answers 400 Bad Request \(InvalidRequest\): as the test says"),
         (refused(503, "SlowDown"), "answers 503"),
     ],
 )
-@pytest.mark.parametrize("command", ["ls", "info"])
+@pytest.mark.parametrize("command", ["ls", "info", "copy"])
 def test_a_store_that_refuses_is_one_line(
-    bucket: Bucket, answer: Answer, told: str, command: str, capsys: pytest.CaptureFixture[str]
+    bucket: Bucket, log: Path, answer: Answer, told: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Also where it is HEAD that is refused, which comes without a word of why."""
     bucket.answer = answer
-    assert call(main, command, "s3://logs/sessions" + (".mcap" if command == "info" else "")) == 1
+    places: list[str | Path] = {
+        "ls": ["s3://logs/sessions"],
+        "info": ["s3://logs/sessions.mcap"],
+        "copy": [log, "s3://logs/sessions/a.mcap"],
+    }[command]
+    assert call(main, command, *places) == 1
     assert re.search(told, one_line_in(capsys))
 
 

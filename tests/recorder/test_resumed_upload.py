@@ -85,11 +85,16 @@ def stop_at_part(bucket: Bucket, log: Path, first: int) -> None:
     bucket.pass_all()
 
 
-@pytest.mark.parametrize("tells_checksums", [True, False])
+@pytest.mark.parametrize(
+    ("tells_checksums", "wants_checksums"),
+    [(True, True), (False, False), (False, True)],
+    ids=["S3", "knows none", "SeaweedFS"],
+)
 def test_a_copy_that_was_stopped_goes_on_with_the_parts_that_are_there(
-    bucket: Bucket, log: Path, tells_checksums: bool, monkeypatch: pytest.MonkeyPatch
+    bucket: Bucket, log: Path, tells_checksums: bool, wants_checksums: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Handler, "tells_checksums", tells_checksums)
+    monkeypatch.setattr(Handler, "wants_checksums", wants_checksums)
     stop_at_part(bucket, log, 5)
     assert list(bucket.folder.iterdir()) == []
     copy_log(log, bucket.url("a.mcap"))
