@@ -170,8 +170,8 @@ class ResumableUpload:
                     raise
 
     def _add_checksums(self) -> bool:
-        """Note the checksums that the store does not list, but wants to hear in the end, as SeaweedFS does. False if
-        none is missing."""
+        """Note the checksums that the store does not list, but wants to hear in the end, as SeaweedFS does. False
+        if none is missing."""
         missing = [number for number, part in self._sent.items() if "ChecksumSHA256" not in part]
         for number in missing:
             self._sent[number]["ChecksumSHA256"] = _sha256(self._read(number))
