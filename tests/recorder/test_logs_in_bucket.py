@@ -272,12 +272,12 @@ def test_a_store_that_refuses_is_one_line(
 ) -> None:
     """Also where it is HEAD that is refused, which comes without a word of why."""
     bucket.answer = answer
-    places: list[str | Path] = {
+    places: dict[str, list[str | Path]] = {
         "ls": ["s3://logs/sessions"],
         "info": ["s3://logs/sessions.mcap"],
         "copy": [log, "s3://logs/sessions/a.mcap"],
-    }[command]
-    assert call(main, command, *places) == 1
+    }
+    assert call(main, command, *places[command]) == 1
     assert re.search(told, one_line_in(capsys))
 
 
