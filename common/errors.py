@@ -54,11 +54,11 @@ class UsageError(UserError):
 
 
 class StoreError(UserError):
-    """A store that does not answer, or refuses what was asked."""
+    """A store that does not answer, or refuses the request."""
 
 
 class NoSuchObjectError(StoreError):
-    """Nothing of this name is there, or may be seen."""
+    """There is no object of this name, or it may not be read."""
 
 
 class ObjectExistsError(StoreError):

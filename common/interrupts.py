@@ -63,7 +63,7 @@ class GracefulStop:
         self._received = 0
         self._force_quit = force_quit
         self._on_slow = on_slow
-        # a handler may take no lock: whom it interrupts may have it
+        # a handler may take no lock: the code that it interrupts may hold it
         self._events: SimpleQueue[_Event] = SimpleQueue()
         self._is_repeated = False
         self._unraisable = sys.unraisablehook

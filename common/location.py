@@ -1,4 +1,4 @@
-"""Where a file is: a path of this machine, or the URL of an object in a store (s3://, gs://, az://).
+"""The place of a file: a path of this machine, or the URL of an object in a store (s3://, gs://, az://).
 
 `pathlib` would make "s3:/bucket" of "s3://bucket": what a person gives is read once, by `location`, and is from
 then on either a `Path` or a `Url`, which has those of a path's methods that need no file.
@@ -58,7 +58,7 @@ class Url:
         return self.parent / name
 
     def joined(self, relative: str) -> Url:
-        """What a path that is relative to this folder leads to. Raises ValueError for one that leads out of the
+        """The place that a path relative to this folder leads to. Raises ValueError for one that leads out of the
         bucket."""
         parts = self.key.split("/") if self.key else []
         for part in relative.split("/"):
@@ -102,7 +102,7 @@ def is_in_store(text: str) -> bool:
 
 
 def absolute(place: Location) -> Location:
-    """The same, from whatever folder it is looked at."""
+    """The same place, independent of the current folder."""
     return place if isinstance(place, Url) else place.resolve()
 
 
@@ -114,7 +114,7 @@ def local_path(place: Location) -> Path:
 
 
 def refuse_collapsed(path: Path) -> None:
-    """Raise UsageError for a path that was made of a URL: what it is asked for has to lie on this machine."""
+    """Raise UsageError for a path that was made of a URL: only a file of this machine can be used here."""
     if _COLLAPSED.match(text := os.fspath(path)):
         refuse_urls([_with_all_slashes(text)])
 
@@ -135,7 +135,7 @@ def refuse_urls(words: Sequence[str]) -> None:
 
 
 def relative_to(place: Location, folder: Location) -> str:
-    """How a file is named in another one that lies in `folder`: both can be moved together. Where only one of them
+    """The name of a file in another one that lies in `folder`: both can be moved together. Where only one of them
     is in a store, or they are in different buckets, it is named by its URL."""
     if isinstance(place, Url):
         if not isinstance(folder, Url) or (place.scheme, place.bucket) != (folder.scheme, folder.bucket):

@@ -56,7 +56,7 @@ def _is_locked(stream: IO[bytes]) -> bool:
         if sys.platform == "win32":
             _lock_behind(stream, msvcrt.LK_NBLCK)
             _lock_behind(stream, msvcrt.LK_UNLCK)
-        else:  # shared: two who ask at once do not take each other for the writer
+        else:  # shared: two processes that ask at once do not take each other for the writer
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         return True

@@ -24,23 +24,23 @@ AT_ONCE: Final = 16
 """Requests that wait for their answers at a time: at 50 ms each, and 256 KB, some 80 MB/s."""
 
 LARGEST_READ: Final = 1 << 23
-"""Bytes that are read ahead of who reads a file through."""
+"""The most bytes that are read ahead of a reader that goes through a file in order."""
 
 CUT_OFF: Final = 4
-"""Times that is asked for what comes incomplete; obstore asks again for what does not come."""
+"""Requests for a range that arrives incomplete; obstore itself repeats requests that get no answer."""
 
 _SMALL: Final = 1 << 15  # a read of less brings its neighbours along: records lie side by side
 _KEPT_BYTES: Final = 1 << 26
 _KEPT: Final = 16  # stretches of a file that were read
-_END: Final = 1 << 17  # of a file, read at once: a log of ours says there what is in it
+_END: Final = 1 << 17  # of a file, read at once: a log of ours has its summary there
 
 
 @dataclass(frozen=True)
 class ObjectVersion:
-    """By which an object is told from what takes its name later."""
+    """Identifies one content of an object: what is written under its name later has another version."""
 
     e_tag: str  # as the store writes it
-    version: str | None = None  # of stores that go by that
+    version: str | None = None  # of stores that keep versions
 
     @property
     def name(self) -> str:
@@ -166,8 +166,8 @@ class ObjectFile(Closeable):
 
 
 def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta, bytes]:
-    """What a store tells of an object, and the bytes of a part of it, which may reach over its end. They are asked
-    for again where they were cut off, or are fewer than the answer says."""
+    """An object's metadata, and the bytes of a part of it, which may reach over its end. The request is repeated
+    if the answer is cut off, or has fewer bytes than it declares."""
     for attempt in range(CUT_OFF):
         try:
             found = obstore.get(store_of(url, False), url.key, options={"range": part})

@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MOST_IN_ONE_REQUEST: Final = 5 << 30
-"""Bytes that S3 takes, or gives another name, in one request, and so on a condition."""
+"""The largest object that S3 writes or copies in one request, and so on a condition."""
 
 
 @dataclass(frozen=True, order=True)
 class StoredObject:
-    """An object as a listing tells of it."""
+    """An object as a listing has it."""
 
     url: Url
     size: int  # bytes
     version: str  # ETag, without its quotation marks
-    written_ns: int = 0  # since 1970; stores tell whole seconds
+    written_ns: int = 0  # since 1970; stores give whole seconds
 
 
 def list_objects(folder: Url) -> list[StoredObject]:
@@ -57,7 +57,7 @@ def list_below(folder: Url) -> list[StoredObject]:
 
 
 def find_object(url: Url) -> StoredObject | None:
-    """What a store tells of an object; None if there is none. Raises StoreError."""
+    """An object's entry, as in a listing; None if there is none. Raises StoreError."""
     with as_store_error(url):
         try:
             found = obstore.head(store_of(url, False), url.key)
@@ -136,7 +136,7 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
 
 
 def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
-    """Which object this is, if it has the bytes of the file. Raises StoreError."""
+    """The object's version, if it has the bytes of the file. Raises StoreError."""
     with ObjectFile(url) as there, file.open("rb") as here:
         starts = range(0, there.size, LARGEST_READ)
         parts = there.read_many((at, min(LARGEST_READ, there.size - at)) for at in starts)
@@ -180,7 +180,7 @@ def remove(url: Url) -> None:
 
 
 def _again_if_cut_off(request: Callable[[], T], may_repeat: Callable[[], bool] = lambda: True) -> T:
-    """What a store answers; asked again where the answer came incomplete, as long as that makes no difference."""
+    """The answer to a request, which is repeated if the answer is cut off and `may_repeat` allows it."""
     for _ in range(CUT_OFF - 1):
         try:
             return request()

@@ -13,7 +13,7 @@ from common.location import Location, Url
 from common.untrusted import open_regular
 
 Range = tuple[int, int]
-"""Where it begins, and how many bytes."""
+"""First byte, and number of bytes."""
 
 
 class RandomAccess(Protocol):
@@ -22,7 +22,7 @@ class RandomAccess(Protocol):
     size: int
     """Bytes, when it was opened or has last grown."""
     version: str
-    """Tells one content from another that has had the same name, as far as its store does (ETag); empty for files
+    """Identifies the content among all that have had the same name, as its store does (ETag); empty for files
     of this machine, which stay what they are while they are open."""
     is_remote: bool
     """True where a request takes long, however few bytes it is for."""
@@ -37,7 +37,7 @@ class RandomAccess(Protocol):
         """As `read`, but nothing beside is read, and nothing is kept for the next one."""
 
     def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
-        """The bytes of each range, in their order; those that follow are asked for meanwhile. Raises what `read`
+        """The bytes of each range, in their order; later ones are requested meanwhile. Raises what `read`
         does."""
 
     def close(self) -> None: ...

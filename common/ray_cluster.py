@@ -1,9 +1,9 @@
 """Calls made by a Ray cluster: each is a task there, and is made again where its node died.
 
-Nobody who works on one machine imports this; `pip install "behavioural-cloning-toolkit[scale]"` brings Ray. Files
-are not sent: a task works in the folder that the command was started in, so that every path means the same.
+Work on one machine does not import it; `pip install "behavioural-cloning-toolkit[scale]"` brings Ray. Files are
+not sent: a task works in the folder that the command was started in, so that every path means the same.
 
-Ray unpickles what it is sent, and runs code for whoever reaches its ports: see docs/scale.md.
+Ray unpickles what it is sent, and runs code for anybody who reaches its ports: see docs/scale.md.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
     """Connect to a cluster, and yield what makes calls there.
 
     `address` is HOST:PORT of its head, from one of its nodes; ray://HOST:PORT from elsewhere; "auto" a cluster
-    that this machine is a node of; "local" starts one on this machine alone; "" is as RAY_ADDRESS says, else
+    that this machine is a node of; "local" starts one on this machine alone; "" is RAY_ADDRESS, else
     "auto", else "local". `options` are those of Ray's tasks, such as what a call takes (`num_cpus`,
     1 by default; `num_gpus`). Raises ClusterError if there is none, or its versions are others.
     """
@@ -111,7 +111,7 @@ def connection(address: str) -> Iterator[Any]:
     address = address or os.environ.get("RAY_ADDRESS", "")
     if address not in _LOCAL_ADDRESSES:
         _check_answers(address)
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here tells nobody
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here reports to nobody
     os.environ.setdefault(
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0"
     )  # its way from 2.55 on, of which it warns else
@@ -149,12 +149,12 @@ def _check_answers(address: str) -> None:
     except (OSError, OverflowError) as error:
         why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
         raise ClusterError(
-            f"--ray {address}: no cluster can be reached there ({why}); `ray status` on its head tells how it is"
+            f"--ray {address}: no cluster can be reached there ({why}); `ray status` on its head shows its state"
         ) from None
 
 
 def _why_not(address: str, error: str) -> str:
-    """What Ray says of a cluster that cannot be used, in one line."""
+    """Ray's error about a cluster that cannot be used, in one line."""
     versions = re.findall(r"(Ray|Python): (\S+)", error)
     if "ersion mismatch" in error and len(versions) == 4:
         theirs, ours = (" and ".join(map(" ".join, pair)) for pair in (versions[:2], versions[2:]))
@@ -175,7 +175,7 @@ def _results(
     of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
     call = ray.remote(_call).options(**of_tasks)
     versions, folder = package_versions(), Path.cwd()
-    # a call that is told apart where its process died has a task to itself
+    # once its process has died, each call of a task gets a task of its own
     size = -(-len(calls) // _MOST_TASKS) if lost is None else 1
     firsts: dict[Any, int] = {}  # of each task that goes on, the number of its first call
     to_do = iter(range(0, len(calls), max(1, size)))
@@ -226,7 +226,7 @@ def _without_toolkit(error: str) -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """What `refuse_other_node` compares."""
+    """The folder and versions that `refuse_other_node` compares."""
     return {package: version_of(package) for package in SAME_VERSIONS}
 
 

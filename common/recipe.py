@@ -1,4 +1,4 @@
-"""Recipes: which defaults the settings of an index and of a training have."""
+"""Recipes: sets of defaults for the settings of an index and of a training."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DEFAULT: Final[Recipe] = "people"
 
 
 def recipe_given(default: Recipe = DEFAULT) -> Recipe:
-    """The recipe that the command line asks for with --recipe; what is none is left to who parses it wholly."""
+    """The recipe that --recipe names on the command line; a wrong one is reported where all flags are parsed."""
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     given.add_argument("--recipe", choices=get_args(Recipe), default=default)
     with contextlib.suppress(argparse.ArgumentError):

@@ -1,9 +1,9 @@
-"""Uploads of files to S3, in parts, that go on where one was that was stopped: on any machine, or after a crash.
+"""Multipart uploads of files to S3 that are resumed after a stop: on any machine, or after a crash.
 
-Nothing is kept here for that: the store lists the uploads to a name that are not finished, and the parts that have
-come of each. One whose parts are the file's bytes, by their SHA-256, is gone on with; others are somebody else's.
-It gets its name when it is whole, on condition that nobody has taken that meanwhile. By botocore, because obstore
-tells nobody the id of its uploads; Google's and Azure's stores are obstore's alone.
+Nothing is kept here for that: the store lists the unfinished uploads to a name, and the parts of each that have
+arrived. An upload whose parts are the file's bytes, by their SHA-256, is resumed; others are somebody else's. The
+object appears when it is whole, on condition that its name is still free. botocore does this, because obstore does
+not give the id of its uploads; uploads to Google's and Azure's stores are obstore's alone.
 """
 
 from __future__ import annotations
@@ -38,18 +38,17 @@ except ImportError:
 
 T = TypeVar("T")
 OnBytes: TypeAlias = Callable[[int], object]
-"""Is told how many bytes more are there; fewer than none where those that were counted are another file's."""
+"""Called with the bytes that were added to the upload; negative if those counted before are another file's."""
 
 _MOST_PARTS: Final = 9000  # a store takes 10,000
 _AT_ONCE: Final = 4
-_CHECKSUMS: Final = ("ETag", "ChecksumSHA256")  # as a store tells them, and wants to hear them
+_CHECKSUMS: Final = (
+    "ETag",
+    "ChecksumSHA256",
+)  # of a part, as stores name them
 _TRIES: Final = 10  # of each request, later and later: a minute without the network is waited for
 _ALGORITHM: Final = "SHA256"
-_LISTING_REFUSED: Final = (
-    403,
-    405,
-    501,
-)  # to who may not ask which uploads there are; by a store that does not know
+_LISTING_REFUSED: Final = (403, 405, 501)  # uploads may not be listed, or the store cannot
 
 
 class _UploadGoneError(StoreError):
@@ -66,7 +65,7 @@ class ResumableUpload:
         self._status = file.stat()
         self._part_bytes = max(part_bytes, -(-self._status.st_size // _MOST_PARTS))
         self._count = -(-self._status.st_size // self._part_bytes)
-        self._sent: dict[int, dict[str, Any]] = {}  # by their number, as a store wants to hear of them
+        self._sent: dict[int, dict[str, Any]] = {}  # by number, as complete_multipart_upload lists them
         self._id = ""
         self._stays = False
         with _translating_errors(url):
@@ -75,7 +74,7 @@ class ResumableUpload:
 
     @property
     def left(self) -> int:
-        """Bytes that are in the store and can be gone on with, now that `send` has ended early."""
+        """Bytes that are in the store, from which a later `send` goes on, now that this one has ended early."""
         return sum(map(self._length, self._sent)) if self._stays else 0
 
     def send(self, *, overwrite: bool = False, on_bytes: OnBytes = lambda more: None) -> None:
@@ -93,7 +92,7 @@ class ResumableUpload:
             if isinstance(error, ObjectExistsError | _UploadGoneError) or not self._sent:
                 self._stays = False
             if not self._stays and self._id:
-                # what was raised first says more than why this cannot be done
+                # the first error says more than one of removing the upload
                 with uninterrupted(), contextlib.suppress(StoreError), _translating_errors(self.url):
                     _abort(self._client, self.url, self._id)
             raise
@@ -223,7 +222,7 @@ def _pages(client: Any, operation: str, name: str, **names: str) -> list[dict[st
 
 
 def _answer_of(request: Callable[..., T], **names: Any) -> T:
-    """What a store answers. botocore asks again where none comes, or an error; here, where half of one does."""
+    """A store's answer. botocore repeats a request that gets none, or an error; this, one that gets half of it."""
     for _ in range(_TRIES - 1):
         try:
             return request(**names)
@@ -233,7 +232,7 @@ def _answer_of(request: Callable[..., T], **names: Any) -> T:
 
 
 def _is_of(part: dict[str, Any], data: bytes) -> bool:
-    """True if a part that is there has these bytes, as far as the store tells its checksum."""
+    """True if a stored part has these bytes, as far as the store gives its checksum."""
     if "ChecksumSHA256" in part:
         return bool(part["ChecksumSHA256"] == _sha256(data))
     return bool(part["ETag"].strip('"') == hashlib.md5(data, usedforsecurity=False).hexdigest())
@@ -244,7 +243,7 @@ def _sha256(data: bytes) -> str:
 
 
 def _encryption() -> dict[str, str]:
-    """How the store shall encrypt it, by the same variables as obstore's."""
+    """The encryption to request, by the same environment variables as obstore's."""
     names = {"ServerSideEncryption": "AWS_SERVER_SIDE_ENCRYPTION", "SSEKMSKeyId": "AWS_SSE_KMS_KEY_ID"}
     return {name: os.environ[variable] for name, variable in names.items() if variable in os.environ}
 
@@ -277,7 +276,7 @@ def _client(settings: S3Settings, bucket: str) -> Any:
 
 @contextlib.contextmanager
 def _translating_errors(url: Url) -> Iterator[None]:
-    """Make one line of what botocore raises, the same as of what obstore does."""
+    """Raise botocore's errors as a StoreError of one line, as `as_store_error` does obstore's."""
     try:
         yield
     except ClientError as error:
@@ -294,7 +293,7 @@ def _translating_errors(url: Url) -> Iterator[None]:
 
 
 def _text(error: ClientError) -> str:
-    """An answer as obstore writes it."""
+    """The error in obstore's form, by which `store_error` recognises it."""
     status = _status_of(error)
     phrase = next((each.phrase for each in http.HTTPStatus if each == status), "Error")
     message = error.response["Error"].get("Message", "")

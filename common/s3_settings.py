@@ -1,4 +1,4 @@
-"""Where and in whose name S3 is asked: the usual environment and ~/.aws, as each of the two clients wants it."""
+"""S3's endpoint and credentials, from the usual environment and ~/.aws, in the form of each of the two clients."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Any
 
 @dataclass(frozen=True)
 class S3Settings:
-    """What another client than obstore has to be told, to ask the same store in the same name. None: not said, so
-    that the client looks for it as the machine's role, or where else it knows."""
+    """The settings by which another client than obstore reaches the same store with the same credentials. What is
+    None the client finds by itself, such as the machine's role."""
 
     region: str
     endpoint: str | None
@@ -26,7 +26,7 @@ class S3Settings:
 
 
 def s3_settings() -> S3Settings:
-    """Those by which obstore asks S3."""
+    """The settings by which obstore reaches S3."""
     given, config = os.environ, obstore_s3_config()
 
     def of(*names: str) -> str | None:
@@ -48,12 +48,12 @@ def s3_settings() -> S3Settings:
 
 
 def _is_on(variable: str) -> bool:
-    """As obstore reads it."""
+    """True for the values that obstore takes for true."""
     return os.environ.get(variable, "").lower() in ("1", "true", "on", "yes", "y")
 
 
 def obstore_s3_config() -> dict[str, Any]:
-    """What of the usual configuration obstore does not find by itself: it reads the environment, not ~/.aws."""
+    """The settings that obstore does not find by itself: it reads the environment, not ~/.aws."""
     given = os.environ
     # one object at a time is deleted here, and not every store knows how to delete many
     config: dict[str, Any] = {"disable_bulk_delete": True}

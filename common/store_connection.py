@@ -22,7 +22,7 @@ from common.store_errors import from_url
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
-_used_by = 0  # the process that has asked a store first
+_used_by = 0  # the process that first used a store
 _is_hurried = False
 
 # The first request of a process to a bucket shall fail within seconds; those of a training that has run for hours
@@ -42,7 +42,7 @@ _HURRIED: Final = timedelta(seconds=15)
 
 
 def forget_stores() -> None:
-    """Read the environment and the configuration again when a store is next asked."""
+    """Read the environment and the configuration again when a store is next used."""
     _bucket.cache_clear()
 
 

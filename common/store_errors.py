@@ -1,6 +1,6 @@
-"""What a store answers, and obstore says of it in several lines, as one line with what to do.
+"""Errors of a store, which obstore reports in several lines, as one line with the next step.
 
-obstore is an extra: it is imported here alone, by who asks a store, so that this says what brings it.
+obstore is an extra: it is imported here alone, so that the error without it names what installs it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ except ImportError:
         "reading from a store needs obstore: `pip install behavioural-cloning-toolkit[scale]` brings it"
     ) from None
 
-# What is said where nobody gave any, and no role of the machine has answered either.
+# In errors of requests for which no credentials were found: none were given, and the machine has no role.
 _NO_CREDENTIALS: Final = re.compile(
     r"169\.254\.169\.254|/latest/(api/token|meta-data)|metadata\.google\.internal|credential"
     r"|account must be specified|invalid access key",
@@ -46,7 +46,7 @@ _RIGHTS: Final = {
 
 @contextlib.contextmanager
 def as_store_error(url: Url) -> Iterator[None]:
-    """Make one line of what obstore raises, which is several of what its layers say."""
+    """Raise obstore's errors, which have a line for each of its layers, as a StoreError of one line."""
     try:
         yield
     except (exceptions.BaseError, FileNotFoundError) as error:  # of what is not there, it raises Python's own
@@ -70,7 +70,7 @@ def is_refused(text: str) -> bool:
 
 
 def store_error(url: Url, error: Exception, text: str) -> StoreError:
-    """The error to raise, in one line, for what a store's client has raised, and says in `text`."""
+    """The one-line error for what a store's client has raised; `text` is its message."""
     bucket = f"{url.scheme}://{url.bucket}"
     if isinstance(error, exceptions.AlreadyExistsError):
         return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")

@@ -1,6 +1,6 @@
 """`.store.json`, in a folder that is kept in a store and in copies of it: of which object each file is a copy.
 
-It is read without obstore: who only looks at a copy that is here needs no store.
+It is read without obstore: a command that only reads the local copy needs no store.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class StoreRecord(msgspec.Struct, frozen=True):
     url: str = ""
     files: dict[str, Copy] = {}
     left: dict[str, Copy] = {}
-    """Of a copy that has not all files: those that it has not, or not as they are there now."""
+    """The files that this copy lacks, or has in another version than the store."""
     record_version: str = msgspec.field(default="", name="told_by")
-    """Of a copy: the version of the store's own record that was read last."""
+    """The version of the store's own record that this copy has read last."""
 
 
 def read_record(folder: Path) -> StoreRecord:
-    """That of a folder here; an empty one of a folder that is no copy."""
+    """The record of a local folder; an empty one if it is no copy."""
     path = folder / RECORD_NAME
     return record_of(path.read_bytes() if path.is_file() else b"")
 
@@ -51,7 +51,7 @@ def cached_from(folder: Path) -> str:
 
 
 def record_of(stored: bytes) -> StoreRecord:
-    """Of what is none, an empty one: then all is copied again."""
+    """The record in these bytes; an empty one if they are none: then all is copied again."""
     try:
         return msgspec.json.decode(stored, type=StoreRecord)
     except (msgspec.MsgspecError, ValueError, RecursionError):

@@ -1,8 +1,8 @@
-"""A folder that is kept in a store, and the copy of it here in which is worked: what differs goes down, or up.
+"""A folder that is kept in a store, and the local copy that commands work in: what differs is fetched or sent.
 
-Every file goes up on the condition that nobody has written it since it came down: of two machines that work on the
-same folder, one is told; but of files to which machines only add lines, those of both are kept. `.store.json`, in
-both places, tells of each file which object it is a copy of (`common.store_record`).
+Every file is sent on the condition that nobody has written it since it was fetched: of two machines that work on
+the same folder, one gets an error; but of files to which machines only add lines, those of both are kept.
+`.store.json`, in both places, records which object each file is a copy of (`common.store_record`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 OnBytes: TypeAlias = Callable[[int], object]
-"""Is told how many bytes more are fetched."""
+"""Called with the number of bytes fetched since the last call."""
 
 _LOCK: Final = ".store.lock"
 _MOST_BYTES: Final = 1 << 28
@@ -80,11 +80,11 @@ class StoredFolder(Closeable):
         wanted: Collection[str] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """Make the folder here hold what the other one does. What was changed here and never went up is lost; or,
-        with `keeps_ours`, stays, if it was not changed there too. Lines that were added here stay.
+        """Make the local folder hold what the store's does. Local changes that were never sent are lost; with
+        `keeps_ours` they stay, unless the file was changed in the store, too. Lines that were added here stay.
 
-        `objects` is a listing of the folder, for who has one. Of files that are not `wanted`, what the store tells
-        is recorded (`StoreRecord.left`), and none is fetched. `progress` gets a line while others are.
+        `objects` is a listing of the folder, if the caller has one. Files that are not `wanted` are recorded
+        (`StoreRecord.left`), and not fetched. `progress` gets a line while others are.
 
         Raises UserError for a file that was, or whose name cannot be here; StoreError.
         """
@@ -118,14 +118,14 @@ class StoredFolder(Closeable):
         self._write_record(left, record_version)
 
     def forget(self, *names: str) -> None:
-        """Remove files here that are not there, and never were: by their names, or a folder's, with a slash."""
+        """Remove local files that never were in the store: by their names, or a folder's, with a slash."""
         for path in self._files():
             name = path.relative_to(self.here).as_posix()
             if name not in self._copies and any(_is_it_or_in_it(name, each) for each in names):
                 path.unlink()
 
     def send(self, first: Sequence[str] = (), only: Collection[str] | None = None) -> bool:
-        """Make the other folder hold what this one does; True if anything had to be done.
+        """Make the store's folder hold what the local one does; True if anything had to be done.
 
         The files of `first` go up before all others, one after the other; of a folder among them, with a slash,
         several at once. The others go in the order in which they were written. Last, those that are gone here go.
@@ -171,14 +171,14 @@ class StoredFolder(Closeable):
                 if is_last or name not in self._lines:
                     raise
                 self._copies[name] = self._fetch(name, StoredObject(self.url.joined(name), 0, ""), None)
-                if not self._is_changed(name):  # what was added here is there already
+                if not self._is_changed(name):  # the lines that were added here are there already
                     return self._copies[name]
                 continue
             return Copy(status.st_size, status.st_mtime_ns, version.e_tag, version.version, sha256)
         raise AssertionError
 
     def _put_record(self, changed: Sequence[str], gone: Sequence[str]) -> None:
-        """Tell in the record there of what has gone up; the rest of it is what others have told."""
+        """Enter the files that were sent into the store's record; the entries of other machines stay."""
         there = record_of(read_object(self.url / RECORD_NAME, _MOST_BYTES) or b"").files
         sent = {name: self._copies[name] for name in changed}
         known = {**self._copies, **self._record.left, **there, **sent}
@@ -202,7 +202,7 @@ class StoredFolder(Closeable):
         return copy is None or (status.st_size, status.st_mtime_ns) != (copy.size, copy.mtime_ns)
 
     def _differs(self, name: str, there: StoredObject, *, keeps_ours: bool) -> bool:
-        """Whether a file has to be fetched for the folder here to hold it. Raises UserError as `bring` does."""
+        """True if a file has to be fetched for the local folder to hold it. Raises UserError as `bring` does."""
         if any(not part or "\\" in part or ":" in part for part in name.split("/")):
             raise UserError(f"{there.url}: a name that no file here may have; remove it there")
         ours = self._copies.get(name)
@@ -261,7 +261,7 @@ class StoredFolder(Closeable):
 
 
 def cached_copy(url: Url) -> Path:
-    """Where the copy of a folder in a store lies in the user's cache, if there is one."""
+    """The place of the copy of a store's folder in the user's cache, if there is one."""
     digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
     return users_cache() / "folders" / digest / (url.name or url.bucket)
 
@@ -287,7 +287,7 @@ def _is_hidden(name: str) -> bool:
 
 @contextlib.contextmanager
 def _line_of(progress: Progress | None, description: str, total: int) -> Iterator[OnBytes]:
-    """A line of a progress bar while the block runs; gives what is told how many bytes more have come."""
+    """Show a line of a progress bar while the block runs; yields the callback that advances it."""
     if progress is None or not total:
         yield lambda more: None
         return
@@ -303,7 +303,7 @@ def _version_of(copy: Copy) -> ObjectVersion:
 
 
 def _unfetched(there: StoredObject, recorded: Copy | None) -> Copy:
-    """What is known of a file that was not fetched."""
+    """The record's entry of a file that was not fetched."""
     if recorded is not None and _version_of(recorded).name == there.version:
         return recorded
     return Copy(there.size, there.written_ns, there.version)

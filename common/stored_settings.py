@@ -20,8 +20,8 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 def settings_from(kind: type[Settings], stored: Any) -> Settings:
     """The settings of a dataclass that `stored`, parsed JSON, holds; those it leaves out have their defaults.
 
-    Where an earlier version, which did not have a setting, did otherwise than today's default, the dataclass says
-    so in a class variable `EARLIER`: what it was then, by name.
+    For settings that earlier versions did not have, the dataclass may have a class variable `EARLIER`: by name,
+    the value that they worked by, where that is not today's default.
 
     A whole number stays one where a float is wanted: it is printed and written again as it was stored. Raises
     ValueError for names or values that `kind` does not have.

@@ -25,7 +25,7 @@ from common.interrupts import leave_signals_to_main_thread
 MAX_QUEUED: Final = 10_000
 """Texts that wait for their reader. Messages beyond it are dropped, and counted; a result waits for room."""
 _POLL_S: Final = 0.01
-_PATIENCE_S: Final = 2.0  # in the end, for a reader who takes nothing
+_PATIENCE_S: Final = 2.0  # in the end, for a reader that takes nothing
 _GONE: Final = {errno.EPIPE, errno.EIO, errno.ECONNRESET, errno.EBADF, errno.ENXIO}
 _COLOUR_OR_OTHER: Final = re.compile(r"\x1b\[[0-9;]*m|[^\n\t]")
 
@@ -85,7 +85,7 @@ class BackgroundWriter:
             except OSError as error:
                 self.error = error
                 return
-            if taken_bytes is None:  # whoever started us has made it non-blocking, and it is full
+            if taken_bytes is None:  # the parent process has made it non-blocking, and it is full
                 time.sleep(_POLL_S)
                 continue
             self._taken_bytes += taken_bytes

@@ -32,8 +32,8 @@ class Tasks(Protocol):
         """Call `function` with each of the tuples of arguments; yield number and result of each, as they come.
 
         What one raises is raised, and the rest is not done. A call may be made again where its process died: it
-        must come to the same. `lost` gives the result, by its number and why, of a call whose process died each
-        time; without it, that is raised.
+        must give the same result. `lost` is called with the number of a call whose process died each time, and the
+        reason, and gives its result; without it, an error is raised.
         """
 
 
@@ -63,8 +63,8 @@ def in_threads(
 
 
 def tasks_of(ray: RayAddress, **options: object) -> contextlib.AbstractContextManager[Tasks]:
-    """What makes calls as `--ray` says: one after the other without it. `options` are those of Ray's tasks. Raises
-    UsageError for an address that is none, ClusterError where no cluster can be reached."""
+    """The way to make calls that `--ray` chooses: one by one without it. `options` are those of Ray's tasks.
+    Raises UsageError for an address that is none, ClusterError where no cluster can be reached."""
     if ray is None:
         return contextlib.nullcontext(one_by_one)
     from common.ray_cluster import address_of, cluster_tasks

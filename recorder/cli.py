@@ -69,7 +69,7 @@ class Record:
     """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
     rate: float | None = None
     """Rows a second: of the built-in simulator (10 by default; it must divide 50), of --gym's environment (each
-    step by default), or of a recording whose pictures tell no time in their names."""
+    step by default), or of a recording whose pictures have no time in their names."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
     sessions: LocationFlag = Path("sessions")
@@ -78,8 +78,8 @@ class Record:
     force: bool = False
     """Replace a session of the same name."""
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Copy the log there (s3://BUCKET/FOLDER) as well once it is finished, if logs are kept here, and say which
-    are not there yet."""
+    """Copy the log there (s3://BUCKET/FOLDER) as well once it is finished, if logs are kept here, and list those
+    that are not there yet."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0

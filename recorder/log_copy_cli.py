@@ -76,7 +76,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
 
 
 def _print_left(log: Location, target: Location, size: int) -> None:
-    """Say that an upload is not for nothing, and who is rid of it."""
+    """Print how an unfinished upload is resumed, and how it is removed."""
     print_message(
         f"{size / 1e6:,.1f} MB of {log} stay in the store: `bc-log copy {log} {target}` goes on with them,"
         " --abort removes them"
@@ -113,12 +113,12 @@ def refuse_taken_name(log: Url, overwrite: bool) -> None:
 
 
 def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-record") -> int:
-    """Copy what was just recorded, and say what else beside it is not there. Exit code 3 if it is not copied: it
-    is recorded all the same."""
+    """Copy a log that was just recorded, and list those beside it that are not there. Exit code 3 if it is not
+    copied: it is recorded all the same."""
     code = DONE if copy_logs([log], to, overwrite=overwrite, prog=prog) == DONE else DONE_BUT_SKIPPED
     try:
         there = {other.name for other in logs_in(to)}
-    except StoreError:  # said already
+    except StoreError:  # reported already
         there = set()
     missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in there]
     if missing:

@@ -109,8 +109,8 @@ class Merge(MakesLogs):
 
 @dataclass(frozen=True)
 class Rewrite(MakesLogsOfOne):
-    """Write a log of an earlier version as this one writes logs: pictures in chunks of their own, so that whoever
-    wants numbers reads none of them. Pictures, rows, times and tags stay as they are, and runs know it again."""
+    """Write a log of an earlier version as this one writes logs: pictures in chunks of their own, so that numbers
+    are read without them. Pictures, rows, times and tags stay as they are, and runs recognise it."""
 
     log: LogPlace
     """The log to write anew."""
@@ -163,7 +163,7 @@ def _named(to: Location) -> Location:
 
 
 def remark_crcs(path: Location, has_crcs: bool) -> None:
-    """Say of a log that nobody can tell whether it is damaged."""
+    """Print that damage to a log without CRCs cannot be noticed."""
     if not has_crcs:
         print_message(f"{path}: {WITHOUT_CRCS}")
 

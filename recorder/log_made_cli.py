@@ -97,8 +97,8 @@ def _copied(made: Sequence[Path], to: Url, overwrite: bool) -> int:
 
 @contextlib.contextmanager
 def brought_as_they_are(places: Sequence[Location]) -> Iterator[list[Path]]:
-    """The same logs as files of this machine, told of by the names that they have in the store. Unfinished or
-    damaged ones are brought as they are: who reads them says so."""
+    """The same logs as files of this machine; messages name them as in the store. Unfinished or damaged ones are
+    brought as they are: their reader reports that."""
     if not any(isinstance(place, Url) for place in places):
         yield [local_path(place) for place in places]
         return

@@ -55,7 +55,7 @@ def print_checked(checked: Checked) -> None:
         print_result(f"  {line}")
     meant = Skipped()
     for where in checked.meant_gaps:
-        meant.add("gaps in time that its events tell, so nothing is lost", where)
+        meant.add("gaps in time that its events explain, so nothing is lost", where)
     for line in meant.lines(MOST_PLACES):
         print_result(f"  {line}")
 
@@ -85,7 +85,7 @@ def _print_drives(info: LogInfo) -> None:
         )
         print_table(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
     if info.meant_gaps:
-        print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events tell, so nothing is lost there")
+        print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events explain, so nothing is lost there")
     stretches = [each for each in info.stretches if each.flag != "gap" or each.last_row not in info.meant_gaps]
     for stretch in stretches[:MOST_PLACES]:
         goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""

@@ -271,8 +271,8 @@ def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: st
         done = run("bc-index", "--ray", address, cwd=tmp_path)
         assert time.monotonic() - began < 60  # eight seconds of waiting; Ray itself tries longer than that
     assert one_line_of(done) == (
-        f"bc-index: --ray {address}: no cluster can be reached there (no answer); `ray status` on its head tells"
-        " how it is"
+        f"bc-index: --ray {address}: no cluster can be reached there (no answer); `ray status` on its head shows"
+        " its state"
     )
     assert done.returncode == 1
 

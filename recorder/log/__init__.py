@@ -1,1 +1,1 @@
-"""The log itself: an MCAP file, its topics, its reader and writer, and what looks after it."""
+"""The log itself: an MCAP file, its topics, its reader, writer, checks and edits."""

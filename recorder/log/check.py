@@ -45,11 +45,11 @@ class Checked:
     pictures: int  # decoded
     findings: list[Finding]
     has_crcs: bool  # other programs may do without: damage is then not noticed
-    meant_gaps: list[str]  # in time, as its events tell; no findings
+    meant_gaps: list[str]  # gaps in time that its events explain; no findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
-    """Read the whole log at `path` and say what is wrong with it; `look` decodes every picture.
+    """Read the whole log at `path` and report what is wrong with it; `look` decodes every picture.
 
     Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that
     do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
@@ -75,7 +75,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
 
 
 def _against_pictures(path: Path) -> Iterator[Finding]:
-    """Where the steering contradicts the pictures, as far as the log can be read."""
+    """Stretches whose steering contradicts the pictures, as far as the log can be read."""
     from recorder.log.steering_against_pictures import against_pictures  # OpenCV
 
     with contextlib.suppress(LogError), Log(path) as log, progress_bar() as bar:

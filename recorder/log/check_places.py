@@ -1,4 +1,4 @@
-"""Checking what a log tells at its end of its chunks and pictures, by which it is read: that it is so."""
+"""Checking the lists of chunks and pictures at a log's end, by which it is read, against the chunks themselves."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from recorder.log.scan import Structure
 
 
 class PlacesCheck:
-    """Compares each chunk with what the summary tells of it, and with the lists of chunks and pictures.
+    """Compares each chunk with the summary's entry for it, and with the lists of chunks and pictures.
 
     Logs of earlier versions have no such lists, and other programs' are not read by them.
     """
@@ -49,12 +49,12 @@ class PlacesCheck:
             self._edges = np.searchsorted(places["chunk"], np.arange(len(self._crcs) + 1)).tolist()
 
     def add(self, indexed: Chunk, record: bytes, channels: set[int]) -> None:
-        """A sound chunk: as the summary tells it, as it is, and the channels of its messages."""
+        """Check a sound chunk: its entry in the summary, its record, and the channels of its messages."""
         where = f"at byte {indexed.start:,}"
         if indexed.channels is not None and indexed.channels != channels:
-            self._findings.append(Finding("chunks of other topics than the summary tells", where))
+            self._findings.append(Finding("chunks of other topics than the summary says", where))
         if indexed.head and indexed.head != record[: len(indexed.head)]:
-            self._findings.append(Finding("chunks of other times or sizes than the summary tells", where))
+            self._findings.append(Finding("chunks of other times or sizes than the summary says", where))
         number = self._numbers.get(indexed.start)
         if number is None or self._crcs is None:
             return

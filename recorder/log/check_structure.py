@@ -98,7 +98,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 _, _, first_ns, last_ns, _, _ = CHUNK_HEADER.unpack_from(record)
                 times = [message.log_time_ns for message in messages] or [0]
                 if (min(times), max(times)) != (first_ns, last_ns):
-                    findings.append(Finding("chunks of other times than they tell", f"at byte {position:,}"))
+                    findings.append(Finding("chunks of other times than they declare", f"at byte {position:,}"))
                 places.add(listed, record, {message.channel for message in messages})
                 yield records, messages
         elif opcode == Opcode.MESSAGE and indexed.pop(position, None) is not None:  # of a file without chunks
@@ -120,7 +120,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"
             findings.append(
                 Finding(
-                    "other numbers of messages than told",
+                    "other numbers of messages than the summary says",
                     f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}",
                 )
             )

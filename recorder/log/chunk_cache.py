@@ -26,7 +26,7 @@ from common.users_cache import users_cache
 
 _DEFAULT_GB: Final = 100.0
 _STAYS_FREE: Final = 10**9  # bytes of the disk
-_MAKE_ROOM_EVERY: Final = 50  # looked through after a fiftieth of what it may hold was added
+_MAKE_ROOM_EVERY: Final = 50  # room is made after a fiftieth of what it may hold was added
 _MOST_BETWEEN: Final = 1 << 30
 _BLOCK_BYTES: Final = 512  # that a file's status counts in
 
@@ -41,12 +41,12 @@ class ChunkCache:
         self.most_bytes = most_bytes
         self._in_use: set[str] = set()
         self._lock = threading.Lock()
-        self._added = most_bytes  # looked through before the first chunk is kept
+        self._added = most_bytes  # room is made before the first chunk is kept
         self._is_full = False
         self._has_warned = False
 
     def open(self, fingerprint: str) -> CachedLog | None:
-        """What is kept of a log; None, and that is said, where nothing can be."""
+        """The kept part of a log; None, with a warning, if nothing can be kept."""
         path = self.folder / f"{fingerprint[:32]}.part-of-log"
         self._in_use.add(path.name)
         try:
@@ -69,7 +69,7 @@ class ChunkCache:
             return not self._is_full
 
     def warn(self, why: str) -> None:
-        """Say, once, why something is not kept."""
+        """Log a warning, once, why something is not kept."""
         if not self._has_warned:
             self._has_warned = True
             _LOG.warning(
@@ -106,7 +106,7 @@ class ChunkCache:
 
 
 class CachedLog(Closeable):
-    """What is kept of one log, by the places that it has there. May be used from any thread."""
+    """The kept part of one log, each byte where it lies in the log. May be used from any thread."""
 
     def __init__(self, cache: ChunkCache, descriptor: int) -> None:
         self._cache = cache

@@ -58,7 +58,7 @@ class ChunkReader:
         return self._file.read(offset, length)
 
     def records_around(self, offset: int, length: int) -> tuple[int, bytes]:
-        """Where in the file the records of the uncompressed chunk begin that has these bytes, and the records.
+        """The offset in the file of the records of the uncompressed chunk that has these bytes, and the records.
         Raises what `read` does."""
         number = self._number_of(offset, length)
         chunk = self._chunks[number]

@@ -1,4 +1,4 @@
-"""Telling which messages are pictures, and finding the picture within a serialised foxglove.CompressedImage."""
+"""Recognising messages that are pictures, and finding the picture within a serialised foxglove.CompressedImage."""
 
 from __future__ import annotations
 

@@ -40,14 +40,14 @@ from recorder.log.reader import Log
 from recorder.log.tags import MOST_BYTES, tags_path
 
 PART_BYTES: Final = 1 << 23
-"""Of what is sent, or asked for, at once."""
+"""Bytes of a part that is sent, or requested, at once."""
 OnBytes: TypeAlias = Callable[[int], object]
-"""Is told how many bytes more are copied."""
+"""Called with the number of bytes copied since the last call."""
 
 
 @dataclass(frozen=True)
 class Copied:
-    """What was made of one log."""
+    """The result of copying one log."""
 
     place: Location
     size: int  # bytes
@@ -65,7 +65,7 @@ def copy_log(
 ) -> Copied:
     """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
 
-    Before anything is raised, `on_left` is told how many bytes of an upload the next one goes on with.
+    Before anything is raised, `on_left` is called with the bytes of an upload that the next one resumes.
 
     Raises LogError for a log that is unfinished or damaged, UserError where something else has the name (unless
     `overwrite`), or one of the places is of the wrong kind; StoreError.
@@ -80,7 +80,7 @@ def copy_log(
 
 
 def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes, on_left: OnBytes) -> Copied:
-    with Log(log) as opened:  # says of what is no log that it is none
+    with Log(log) as opened:  # raises LogError for a file that is no log
         size, fingerprint = opened.size, opened.file_fingerprint
     if (there := find_object(url)) is not None:
         if there.size == size and _fingerprint(url) == fingerprint:
@@ -136,7 +136,7 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
                 remove(made)
     except BaseException:
         if made != url:
-            with uninterrupted(), contextlib.suppress(StoreError):  # what was raised first says more
+            with uninterrupted(), contextlib.suppress(StoreError):  # the first error says more
                 remove(made)
         raise
 

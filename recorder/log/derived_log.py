@@ -64,7 +64,7 @@ def copy_rest(
         except LogError:
             skipped.add("damaged attachments", f"at byte {offset:,}")
             continue
-        if not is_about_places(attachment.name):  # of a log without a summary, only this tells
+        if not is_about_places(attachment.name):  # a log without a summary has no other sign of it
             writer.copy_attachment(attachment)
 
 

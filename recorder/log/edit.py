@@ -178,8 +178,8 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
 def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     """Write a finished log to the new log `to` as this version writes logs: pictures in chunks of their own.
 
-    Messages, times, rows and tags are the same, and so is its fingerprint: whoever has seen the one knows the
-    other. Raises LogError for a log that was never finished, or that another program wrote.
+    Messages, times, rows and tags are the same, and so is its fingerprint, by which indexes and runs recognise it.
+    Raises LogError for a log that was never finished, or that another program wrote.
     """
     refuse_taken(to, [path], overwrite)
     skipped, count, row_count = Skipped(), 0, 0
@@ -228,7 +228,7 @@ def _rows(log: Log) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number and time of every row, in the order of the log."""
     messages = log.messages(topics.VEHICLE)
     if not messages:
-        raise LogError(f"{log.path}: no rows in it (nothing on {topics.VEHICLE}); only times can be told of it")
+        raise LogError(f"{log.path}: no rows in it (nothing on {topics.VEHICLE}); only times can be given for it")
     return (
         np.array([message.sequence for message in messages], np.int64),
         np.array([message.log_time_ns for message in messages], np.int64),

@@ -1,7 +1,7 @@
-"""What is far away, in a session's pictures: how far the car turned between two of them.
+"""The far field of a session's pictures: how far the car turned between two of them.
 
-What is far away moves across the picture as the car turns, and hardly otherwise. So the shift of the far field
-from one picture to the next is the car's yaw, whatever the log says of its steering.
+Distant things move across the picture as the car turns, and hardly otherwise. So the shift of the far field from
+one picture to the next is the car's yaw, whatever steering the log has.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def rows_apart(states: States, time_s: Values, most: int | None = None) -> NDArr
 
 
 class FarField:
-    """What is far away, in the centre camera's pictures."""
+    """The far field of the centre camera's pictures."""
 
     def __init__(self, log: Log, states: States) -> None:
         self._log = log
@@ -67,7 +67,7 @@ class FarField:
         self.decoded_rows = set[int]()
 
     def yaw_px(self, first: int, second: int) -> float:
-        """How far the car turned to the right between two rows, in columns of the picture; NaN if none tells."""
+        """The car's turn to the right between two rows, in columns of the picture; NaN if it is unknown."""
         before, after = (self._of(row) for row in (first, second))
         if before is None or after is None or before.shape != after.shape:
             return float("nan")

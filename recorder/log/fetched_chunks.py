@@ -1,4 +1,4 @@
-"""The chunks of a log in a store: on this machine's disk, on their way, or fetched when they are asked for."""
+"""The chunks of a log in a store: on this machine's disk, on their way, or fetched when they are needed."""
 
 from __future__ import annotations
 
@@ -99,8 +99,8 @@ class FetchedChunks(Closeable):
 
     def fetch(self, run: Sequence[int]) -> dict[int, Future[bytes]]:
         """Fetch chunks that lie side by side, but those that others fetch already, in one request; each of them,
-        or what is wrong with it. Raises what `read` does where the request fails: who waits for one of them is
-        told, too, and it is tried again for those who ask later."""
+        or what is wrong with it. Raises what `read` does where the request fails: threads that wait for one of
+        them get the error, too, and later calls try again."""
         with self._lock:
             futures: dict[int, Future[bytes]] = {
                 number: Future() for number in run if number not in self._coming and number not in self._kept
@@ -156,7 +156,7 @@ class FetchedChunks(Closeable):
                 self._kept.popitem(last=False)
 
     def _has(self, number: int) -> bool:
-        """True if a chunk is on the disk, as far as its header tells."""
+        """True if a chunk is on the disk, by its header alone."""
         if self._cached is None:
             return False
         chunk = self._chunks[number]

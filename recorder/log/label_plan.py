@@ -66,7 +66,7 @@ def plan_labels(habits: SteeringHabits, lag: SteeringLag | None, driven_by: str 
 
 
 def goes_by_lag(habits: SteeringHabits, driven_by: str) -> bool:
-    """Whether `plan_labels` goes by the lag, which takes pictures to measure."""
+    """True if `plan_labels` goes by the lag, which takes pictures to measure."""
     return not driven_by and habits.kind in ("steps", "smooth")
 
 

@@ -50,15 +50,15 @@ class LogInfo:
     size_bytes: int
     start: str  # UTC, ISO 8601
     duration_s: float  # from the first message to the last
-    driven_s: float | None  # of all drives, without what lies between them; None: nobody has looked at its rows
+    driven_s: float | None  # of all drives, without what lies between them; None: its rows were not measured
     topics: list[TopicInfo]  # rates over the driven time, if it is known
     session: dict[str, str]  # where it comes from
     drives: int | None
     flags: dict[str, int] | None  # rows that each flag holds for
     stretches: list[FlaggedRows]  # the first of them
-    steering: SteeringHabits | None  # None: nobody has looked at its rows, or it has none
-    lag: SteeringLag | None  # of the steering; None: not measured, or its pictures do not tell
-    labels: str  # what an index makes of its steering, as far as this tells; empty if nothing does
+    steering: SteeringHabits | None  # None: its rows were not measured, or it has none
+    lag: SteeringLag | None  # of the steering; None: not measured, or not to be found in its pictures
+    labels: str  # what an index makes of its steering, as far as is known; empty if nothing is
     picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
     tags: list[Tag]
     stale_tags: int  # of what had this name before
@@ -72,13 +72,13 @@ class LogInfo:
 
     @property
     def driver(self) -> str:
-        """The run that drove, or else who did or where it comes from, as far as the log says; else empty."""
+        """The run that drove, or else the driver or the source, as far as the log has them; else empty."""
         names = (self.session.get(name, "") for name in ("run", "driver", "source"))
         return next((name for name in names if name), "")
 
     @property
     def length_s(self) -> float:
-        """How long was driven, or else from the first message to the last."""
+        """The driving time, or else that from the first message to the last."""
         return self.duration_s if self.driven_s is None else self.driven_s
 
     def as_json(self) -> str:
@@ -148,8 +148,8 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
 
 
 def driven_by(log: Log) -> str:
-    """The machine that drove a session, as its log says: its hand is smooth and in time. Empty for people, and
-    where nobody says."""
+    """The machine that drove a session, by its log: its hand is smooth and in time. Empty for people, and if it is
+    unknown."""
     if log.counts.get(topics.PILOT_COMMAND):
         return "a network"
     if log.metadata.get("source") == "gymnasium":
@@ -158,8 +158,8 @@ def driven_by(log: Log) -> str:
 
 
 def set_speeds_mph(log: Log) -> tuple[float, ...]:
-    """The speeds that a session's driver was set to keep where bends allow, as its log says; none where nobody was
-    told one, as of people."""
+    """The speeds that a session's driver was set to keep where bends allow, by its log; none if none was set, as
+    for people."""
     stored = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
     try:
         speeds = [float(each) for each in stored]

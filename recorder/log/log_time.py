@@ -17,14 +17,14 @@ BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # rows that far apart belong to two 
 class StandingClock:
     """Finds out whether a simulated clock stands, or only goes back, for `STANDS_S` of this computer's.
 
-    Pauses (`recorder.log.row_quality.GAP_S`) say nothing of it: a simulator in its menu stops its clock. One that
+    Pauses (`recorder.log.row_quality.GAP_S`) do not count: a simulator in its menu stops its clock. One that
     stood is not trusted any more.
     """
 
     def __init__(self) -> None:
         self.stands = False
         self.stood_s = 0.0
-        """For how long now; of this computer's clock."""
+        """The time that it has stood now, by this computer's clock."""
         self._now_s = 0.0
         self._simulated_s: float | None = None
 
@@ -47,7 +47,7 @@ class LogClock:
     is there, or it stands, the moment at which its telemetry came. Rows on either side of another clock, or of one
     that begins anew, are so far apart that nobody takes them for neighbours.
 
-    Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is looked at once, so that setting it while
+    Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is read once, so that setting it while
     the car drives moves no row. With `from_wall_clock` they are those of `time.time_ns`.
     """
 

@@ -1,4 +1,4 @@
-"""The physical side of an MCAP file: its records at any place, and what is in a chunk, its CRC checked.
+"""The physical side of an MCAP file: its records at any place, and the content of a chunk, its CRC checked.
 
 The file is untrusted: no length is believed before it is compared with the file's size. Record layouts:
 https://mcap.dev/spec; all integers are little-endian.
@@ -35,7 +35,7 @@ RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
 MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
 RECORDS_AT: Final = CHUNK_HEADER.size + 12
-"""Where the records of an uncompressed chunk begin: behind the length of its compression's name, and its own."""
+"""Offset of the records of an uncompressed chunk: behind the length of its compression's name, and their own."""
 _OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
 _LEAST_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
 _DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
@@ -50,7 +50,7 @@ FREE_MESSAGES: Final = 1 << 16
 """A file holds no more messages than bytes, and these: compressed, the smallest ones still take several bytes, but
 what was made to fill a memory takes hardly any."""
 
-WITHOUT_CRCS: Final = "written without CRCs: whether it is damaged cannot be told"
+WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
 """The notice, given once, of another program's log that does without them."""
 
 _MOST_COMPRESSED: Final = 100
@@ -72,7 +72,7 @@ class Chunk:
     compression: str = ""
     is_message: bool = False
     mended: bytes = b""  # what its first bytes should be, where its header is damaged
-    channels: frozenset[int] | None = None  # of its messages, by the summary; None: nobody tells
+    channels: frozenset[int] | None = None  # of its messages, by the summary; None: unknown
     head: bytes = b""  # its header without the CRC, by the summary
 
 
@@ -142,7 +142,7 @@ class McapFile(Closeable):
         return data
 
     def read_chunks(self, chunks: Sequence[Chunk]) -> Iterator[tuple[Chunk, bytes]]:
-        """Chunks, and the records of each, unpacked; of a file in a store, several are asked for at a time. Raises
+        """Chunks, and the records of each, unpacked; of a file in a store, several are requested at a time. Raises
         what `records` does."""
         ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
         for chunk, data in zip(chunks, self.read_many(ranges), strict=True):
@@ -158,7 +158,7 @@ class McapFile(Closeable):
         self._records(chunk, record)
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-        """The bytes of each range; of a file in a store, several are asked for at a time, and nothing beside is
+        """The bytes of each range; of a file in a store, several are requested at a time, and nothing beside is
         read. Raises what `read` does."""
         if not self.is_remote:
             yield from (self.read(offset, length) for offset, length in ranges)
@@ -234,7 +234,7 @@ class McapFile(Closeable):
         except struct.error:
             raise self.damaged(f"{where} is cut off") from None
         if opcode != Opcode.CHUNK or RECORD.size + length != len(record) or stored_at + stored_size != len(record):
-            raise self.damaged(f"{where} is not of the length it tells")
+            raise self.damaged(f"{where} is not of the length that it declares")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size:,} bytes")
         if named and start not in self._unpacked_at:
@@ -248,9 +248,9 @@ class McapFile(Closeable):
         except NOT_UNPACKED:
             raise self.damaged(f"{where} cannot be unpacked") from None
         if len(records) != size:
-            raise self.damaged(f"{where} does not unpack to the {size:,} bytes it tells")
+            raise self.damaged(f"{where} does not unpack to the {size:,} bytes that it declares")
         if not self.may_have_crc(crc, records):
-            raise self.damaged(f"{where} has another content than its CRC tells")
+            raise self.damaged(f"{where} has another content than its CRC says")
         return records
 
     def records_at(self, chunk: Chunk) -> int:
@@ -274,7 +274,7 @@ class McapFile(Closeable):
         """The attachment that begins at `offset`."""
         content = self._content(offset, Opcode.ATTACHMENT)
         if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
-            raise self.damaged("an attachment has another content than its CRC tells")
+            raise self.damaged("an attachment has another content than its CRC says")
         try:
             attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
         except UNREADABLE:

@@ -1,5 +1,5 @@
-"""Gaps in time that whoever recorded meant, such as those of a car that is pushed off its line: an event at the
-first row behind each tells how long was not recorded, so that a check can tell them from rows that were lost."""
+"""Gaps in time that a recorder left on purpose, such as those of a car that is pushed off its line: an event at
+the first row behind each has the time that was not recorded, so that a check does not take them for lost rows."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def is_not_recorded(event: str) -> bool:
 
 
 class NotRecorded:
-    """What the events of a log tell of time that was let pass on purpose."""
+    """The times that were not recorded on purpose, from the events of a log."""
 
     def __init__(self) -> None:
         self._seconds = defaultdict[int, float](float)  # by log time
@@ -42,7 +42,7 @@ class NotRecorded:
     def gaps(self, states: States) -> NDArray[np.bool_]:
         """The rows (N,) behind a gap that was meant.
 
-        One that is longer than its event tells, by more than a gap takes, has lost rows as well.
+        One that is longer than its event declares, by more than a gap takes, has lost rows as well.
         """
         step_s = np.diff(states.time_ns, prepend=states.time_ns[:1]) / 1e9
         declared_s = np.array([self._seconds.get(time_ns, 0.0) for time_ns in states.time_ns.tolist()], np.float64)
@@ -50,13 +50,13 @@ class NotRecorded:
         return row_flags(states)["gap"] & meant if meant.any() else meant
 
     def summary(self, states: States) -> dict[str, str]:
-        """What a log says of them beside `row_quality.summary`; nothing where there are none."""
+        """The log's note of them, beside `row_quality.summary`; empty without any."""
         rows: list[int] = states.row[self.gaps(states)].tolist()
         return {MEANT_GAPS: json.dumps(rows)} if rows else {}
 
 
 def meant_rows(quality: Mapping[str, str]) -> list[int]:
-    """The rows behind gaps that were meant, as a log's `bc.quality` says; somebody else may have written it."""
+    """The rows behind gaps that were meant, from a log's `bc.quality`; somebody else may have written it."""
     try:
         return msgspec.json.decode(quality.get(MEANT_GAPS, "[]"), type=list[int])
     except msgspec.MsgspecError:

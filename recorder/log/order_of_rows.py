@@ -176,7 +176,7 @@ def _holes(kind: _Kind, parts: Sequence[_Part], lost: Sequence[tuple[int, int]])
 
 
 def _gaps(kind: _Kind, lost: Sequence[tuple[int, int]]) -> Iterator[_Gap]:
-    """Where chunks of this kind may be lost: as many rows as that can be about."""
+    """The places where chunks of this kind may be lost, with the rows that they may have held."""
     parts = [part for part in kind.parts if part.rows]
     for hole in sorted(_holes(kind, parts, lost)):
         before, after = -1, _NO_ROW
@@ -221,7 +221,7 @@ def _between(rows: list[int], gap: _Gap) -> list[int]:
 
 
 def _torn_at_edges(kind: _Kind, lost: Sequence[tuple[int, int]]) -> frozenset[int]:
-    """Where kinds are mixed: the rows at the edges of what is lost that lack their vehicle state, or a picture."""
+    """The rows at the edges of lost mixed chunks that lack their vehicle state, or a picture."""
     parts = kind.parts
     edges = set[int]()
     for hole in _holes(kind, parts, lost):

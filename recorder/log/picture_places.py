@@ -1,8 +1,8 @@
-"""Where each picture of a log lies, kept at its end: what is in its other chunks is read without reading pictures.
+"""The places of a log's pictures, kept at its end: what is in its other chunks is read without reading pictures.
 
 Two attachments, which MCAP gives a CRC each. `bc.pictures`: a `PLACE` for each picture, in the order of writing; a
-long log has several of them. `bc.chunks`: a `CHUNK_CRC` for each chunk, by which it is seen whether what is told
-here is about this file: another program that writes a log anew copies attachments as they are.
+long log has several of them. `bc.chunks`: a `CHUNK_CRC` for each chunk, which shows whether these lists are about
+this file: another program that writes a log anew copies attachments as they are.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PLACE: Final = np.dtype(
         ("picture_length", "<u4"),
     ]
 )
-# looked at once a message: as plain numbers they are quicker
+# compared once a message: as plain numbers they are quicker
 _OP_MESSAGE: Final = int(Opcode.MESSAGE)
 _RECORD_BYTES: Final = RECORD.size
 _CONTENT_AT: Final = MESSAGE.size  # of a message, in its record
@@ -102,7 +102,7 @@ def is_about_places(name: str) -> bool:
 
 
 def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
-    """The CRC of each chunk, as the end of a log of ours has them; None where nothing is told of this file."""
+    """The CRC of each chunk, as the end of a log of ours has them; None without a list of this file."""
     content = _attached(file, structure, CHUNKS_ATTACHMENT, len(structure.chunks) * CHUNK_CRC.itemsize)
     if content is None:
         return None
@@ -114,9 +114,9 @@ def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
 
 
 def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
-    """An ENTRY for each message in the chunks of pictures, as the end of a log of ours tells them.
+    """An ENTRY for each message in the chunks of pictures, from the lists at the end of a log of ours.
 
-    None where that is missing, or does not fit the file's summary: then only reading all of it tells.
+    None where that is missing, or does not fit the file's summary: then all of the file has to be read.
     """
     places = None if read_chunk_crcs(file, structure) is None else stored_places(file, structure)
     if places is None:

@@ -1,7 +1,7 @@
 """Reading a log: its metadata, its messages, and the place of each picture in the file.
 
-Nothing is given out of a chunk whose CRC does not hold; a chunk of pictures is read when one of them is asked for.
-A log that was never finished is read as far as it goes, and says so (`Log.notice`).
+Nothing is given out of a chunk whose CRC does not hold; a chunk of pictures is read when one of them is needed.
+A log that was never finished is read as far as it goes, and has a notice (`Log.notice`).
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
-    `shows_progress`: with a progress bar while all of it is read, which is when messages are first asked for.
+    `shows_progress`: with a progress bar while all of it is read, which is when messages are first read.
     `cache`: keeps the chunks of a log in a store that pictures are read from.
-    `brief`: what lies where is read when it is first asked for: of a long log in a store, that is most of its end.
+    `brief`: the places of chunks are read when they are first needed: in a long log, they are most of its end.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
@@ -109,7 +109,7 @@ class Log(Closeable):
         unless it `salvages`."""
         self.channels = self._structure.channels
         self.fetched = self._fetched_chunks(cache)
-        """What is here of a log in a store, if it has a cache."""
+        """The part on this machine of a log in a store, if it has a cache."""
         self._copied_from: set[int] = set()
         self._copied = 0
         self._is_mixed = False
@@ -141,7 +141,7 @@ class Log(Closeable):
         return FetchedChunks(self._file, self.chunks, cache, self.file_fingerprint)
 
     def chunk_numbers(self, offsets: NDArray[np.int64], chunks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Which of the log's chunks each of these places is in, by its number: arrays (N,), as in `Pictures`."""
+        """The number of the chunk that each of these places is in: arrays (N,), as in `Pictures`."""
         return self._chunk_reader.numbers_of(offsets, chunks)
 
     @property
@@ -163,7 +163,7 @@ class Log(Closeable):
 
     @property
     def is_ours(self) -> bool:
-        """True for a log of this toolkit, whose topics and row numbers mean what docs/log-format.md says."""
+        """True for a log of this toolkit, whose topics and row numbers are those of docs/log-format.md."""
         return self._file.is_ours
 
     @property
@@ -198,8 +198,8 @@ class Log(Closeable):
 
     @property
     def attachments(self) -> list[int]:
-        """Offsets of the attachments (MCAP's files within a log), but those that say where this file's pictures
-        lie."""
+        """Offsets of the attachments (MCAP's files within a log), but those with the places of this file's
+        pictures."""
         names = self._structure.attachment_names
         return [at for at in sorted(self._structure.attachments_at) if not is_about_places(names.get(at, ""))]
 
@@ -239,7 +239,7 @@ class Log(Closeable):
         which holds the same messages at other places."""
         rewritten: dict[str, str] = {}
         for offset in self.metadata_records if self.is_ours else ():
-            with contextlib.suppress(LogError):  # of a damaged one, who asks for it hears
+            with contextlib.suppress(LogError):  # a damaged one raises where it is read itself
                 name, values = self.metadata_record(offset)
                 rewritten = values if name == topics.REWRITTEN_METADATA else rewritten
         original = rewritten.get("fingerprint", "")
@@ -338,7 +338,7 @@ class Log(Closeable):
         return _messages(self._of_topic(topic))
 
     def decoded(self, topic: str) -> Iterator[tuple[Message, Any]]:
-        """The messages on a topic of the registry. Raises LogError for one that is not what the registry says."""
+        """The messages on a topic of the registry. Raises LogError for one of another form."""
         return self._decoded(topic, topics.TOPICS[topic].message.load())
 
     def vehicle_states(self) -> Iterator[tuple[Message, VehicleState]]:
@@ -394,7 +394,7 @@ class Log(Closeable):
 
     @property
     def is_mixed(self) -> bool:
-        """True if its rows cannot be read without its pictures: nothing tells where these lie."""
+        """True if its rows cannot be read without its pictures, whose places are not listed."""
         return len(self._index) > 0 and self._is_mixed
 
     def _tracked(self, chunks: int) -> Callable[[Iterable[Read]], Iterable[Read]]:

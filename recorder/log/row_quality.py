@@ -35,7 +35,7 @@ IMPACT_S: Final = 0.2
 IMPACT_LEADS_S: Final = 0.5  # a car bounces, and rolls out, before it is slow
 CRASH_LOCK: Final = 0.5
 CRASH_LOCK_SHARE: Final = 0.25
-"""A wheel at half lock or more in so many of its rows is manoeuvring; who stops and starts has it straight."""
+"""A wheel at half lock or more in so many of its rows is manoeuvring; to stop and start, it is straight."""
 STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MOST_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all

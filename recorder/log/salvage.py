@@ -1,6 +1,6 @@
 """Finding what is whole in a damaged file, wherever it lies, for a recovery.
 
-Readers take a chunk only where the summary, or the record before it, says that one is, and with a sound header.
+Readers take a chunk only where the summary, or the record before it, has one, and with a sound header.
 Here chunks are found too that lie elsewhere, or whose header is damaged, if only the CRC of their records holds.
 """
 
@@ -55,8 +55,8 @@ def _all_of(found: list[int], indexed: list[int]) -> list[int]:
 
 
 def _beside_the_whole(file: McapFile, found: Structure) -> tuple[list[tuple[int, int]], dict[int, int]]:
-    """Leave in `found` the chunks that are where the summary says. If not all are, they may lie anywhere else: the
-    stretches between the others, and where each that is not there would begin and end."""
+    """Leave in `found` the chunks that are where the summary has them. If not all are, they may lie anywhere else:
+    the stretches between the others, and where each that is not there would begin and end."""
     whole, indexed_ends = list[Chunk](), dict[int, int]()
     for chunk in found.chunks:
         try:

@@ -1,6 +1,6 @@
-"""The car that a session is of: how it turns, where its cameras stand, in which unit its simulator tells speeds.
+"""The car of a session: its steering, the positions of its cameras, the unit of its simulator's speeds.
 
-These are settings of a session, kept in its log; what is not told is as in Udacity's simulator.
+These are settings of a session, kept in its log; the defaults are those of Udacity's simulator.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Car:
     max_steering_deg: float = MAX_STEERING_DEG  # how far the front wheels turn at steering 1
     wheelbase_m: float = 3.0
     lag_s: float = 0.07  # until 63 % of a change of the recorded steering have become a change of direction
-    speed_unit: SpeedUnit = "mph"  # in which its simulator tells speeds; logs hold mph
+    speed_unit: SpeedUnit = "mph"  # of its simulator's speeds; logs hold mph
     focal: float = 0.866  # share of the picture's height; of Unity's field of view: 60 degrees, top to bottom
     horizon: float = 0.375  # row of the horizon of a level road, from the top, as a share of the picture's height
     height_m: float = 1.35  # of the cameras above the road
@@ -156,7 +156,7 @@ def _corners(heights: Sequence[int]) -> Outline:
 
 
 def metadata_of(car: Car | None) -> dict[str, str]:
-    """For a log's `bc.session`; nothing for a car that nobody tells."""
+    """The entry of a car in a log's `bc.session`; empty for None."""
     return {} if car is None else {CAR_KEY: json.dumps(asdict(car))}
 
 
@@ -179,7 +179,7 @@ def named_car(name: str) -> Car:
 
 
 def stored_car(log: Log) -> Car | None:
-    """The car that a log itself tells; None where it tells none, as those of earlier versions, or several.
+    """The car that is stored in a log; None if there is none, as in those of earlier versions, or several.
 
     Raises LogError for settings that no car has.
     """
@@ -188,7 +188,7 @@ def stored_car(log: Log) -> Car | None:
 
 
 def max_steering_deg_of(log: Log) -> float:
-    """How far the front wheels turn at steering 1; Udacity's where the log does not tell.
+    """The angle of the front wheels at steering 1; Udacity's if the log has none.
 
     Raises LogError for a merged log whose sessions differ in it, and for settings that no car has.
     """
@@ -203,7 +203,7 @@ def max_steering_deg_of(log: Log) -> float:
 def car_of(log: Log, car: str = "auto") -> Car:
     """The car that a log is of, or the one that `car` names (see `named_car`).
 
-    Raises RecordingError where nothing tells which one it is, LogError for settings that no car has.
+    Raises RecordingError if it is unknown, LogError for settings that no car has.
     """
     if car != "auto":
         return named_car(car)
@@ -211,7 +211,7 @@ def car_of(log: Log, car: str = "auto") -> Car:
     cars = [car_in(session, log.path) or _implied(session, has_poses) for session in _sessions(log)]
     if not cars or cars[0] is None or any(each != cars[0] for each in cars):
         raise RecordingError(
-            f"{log.path}: nothing in it tells where its cameras stand; that is known of Udacity's simulator, of"
+            f"{log.path}: it does not say where its cameras stand; that is known of Udacity's simulator, of"
             " the built-in one, and of sessions that were recorded with --car"
         )
     return cars[0]
@@ -231,7 +231,7 @@ def _is_merged(session: Mapping[str, str]) -> bool:
 
 
 def car_in(session: Mapping[str, str], where: Location) -> Car | None:
-    """The car that the metadata of a session, in the log at `where`, tells; None where they tell none.
+    """The car in the metadata of a session, from the log at `where`; None if there is none.
 
     Raises LogError for settings that no car has.
     """
@@ -241,7 +241,7 @@ def car_in(session: Mapping[str, str], where: Location) -> Car | None:
         return settings_from(Car, json.loads(session[CAR_KEY]))
     except (ValueError, RecursionError) as error:
         why = printable(" ".join(str(error).split()))
-        raise LogError(f"{where}: what it tells of its car cannot be used ({why})") from None
+        raise LogError(f"{where}: its car's settings cannot be used ({why})") from None
 
 
 def _implied(session: Mapping[str, str], has_poses: bool) -> Car | None:
@@ -249,6 +249,6 @@ def _implied(session: Mapping[str, str], has_poses: bool) -> Car | None:
     if session.get("simulator") == "built-in":
         return built_in()
     source = session.get("source")
-    if source in ("drive", "telemetry"):  # the real simulator tells nobody where its car is
+    if source in ("drive", "telemetry"):  # the real simulator does not send its car's place
         return built_in() if has_poses else UDACITY
     return UDACITY if source == "udacity" else None

@@ -40,7 +40,7 @@ class SplitChunks:
 
     @property
     def mcap(self) -> Writer:
-        """What channels and schemas are registered with."""
+        """The writer that channels and schemas are registered with."""
         return self._mcap
 
     @property

@@ -1,7 +1,7 @@
 """Stretches of a session in which the car turns one way, as its pictures show, and the steering says the other.
 
 The labels there are wrong: taken from another drive, mirrored, or of another time. On straights nothing
-contradicts them, and nothing is found. No network is asked.
+contradicts them, and nothing is found. No network takes part.
 
 The thresholds were set on four recordings of people (5,667 rows): none of their rows is found, and of stretches of
 10 s whose steering was mirrored, those that have bends (`benchmarks/steering_against_pictures.py`).
@@ -30,16 +30,16 @@ _LEAST_YAW: Final = 0.25  # of the session's mean square: so much that the car v
 _LEAST_STEERING: Final = 0.1
 _LAGS_S: Final = np.arange(-20, 21) * 0.05
 _USUAL: Final = 0.35
-"""The correlation in half of the windows, at least: else the pictures do not tell how the car turns. Not that of
+"""The correlation in half of the windows, at least: else the pictures do not show how the car turns. Not that of
 the whole, as `recorder.log.steering_lag` takes it: a sixth of wrong labels would spoil it."""
 
 
 def against_pictures(log: Log, on_pairs: Callable[[int], object] = lambda count: None) -> NDArray[np.bool_]:
     """The rows (N,) of the log whose steering contradicts its pictures; none where the pictures as a whole do not
-    tell how the car turned.
+    show how the car turned.
 
-    Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_pairs` is told how many
-    more are done. Raises LogError for a log whose rows cannot be read.
+    Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_pairs` is called with
+    the pairs done since the last call. Raises LogError for a log whose rows cannot be read.
     """
     states = States.of(log.vehicle())
     found = np.zeros(len(states.row), np.bool_)

@@ -1,7 +1,7 @@
-"""How a session was steered, by its rows alone: how often, in steps or smoothly, and how much of it can be learnt.
+"""Steering habits of a session, by its rows alone: presses, steps or a smooth hand, and how much can be learnt.
 
-A keyboard knows three positions and is pressed for a fraction of a second; what the person meant lies between. How
-far a row's steering agrees with that of the rows around it bounds how well any network can foretell it.
+A keyboard knows three positions and is pressed for a fraction of a second; what the person meant lies between. The
+agreement of a row's steering with that of the rows around it bounds how well any network can predict it.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from recorder.log.row_quality import (
 )
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
-"""How long the time around a row is whose other rows are its neighbours: half of it before, half after."""
+"""Lengths of the time around a row whose other rows are its neighbours: half of it before, half after."""
 ENOUGH_S: Final = 60.0
-"""Of driving. In less there are too few presses and bends to tell a habit by."""
+"""Of driving. In less there are too few presses and bends to recognise a habit."""
 NARROW: Final = 0.05
 """Steering that never leaves +-1.25 degrees is of another scale: no road is that straight for a minute."""
 MOST_OUT_OF_RANGE: Final = 0.1
@@ -38,7 +38,7 @@ turned all the time (a wheel, a machine) has neither."""
 KEYS_VALUES: Final = 16  # keys without a ramp know -1, 0 and 1
 KEYS_SHARE: Final = 0.4
 KEYS_NEAR: Final = 0.1
-"""Keys turn the wheel at one rate, whoever presses them (Unity: 3 of full lock a second): so many of the changes
+"""Keys turn the wheel at one rate for every driver (Unity: 3 of full lock a second): so many of the changes
 are that near to it."""
 
 _ROUNDING_S: Final = 1e-6  # rows at even times lie on the edge
@@ -49,8 +49,8 @@ Kind = Literal["none", "constant", "too short", "other scale", "steps", "smooth"
 
 @dataclass(frozen=True)
 class SteeringHabits:
-    """How a session was steered. Rows whose steering is out of range do not count but in `out_of_range`; None:
-    there is nothing to tell it by."""
+    """Measures of how a session was steered. Rows whose steering is out of range count in `out_of_range` alone;
+    None: unknown, for want of rows."""
 
     kind: Kind
     rows: int
@@ -80,7 +80,7 @@ class SteeringLag:
 
 
 def habits_from(text: str) -> SteeringHabits | None:
-    """What a log has noted of itself, as JSON; None where that is none: somebody else may have written it."""
+    """The habits in a log's note of itself, from JSON; None for any other text, which strangers may write."""
     try:
         return msgspec.json.decode(text, type=SteeringHabits)
     except (msgspec.MsgspecError, UnicodeError):

@@ -4,7 +4,7 @@ The steering times the speed is proportional to the car's yaw at the right momen
 pictures shows the yaw (`recorder.log.far_field`). In a sound recording the car turns at once, or up to 0.4 s after
 the steering; labels that were delayed, or pictures that were, give themselves away.
 
-It is the lag of the record, not a person's: how long somebody takes to react, no motion tells, because the car
+It is the lag of the record, not a person's: no motion shows how long somebody takes to react, because the car
 follows the hand and not the road.
 """
 
@@ -30,8 +30,8 @@ _AGREE_S: Final = 0.11  # both halves of the pairs
 
 
 def measure_lag(log: Log) -> SteeringLag | None:
-    """Measure in the centre camera's pictures; None where they do not tell: too few of them from a moving car, too
-    far apart, or nothing in them that moves as the steering says. Raises LogError for a log whose rows cannot be
+    """Measure in the centre camera's pictures; None if they do not show it: too few of them from a moving car, too
+    far apart, or nothing in them that moves with the steering. Raises LogError for a log whose rows cannot be
     read; a picture that cannot is passed over."""
     states = States.of(log.vehicle())
     states = _part_of(states, np.abs(states.steering) <= 1)  # False for NaN too

@@ -1,4 +1,4 @@
-"""How a session was steered, in words and numbers for people."""
+"""Steering habits in words and numbers for people."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _IN_WORDS: Final[dict[Kind, str]] = {
 
 
 def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]:
-    """Under `STEERING_HEADINGS`; "-" for what cannot be told."""
+    """The cells under `STEERING_HEADINGS`; "-" for what is unknown."""
     return [
         _how(habits),
         _formatted(habits.zeros, "{:.0%}"),

@@ -1,8 +1,8 @@
 """The summary of a long file in a store, without its list of chunks: of 8 GB, that is 3.4 MB, the rest a few KB.
 
-The records of a summary lie in groups, one for each kind, and behind them it says where each group lies
-(https://mcap.dev/spec#summary-offset-section). The summary's CRC covers all of it: what is read alone is
-compared with nothing but the counts that it tells itself.
+The records of a summary lie in groups, one for each kind; the summary offset section behind them has their places
+(https://mcap.dev/spec#summary-offset-section). The summary's CRC covers all of it: a part that is read alone is
+checked by its own counts only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _LEAST_BYTES: Final = 1 << 17
 
 def read_without_chunks(file: McapFile, start: int, offsets_start: int, end: int) -> bytes | None:
     """The records of a summary from byte `start`, and the footer at byte `end`, but no chunk indexes; None where
-    these are few, or nothing tells where they are. `offsets_start`: where it begins to say so, 0 if it does not.
+    these are few, or their place is unknown. `offsets_start`: that of the summary offset section, 0 without one.
     Raises what `file.read` does."""
     if not start <= offsets_start <= end or (end - offsets_start) % _OFFSET.size or end - start < _LEAST_BYTES:
         return None

@@ -96,7 +96,7 @@ def _tag_files(folder: Location) -> list[Path] | list[Url]:
 def _names_in(path: Location) -> set[str]:
     try:
         tagged = tags_by_content(path.with_name(path.name.removesuffix(_ENDING)))
-    except LogError:  # whoever needs that one is told
+    except LogError:  # it is raised where that journal itself is read
         return set()
     return {tag.name for tags in tagged.values() for tag in tags}
 
@@ -247,7 +247,7 @@ def _locked(path: Path) -> IO[bytes]:
         except BaseException:
             stream.close()
             raise
-        stream.close()  # who held the lock has removed the file: what is written here would be lost
+        stream.close()  # the lock's holder has removed the file: what is written here would be lost
 
 
 def _plain(path: Path) -> Path:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # training reads logs where protobuf is not installed
     from google.protobuf.message import Message
 
 PROFILE: Final = "bc"
-LIBRARY: Final = "behavioural-cloning-toolkit"  # what an MCAP file says that it was written by, before the version
+LIBRARY: Final = "behavioural-cloning-toolkit"  # of an MCAP file's header, before the version
 SESSION_METADATA: Final = "bc.session"
 QUALITY_METADATA: Final = "bc.quality"
 REWRITTEN_METADATA: Final = "bc.rewritten"  # which log this one holds the same content as
@@ -41,7 +41,7 @@ class MessageType:
     module: str
 
     def load(self) -> type[Message]:
-        """The Python class, imported when it is first asked for."""
+        """The Python class, imported when it is first used."""
         loaded: type[Message] = getattr(importlib.import_module(self.module), self.name.rpartition(".")[2])
         return loaded
 

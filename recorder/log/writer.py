@@ -61,7 +61,7 @@ def timestamp(time_ns: int) -> Timestamp:
 
 class LogWriter:
     """One log being written, as `NAME.mcap.XXXXXX.part` until `close()` gives it its name. Until then the file is
-    locked, so that others can tell that it still grows.
+    locked, which shows others that it still grows.
 
     Chunks are uncompressed, so that every picture lies in the file byte for byte and can be read by its
     offset. Pictures have chunks of their own, and so has everything else; only copies of other programs' logs mix
@@ -133,7 +133,7 @@ class LogWriter:
         self._to_disk(self._chunks.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
-            with contextlib.suppress(LogError):  # copied of another log, whose readers will tell
+            with contextlib.suppress(LogError):  # copied of another log; its readers report it
                 self._max_steering_deg = (car_in(metadata, self.path) or UDACITY).max_steering_deg
 
     def picture(
@@ -169,7 +169,7 @@ class LogWriter:
         self._write(topics.POSE, pose, time_ns, sequence)
 
     def event(self, time_ns: int, text: str, level: EventLevel = "INFO", name: str = "") -> None:
-        """Something that happened: `name` says where (`recorder`, `drive`), `text` what."""
+        """Write an event: `name` is where it happened (`recorder`, `drive`), `text` what."""
         message = LogMessage(
             timestamp=timestamp(time_ns),
             level=LogMessage.Level.Value(level),
@@ -314,7 +314,7 @@ class LogWriter:
         self._message(add, time_ns, time_ns, sequence, message.SerializeToString())
 
     def _adder(self, number_of: Callable[[], int], *, is_picture: bool) -> AddMessage:
-        """What adds messages to a channel, the number of which `number_of` gives."""
+        """A function that adds messages to the channel whose number `number_of` gives."""
         if not self._is_split:
             return partial(self._chunks.add_mixed, number_of)
         return partial(self._chunks.add_picture if is_picture else self._chunks.add, number_of)

@@ -28,7 +28,7 @@ def width_and_height(picture: bytes) -> tuple[int, int] | None:
 
 
 def _size_at(picture: bytes) -> tuple[tuple[int, int], int] | None:
-    """Width and height of a picture, and where the bytes end that tell them."""
+    """Width and height of a picture, and the end of the bytes that hold them."""
     try:
         if picture.startswith(PNG_START):
             width, height = struct.unpack_from(">II", picture, 16)

@@ -1,6 +1,6 @@
 """The guard of the port: browsers, scanners and other programs get an answer they understand, and time limits.
 
-One line for a person says each time what to do.
+Each notice is one line with the next step.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NOTICE_NOT_HTTP: Final = (
     "something that is no simulator sends bytes to this port: give one of the two another port"
 )
 NOTICE_SILENT: Final = (
-    f"hung up on somebody who said nothing for {REQUEST_S:g} s: a simulator speaks at once, start one"
+    f"hung up on somebody who sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"
 )
 NOTICE_SLOW: Final = (
     f"hung up on somebody whose request took longer than {REQUEST_S:g} s: a simulator's comes at once"

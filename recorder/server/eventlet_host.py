@@ -22,7 +22,7 @@ from recorder.server.engineio_connection import Lock
 from recorder.server.listening_socket import QuickAck, listen, send_at_once
 
 with warnings.catch_warnings():
-    # The user asked for eventlet; whoever starts a drive can do nothing about the notice of its retirement.
+    # eventlet is needed here; the user of a drive can do nothing about the notice of its retirement.
     warnings.filterwarnings("ignore", message=r"\s*Eventlet is deprecated")
     # or it loads a resolver of its own, which takes a quarter of the time and is asked for nothing here
     os.environ.setdefault("EVENTLET_NO_GREENDNS", "yes")

@@ -57,7 +57,7 @@ class Telemetry:
 
     steering: float  # -1 (left) .. 1 (right), the wheels as they are; not clamped
     throttle: float  # 0..1; not clamped
-    speed_mph: float  # NaN where nobody tells it, which no message may
+    speed_mph: float  # NaN where the simulator sends none, which no message may have
     jpeg: bytes
     decimal_separator: str = POINT  # of the simulator's machine, for what it writes and reads
     observed_separator: str | None = None  # the same, if this telemetry shows it without doubt
@@ -69,7 +69,7 @@ def parse_telemetry(data: object, known_separator: str | None = None, car: Car =
     """Parse a message's data. Raises TelemetryError with the reason, and what could be read all the same.
 
     `known_separator` is the decimal separator of the same connection's earlier telemetry: whole numbers, and
-    1,234, do not show it. `car` tells how far its wheels turn at steering 1, and in which unit its speed is.
+    1,234, do not show it. `car` gives the wheels' angle at steering 1 and the unit of the speed.
     """
     if not isinstance(data, dict):
         raise TelemetryError(f"not an object but a {type(data).__name__}")
@@ -145,7 +145,7 @@ def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
     )
     which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     return TelemetryError(
-        f"{which} {'is' if len(names) == 1 else 'are'} missing", f" (told: {present or 'nothing'})"
+        f"{which} {'is' if len(names) == 1 else 'are'} missing", f" (received: {present or 'nothing'})"
     )
 
 

@@ -25,15 +25,15 @@ from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 
 TICK_S: Final = 0.1
 FIRST_COMMAND_S: Final = 1.0
-"""How long a first command waits for telemetry: the real simulator sends its own at once, and each command that
-answers none keeps one more telemetry in flight."""
+"""The time that a first command waits for telemetry: the real simulator sends its own at once, and each command
+that answers none keeps one more telemetry in flight."""
 NO_TELEMETRY_S: Final = 5.0
 """A client that has sent nothing for so long speaks another protocol."""
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
 """Longer messages close the connection; a picture that is too large is within, and is answered."""
 
 NOTICE_NO_TELEMETRY: Final = (
-    f"somebody has opened a websocket and told nothing for {NO_TELEMETRY_S:g} s: start the simulator's autonomous"
+    f"somebody has opened a websocket and sent nothing for {NO_TELEMETRY_S:g} s: start the simulator's autonomous"
     " mode; other clients have to speak Socket.IO"
 )
 NOTICE_POLLING: Final = (
@@ -220,7 +220,7 @@ class TelemetryServer:
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         if not _is_for_websocket(environ) and len(self._engine.sockets) > MAX_CONNECTIONS:
-            # a websocket is a connection, which the host counts; who polls leaves none
+            # a websocket is a connection, which the host counts; a polling client leaves none
             self._notify_once(NOTICE_TOO_MANY)
             return False
         Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._notify_once)

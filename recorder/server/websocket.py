@@ -26,7 +26,7 @@ RECEIVE_BYTES: Final = 1 << 16
 FRAME_BYTES: Final = 100
 """The memory that a frame takes beside its content."""
 DRAIN_S: Final = 1.0
-"""How long a disconnected client may go on sending: closed at once, it might lose what it was sent last."""
+"""The time that a disconnected client may go on sending: closed at once, it might lose what it was sent last."""
 PARSED_BYTES: Final = 1 << 13
 """The most that is parsed before others may run: 1,400 empty frames, in some 3 ms."""
 FEW_FRAMES: Final = 50

@@ -152,11 +152,11 @@ class _Session:
             return f"nothing was recorded{self.skipped.error_suffix()}"
         if self._manuals:
             return (
-                "nothing was recorded: the simulator tells nothing while its keys are held; drive in its training"
+                "nothing was recorded: the simulator sends nothing while its keys are held; drive in its training"
                 " mode and follow that by `bc-record NAME --from FOLDER --watch`"
             )
         if self._connections:
-            return "nothing was recorded: a client connected, but told no telemetry; start its autonomous mode"
+            return "nothing was recorded: a client connected, but sent no telemetry; start its autonomous mode"
         return "nothing was recorded: no simulator connected; start its autonomous mode while this waits for it"
 
     def _note(self, sid: str, received_ns: int, data: object) -> None:

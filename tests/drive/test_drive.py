@@ -421,7 +421,7 @@ def test_each_malformed_telemetry_is_an_event_and_is_counted(drive: Drive) -> No
     assert "speed is not finite" not in reasons["a speed in words"]
     assert "image is not a JPEG (3 bytes)" in reasons["an image that is not a picture"]
     assert "speed is not a number (fast)" in reasons["a speed in words"]
-    assert "image is missing (told: steering_angle, throttle, speed)" in reasons["no image"]
+    assert "image is missing (received: steering_angle, throttle, speed)" in reasons["no image"]
 
 
 def reason_kind(message: str) -> str:
@@ -595,7 +595,7 @@ def test_a_drive_on_nothing_but_bad_telemetry_says_so_and_fails(pilot_run: Path,
         assert process.end() == 1
     said = [line for line in process.stderr if "cannot be used" in line]
     assert len(said) == 3
-    assert "speed is missing (told: steering_angle, throttle, image)" in said[2]
+    assert "speed is missing (received: steering_angle, throttle, image)" in said[2]
     assert "nothing was driven: no telemetry could be used (image is a PNG, not a JPEG)" in process.stderr[-1]
     assert "bc-play" not in process.stdout
     assert "autonomy unknown" in process.stdout

@@ -39,7 +39,7 @@ from viz.cli import main as bc_play
 
 DATA_END = 0x0F
 CRC_AT = 33  # within a chunk: opcode, length, two times, size, CRC
-WITHOUT = "written without CRCs: whether it is damaged cannot be told"
+WITHOUT = "written without CRCs: damage to it cannot be noticed"
 
 
 def picture(camera: Camera, row: int) -> bytes:

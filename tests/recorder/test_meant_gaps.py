@@ -79,7 +79,7 @@ def test_the_log_says_itself_which_gaps_were_meant(tmp_path: Path, capsys: pytes
     capsys.readouterr()
     assert call(main, "info", path) == 0
     told = capsys.readouterr().out
-    assert "1 gap that its events tell" in told
+    assert "1 gap that its events explain" in told
     assert "gap: rows 4 to 4" in told
     assert "gap: rows 2 to 2" not in told
 

@@ -224,9 +224,9 @@ def at_other_times(index: ChunkIndex) -> None:
 @pytest.mark.parametrize(
     ("change", "kind"),
     [
-        (without_a_topic, "chunks of other topics than the summary tells"),
-        (with_a_topic, "chunks of other topics than the summary tells"),
-        (at_other_times, "chunks of other times or sizes than the summary tells"),
+        (without_a_topic, "chunks of other topics than the summary says"),
+        (with_a_topic, "chunks of other topics than the summary says"),
+        (at_other_times, "chunks of other times or sizes than the summary says"),
     ],
 )
 def test_what_the_summary_tells_falsely_of_a_chunk_is_found(
@@ -251,7 +251,7 @@ def test_rows_that_are_told_to_be_pictures_are_found(path: Path) -> None:
     patched(path, summary=of_chunks(as_pictures, number))
     assert given_out(path) == truth
     where = f"at byte {found.chunks[number].start:,}"
-    assert ("chunks of other topics than the summary tells", where) in check(path).findings
+    assert ("chunks of other topics than the summary says", where) in check(path).findings
 
 
 def test_other_counts_than_there_are_pictures_are_not_believed(path: Path) -> None:
@@ -262,7 +262,7 @@ def test_other_counts_than_there_are_pictures_are_not_believed(path: Path) -> No
     truth = given_out(path)
     patched(path, summary=one_more)
     assert given_out(path) == truth
-    assert kinds_of(path) == {NOT_OURS, "other numbers of messages than told"}
+    assert kinds_of(path) == {NOT_OURS, "other numbers of messages than the summary says"}
 
 
 def test_lists_within_lists_are_given_up(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -129,7 +129,7 @@ def test_a_file_that_is_not_there_and_a_car_of_the_simulators_own_are_refused(
 def test_a_log_with_settings_of_no_car_is_told_not_believed(car: str) -> None:
     with LogWriter(Path("bad.mcap"), {"source": "udacity", CAR_KEY: car}):
         pass
-    with Log("bad.mcap") as log, pytest.raises(LogError, match=r"bad\.mcap: what it tells of its car"):
+    with Log("bad.mcap") as log, pytest.raises(LogError, match=r"bad\.mcap: its car's settings cannot be used"):
         car_of(log)
 
 
@@ -153,5 +153,5 @@ def test_a_merged_log_has_the_car_of_its_sessions_if_they_have_one(tmp_path: Pat
         assert car_of(log).wheelbase_m == 2.4
     with Log("bc.mcap") as log:
         assert max_steering_deg_of(log) == 30
-        with pytest.raises(RecordingError, match="nothing in it tells where its cameras stand"):
+        with pytest.raises(RecordingError, match="it does not say where its cameras stand"):
             car_of(log)

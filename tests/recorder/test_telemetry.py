@@ -141,11 +141,11 @@ def test_what_is_out_of_range_is_told_as_it_came() -> None:
 @pytest.mark.parametrize(
     ("changed", "kind", "reason"),
     [
-        ({"speed": ...}, "speed is missing", "speed is missing (told: steering_angle, throttle, image)"),
+        ({"speed": ...}, "speed is missing", "speed is missing (received: steering_angle, throttle, image)"),
         (
             {"speed": ..., "image": ..., "velocity": 3, "x" * 99: 1},
             "speed and image are missing",
-            f"speed and image are missing (told: steering_angle, throttle, velocity, {'x' * 30}...)",
+            f"speed and image are missing (received: steering_angle, throttle, velocity, {'x' * 30}...)",
         ),
         ({"speed": "fast"}, "speed is not a number", "speed is not a number (fast)"),
         ({"speed": "\u0661"}, "speed is not a number", "speed is not a number (\u0661)"),
